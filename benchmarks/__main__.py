@@ -24,7 +24,7 @@ from benchmarks.harness import Row
 
 OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
-BY_NAME = ("dwell_million",)
+BY_NAME = ("dwell_million", "size")
 """Those that are run only where they are asked for: they take the longest."""
 Keep = Callable[[Row], None]
 

@@ -1,0 +1,77 @@
+"""What a dwell for a moving tool costs as the part grows: effect, regularisation, solve and certificate, no matrix.
+
+Each size is a process of its own; its memory is the most that the kernel says of it (VmHWM). By name only: hours.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bench_dwell import FEED_MM_S, path, surface
+from benchmarks.bench_effect import Case
+from benchmarks.harness import Progress, Row
+from polishd.model.outline import Polygon
+from polishd.model.surface import Grid
+from polishd.process.dwell import spectral
+from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+from polishd.process.paths.apertures import circle, over_outline
+from polishd.process.paths.raster import raster
+from polishd.process.spreading.effect import spread_effect
+
+DISCS = tuple(Case(diameter_mm, 1.0, 1.0, 10.0, 1e-3) for diameter_mm in (110.0, 200.0, 360.0, 640.0, 1130.0, 2200.0))
+"""10^4 to 4 * 10^6 blocks."""
+SEGMENT = Case(1400.0, 1.0, 0.8, 30.0, 1e-3)
+"""Of an extremely large telescope, over the corners of its hexagon; two million blocks."""
+
+
+def rows(progress: Progress) -> Iterator[Row]:
+    """CPU seconds and memory of discs of a spot of 10 mm, and of a hexagon of one of 30 mm."""
+    for case in (*DISCS, SEGMENT):
+        shape = "hexagon" if case is SEGMENT else "phi"
+        progress(f"size: {shape} {case.diameter_mm:g} mm")
+        command = [sys.executable, "-m", __name__, shape, str(case.diameter_mm)]
+        found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        name = f"size: {shape} {case.diameter_mm:g} mm, {found['blocks']} blocks, spot {case.radius_mm:g} mm"
+        yield Row(f"{name}, gap {found['gap']:.0e}", found["cpu_s"], {}, "s")
+        yield Row(f"{name}, memory", found["mb"], {}, "MB")
+
+
+def measured(case: Case, *, hexagon: bool) -> dict[str, float]:
+    """One size."""
+    turns = [k * np.pi / 3 for k in range(6)]
+    outline = Polygon(
+        tuple((case.diameter_mm / 2 * np.cos(turn), case.diameter_mm / 2 * np.sin(turn)) for turn in turns)
+    )
+    points = raster(over_outline(outline) if hexagon else circle(case.diameter_mm), case.step_mm, case.step_mm)
+    program = path(points)
+    side = int((case.diameter_mm + 2 * case.radius_mm) / case.pitch_mm) + 1
+    grid = Grid(side, side, case.pitch_mm)
+    gamma = np.asarray(0.875 + 0.035 * np.sin(program.end_mm[:, 0] / 30))
+    begun_s = time.process_time()
+    effect = spread_effect(grid, case.spot, program, gamma, np.ones(program.n), tolerance=case.tolerance)
+    solve = outline.contains(*grid.axes_mm) if hexagon else grid.radius_mm() <= case.diameter_mm / 2
+    height, lower = surface(grid, solve), program.length_mm / FEED_MM_S
+    target = height + choose_piston_nm(height, solve, effect.removal_nm(lower))
+    p = regularisation_from_rho(effect, solve, 1e-4)
+    problem = DwellProblem(effect, target, solve, solve, lower, np.full(lower.size, np.inf), p)
+    certificate = spectral.solve(problem, 36_000.0).certificate
+    most = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
+    assert certificate.stopped == "converged"
+    assert most is not None
+    assert certificate.gap is not None
+    seconds = time.process_time() - begun_s
+    return {"blocks": program.n, "cpu_s": seconds, "mb": int(most[1]) / 1e3, "gap": certificate.gap}
+
+
+if __name__ == "__main__":
+    asked = next(case for case in (*DISCS, SEGMENT) if case.diameter_mm == float(sys.argv[2]))
+    print(json.dumps(measured(asked, hexagon=sys.argv[1] == "hexagon")))
