@@ -32,6 +32,7 @@ def certified(run: Path, out: Path) -> dict[str, Any]:
     return twin
 
 
+@pytest.mark.full
 def test_a_polished_part_is_certified_by_what_the_daemon_left(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", seed=3, speed=40.0) as files, Daemon(files) as daemon:
         assert daemon.wait() == 0, daemon.output.read_text()

@@ -56,8 +56,15 @@ class Quadratic:
 
     def at(self, time_s: FloatArray) -> tuple[float, FloatArray]:
         """`value` and `gradient`, by one product with R and one with R'."""
-        miss = self.forward(time_s) - self.target
-        slope = 2 / self.target.size * self.backward(miss) + 2 * self.regularisation * time_s + self.price
+        return self._at(time_s, self.forward, self.backward)
+
+    def rough_at(self, time_s: FloatArray) -> tuple[float, FloatArray]:
+        """The same to float32, some 1e-6 of what they are at the lower bound, where that is quicker."""
+        return self._at(time_s, *(self.roughly or (self.forward, self.backward)))
+
+    def _at(self, time_s: FloatArray, forward: Product, backward: Product) -> tuple[float, FloatArray]:
+        miss = forward(time_s) - self.target
+        slope = 2 / self.target.size * backward(miss) + 2 * self.regularisation * time_s + self.price
         return self._value(time_s, miss), slope
 
     def _value(self, time_s: FloatArray, miss: FloatArray) -> float:

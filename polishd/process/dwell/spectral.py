@@ -37,10 +37,12 @@ At 1.5 a KKT residual of 1e-4 takes a quarter more steps, at 0.7 half as many ag
 LEAST_REGULARISATION = 1e-5
 """Regularisation below this share of the most curvature is taken for this, in the pull only."""
 LOOK_EVERY, LOOK_AGAIN = 40, 0.25
-"""Steps between two looks with the effect itself, in float64, at least, and over those taken so far: each look costs as
-much as ten to fifty steps."""
+"""Steps between two looks with the effect itself, at least, and over those taken so far: each look costs as much as ten
+to fifty steps."""
 ACCEPTED = 5e-5
 """KKT residual at which a gap that is small enough ends it: a cell accepts 1e-4."""
+FINELY = 1e-6, 1e-5
+"""KKT residual and gap below which looks must be in float64; above, float32 tells as much in half of the time."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 
@@ -137,8 +139,9 @@ def _minimise(
     bend_of = f.rough_curvature if bending is problem else quadratic(bending).rough_curvature
     start = warm_start_s(problem, f)
     bounded = lower.copy() if start is None else np.clip(start, lower, upper)
-    at_lower = f.at(lower)
-    value, gradient = at_lower if start is None else f.at(bounded)
+    look_at = f.rough_at if kkt_tolerance >= FINELY[0] and gap >= FINELY[1] else f.at
+    at_lower = look_at(lower)
+    value, gradient = at_lower if start is None else look_at(bounded)
     scale = float(np.abs(at_lower[1]).max()) or 1.0
     multiplier = -np.where(_held_back(gradient, bounded, lower, upper), gradient, 0.0) / pull
     free = bent = offset = bounded.copy()  # the dwell without bounds; its gradient is bent + offset
@@ -146,7 +149,7 @@ def _minimise(
     for steps in range(MAX_STEPS):
         late = limit.expired()
         if late or steps == look:
-            value, gradient = f.at(bounded) if steps else (value, gradient)
+            value, gradient = look_at(bounded) if steps else (value, gradient)
             left = float(np.abs(projected_gradient(gradient, bounded, lower, upper, f.safe_step)).max()) / scale
             history.append(left)
             if left < least:

@@ -217,6 +217,7 @@ def test_a_cell_that_does_not_say_who_it_is_is_refused(polishd: Polishd, tmp_pat
     assert (said.code, "opcua: is missing" in said.err, "docs/plant-systems.md" in said.err) == (3, True, True)
 
 
+@pytest.mark.full
 def test_the_process_says_where_it_listens_and_ends_by_sigterm(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell.write_text(cell.read_text() + KEYS)
@@ -231,6 +232,7 @@ def test_the_process_says_where_it_listens_and_ends_by_sigterm(tmp_path: Path) -
         assert process.stderr.read() == ""
 
 
+@pytest.mark.full
 def test_a_port_that_is_taken_is_said(polishd: Polishd, tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     with socket.socket() as taken:

@@ -85,6 +85,7 @@ def test_weights_and_the_price_of_time_have_their_part() -> None:
     assert spectral.solve(weighed, 120.0).time_s.sum() < spectral.solve(asked, 120.0).time_s.sum()
 
 
+@pytest.mark.full
 def test_little_regularisation_takes_longer_and_comes_there() -> None:
     agree(problem(rho=1e-4))
 
