@@ -29,8 +29,8 @@ TOLERANCE = 1e-3
 FINER = (1, 2, 3, 4)
 """Nodes to a sample's side that are tried: each product costs their square."""
 MISSED = (10.0, 3.0, 1.0)
-"""What the family may miss of a spot (Euclidean norm), over the tolerance, as it is tried: 10 takes half as many
-convolutions as 1, and is mostly enough."""
+"""What the family may miss of a spot (Euclidean norm), over the tolerance, as it is tried: where gamma ranges widely 10
+takes 25 convolutions and 3 takes 41, for the same error of the removal."""
 COARSE_CELLS = 5.0
 """Cells to half a spot's width, at least, of the effect that a solver's steps are found with: with 4.5 a solve takes
 half as many steps again, with 3 they lead astray."""
