@@ -1,4 +1,4 @@
-"""What every test gets: no task and no process outlives it, and hypothesis behaves alike on every machine."""
+"""What every test gets: no task, no process and no niceness outlives it, and hypothesis behaves alike on every machine."""
 
 from __future__ import annotations
 
@@ -97,11 +97,12 @@ def shared_data(tmp_path_factory: pytest.TempPathFactory) -> MeasuredMaps:
 
 @pytest.fixture(autouse=True)
 def leaves_nothing_running(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Fail a test that leaves asyncio tasks or child processes running (and end those processes)."""
+    """Fail a test that leaves asyncio tasks or child processes running (and end those processes), or this one nicer."""
     if inspect.iscoroutinefunction(getattr(request, "function", None)):
         request.getfixturevalue("leaves_no_task")
-    before = children()
+    before, nice = children(), os.getpriority(os.PRIO_PROCESS, 0)
     yield
+    assert os.getpriority(os.PRIO_PROCESS, 0) == nice, "the tests that follow in this process run at another priority"
     left = settled_children(before)
     for pid in left:
         os.kill(pid, signal.SIGKILL)
