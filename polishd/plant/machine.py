@@ -6,7 +6,8 @@ stands there as if it were live.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from importlib import resources
 from typing import Any, NamedTuple
@@ -15,16 +16,27 @@ from asyncua import Node, Server, ua
 
 from polishd import __version__
 from polishd.config.plant import OpcUaSection
-from polishd.plant.states import NO_DAEMON, STATES, Said
+from polishd.plant.jobs import JOB_MANAGEMENT, JOBS, RESULT_MANAGEMENT, RESULTS, Jobs
+from polishd.plant.states import GOING, NO_DAEMON, STATES, Said
+from polishd.plant.values import Status, good, node_id, nothing, stated
+from polishd.plant.work import Order
 
 DI, MACHINERY = "http://opcfoundation.org/UA/DI/", "http://opcfoundation.org/UA/Machinery/"
-FILES = ("Opc.Ua.Di.NodeSet2.xml", "Opc.Ua.IA.NodeSet2.xml", "Opc.Ua.Machinery.NodeSet2.xml")
+FILES = (
+    "Opc.Ua.Di.NodeSet2.xml", "Opc.Ua.IA.NodeSet2.xml", "Opc.Ua.Machinery.NodeSet2.xml",
+    "Opc.Ua.Isa95JobControl.NodeSet2.xml", "Opc.Ua.Machinery.Jobs.NodeSet2.xml", "Opc.Ua.Machinery.Result.NodeSet2.xml",
+)  # fmt: skip
 """In the order in which one needs the other."""
+DEFAULTS = re.compile(
+    r'(<UAVariable(?:Type)? [^>]*DataType="(?:Result|ProcessingTimes)\w*DataType"(?:(?!</UAVariable).)*?)'
+    r"<Value>.*?</Value>",
+    re.DOTALL,
+)
+"""Empty values of types' structures, which asyncua cannot read; nobody reads a type's value."""
 MACHINES, ITEM_STATE, IDENTIFICATION, OPERATION_MODE = 1001, 1002, 1012, 1008
 """Nodes of Machinery: the folder of machines, and types."""
 OLD_S = 2.0
 """A reading of that age is no longer live."""
-Status = ua.StatusCodes
 TEXT, NUMBER, WHOLE, BOOLEAN = (
     ua.VariantType.String, ua.VariantType.Double, ua.VariantType.Int64, ua.VariantType.Boolean,
 )  # fmt: skip
@@ -59,80 +71,95 @@ SHOWN = (
 class Machine:
     """One cell's node, and how its values are told; made by ``added``."""
 
-    def __init__(self, server: Server, namespace: int, own: Mapping[Shown, Node], state: Node, mode: Node) -> None:
+    def __init__(
+        self, server: Server, namespace: int, own: Mapping[Shown, Node], item: tuple[Node, Node], jobs: Jobs
+    ) -> None:
         self._server, self._namespace, self._own = server, namespace, own
-        self._state, self._mode = state, mode
+        (self._state, self._mode), self._jobs = item, jobs
 
     @classmethod
     async def added(cls, server: Server, name: str, section: OpcUaSection) -> Machine:
         """Import the companion models, and put the cell under ``Machines``."""
-        for file in FILES:
-            text = (resources.files("polishd.plant") / "nodesets" / file).read_text(encoding="utf-8")
-            await server.import_xml(xmlstring=text, auto_load_definitions=False)
+        await _models(server)
         machinery = await server.get_namespace_index(MACHINERY)
         own = await server.register_namespace(f"urn:polishd:{name}")
 
         def id_(path: str) -> ua.NodeId:
             """The same after each start, so that clients find it again."""
-            return _id(path, own)
+            return node_id(path, own)
 
-        machines = server.get_node(_id(MACHINES, machinery))
+        machines = server.get_node(node_id(MACHINES, machinery))
         machine = await machines.add_object(id_("Machine"), ua.QualifiedName(name, own))
         blocks = await machine.add_folder(id_("Blocks"), ua.QualifiedName("MachineryBuildingBlocks", machinery))
 
-        async def block(bname: ua.QualifiedName, kind: int) -> Node:
-            type_ = _id(kind, machinery)
-            node = await machine.add_object(id_(bname.Name), bname, objecttype=type_, instantiate_optional=False)
+        async def block(bname: str, kind: int, space: int, types: int | None = None) -> Node:
+            name = ua.QualifiedName(bname, space)
+            type_ = node_id(kind, space if types is None else types)
+            node = await machine.add_object(id_(bname), name, objecttype=type_, instantiate_optional=False)
             await machine.delete_reference(node.nodeid, ua.ObjectIds.HasComponent)
             for parent in (blocks, machine):
                 await parent.add_reference(node.nodeid, ua.ObjectIds.HasAddIn)
             return node
 
         di = await server.get_namespace_index(DI)
-        who = await block(ua.QualifiedName("Identification", di), IDENTIFICATION)
+        who = await block("Identification", IDENTIFICATION, di, machinery)
         await _identify(who, name, section, (di, machinery, own))
-        state = await block(ua.QualifiedName("MachineryItemState", machinery), ITEM_STATE)
-        mode = await block(ua.QualifiedName("MachineryOperationMode", machinery), OPERATION_MODE)
+        state = await block("MachineryItemState", ITEM_STATE, machinery)
+        mode = await block("MachineryOperationMode", OPERATION_MODE, machinery)
+        management = await block("JobManagement", JOB_MANAGEMENT, await server.get_namespace_index(JOBS))
+        results = await block("ResultManagement", RESULT_MANAGEMENT, await server.get_namespace_index(RESULTS))
+        jobs = await Jobs.added(server, management, results)
         cell = await machine.add_object(id_("Cell"), ua.QualifiedName("Cell", own))
         shown = {}
         for one in SHOWN:
-            bname, type_ = ua.QualifiedName(one.name, own), _id(getattr(ua.ObjectIds, one.kind.name), 0)
+            bname, type_ = ua.QualifiedName(one.name, own), node_id(getattr(ua.ObjectIds, one.kind.name), 0)
             node = shown[one] = await cell.add_variable(
                 id_(f"Cell.{one.name}"), bname, EMPTY[one.kind], one.kind, type_
             )
-            await node.write_attribute(ua.AttributeIds.Description, _good(ua.LocalizedText(one.what)))
-        found = cls(server, machinery, shown, state, mode)
-        await found.silent()
+            await node.write_attribute(ua.AttributeIds.Description, good(ua.LocalizedText(one.what)))
+        found = cls(server, machinery, shown, (state, mode), jobs)
+        await found.silent(None)
         return found
 
-    async def told(self, live: Mapping[str, Any]) -> None:
-        """What the daemon has just answered to ``live``."""
+    async def told(self, live: Mapping[str, Any], orders: Sequence[Order] | None) -> None:
+        """What the daemon has just answered to ``live``; orders: of the journal, None: it cannot be read."""
         now = datetime.now(UTC)
         await self._said(STATES[live["state"]])
+        await self._jobs.told(orders, live["state"] in GOING)
         for one, node in self._own.items():
             await self._server.write_attribute_value(node.nodeid, _of(live, one, now))
 
-    async def no_daemon(self) -> None:
-        """None runs: the machine is not available, and that is known; of all else nothing is."""
+    async def no_daemon(self, orders: Sequence[Order] | None) -> None:
+        """None runs: the machine is not available, and that is known; of all else but its journal nothing is."""
         await self._said(NO_DAEMON)
+        await self._jobs.told(orders, going=False)
         await self._unknown(self._own.values(), Status.BadNoCommunication)
 
-    async def silent(self) -> None:
-        """It was not asked yet, or does not answer: nothing is known."""
+    async def silent(self, orders: Sequence[Order] | None) -> None:
+        """It was not asked yet, or does not answer: nothing is known, but how earlier jobs ended."""
         nodes = [part for machine in (self._state, self._mode) for part in await _current(machine)]
+        await self._jobs.told(orders, going=None)
         await self._unknown([*nodes, *self._own.values()], Status.BadNoCommunication)
 
     async def _said(self, said: Said) -> None:
         for machine, state, word in ((self._state, said.item, said.item.name), (self._mode, said.mode, said.mode.said)):
             current, number = await _current(machine)
-            node = _id(int(state), self._namespace)
+            node = node_id(int(state), self._namespace)
             text = ua.LocalizedText(word, "en")
-            await self._server.write_attribute_value(current.nodeid, _good(text))
-            await self._server.write_attribute_value(number.nodeid, _good(node))
+            await self._server.write_attribute_value(current.nodeid, good(text))
+            await self._server.write_attribute_value(number.nodeid, good(node))
 
     async def _unknown(self, nodes: Any, status: int) -> None:
         for node in nodes:
-            await self._server.write_attribute_value(node.nodeid, _nothing(status))
+            await self._server.write_attribute_value(node.nodeid, nothing(status))
+
+
+async def _models(server: Server) -> None:
+    """The companion models, and classes of their structures."""
+    for file in FILES:
+        text = (resources.files("polishd.plant") / "nodesets" / file).read_text(encoding="utf-8")
+        await server.import_xml(xmlstring=DEFAULTS.sub(r"\1", text), auto_load_definitions=False)
+    await server.load_data_type_definitions()
 
 
 async def _current(machine: Node) -> tuple[Node, Node]:
@@ -151,20 +178,22 @@ async def _identify(node: Node, name: str, section: OpcUaSection, spaces: tuple[
     }
     for key, value in mandatory.items():
         child = await node.get_child(ua.QualifiedName(key, di))
-        await child.write_value(_good(value))
+        await child.write_value(good(value))
     await node.add_property(
-        _id("Identification.ComponentName", own), ua.QualifiedName("ComponentName", di), ua.LocalizedText(name)
+        node_id("Identification.ComponentName", own), ua.QualifiedName("ComponentName", di), ua.LocalizedText(name)
     )
     await node.add_property(
-        _id("Identification.SoftwareRevision", own), ua.QualifiedName("SoftwareRevision", di), f"polishd {__version__}"
+        node_id("Identification.SoftwareRevision", own),
+        ua.QualifiedName("SoftwareRevision", di),
+        f"polishd {__version__}",
     )
     if section.model is not None:
         await node.add_property(
-            _id("Identification.Model", own), ua.QualifiedName("Model", di), ua.LocalizedText(section.model)
+            node_id("Identification.Model", own), ua.QualifiedName("Model", di), ua.LocalizedText(section.model)
         )
     if section.location is not None:
         await node.add_property(
-            _id("Identification.Location", own), ua.QualifiedName("Location", machinery), section.location
+            node_id("Identification.Location", own), ua.QualifiedName("Location", machinery), section.location
         )
 
 
@@ -174,28 +203,8 @@ def _of(live: Mapping[str, Any], one: Shown, now: datetime) -> ua.DataValue:
     age_s = 0.0
     for key in one.path:
         if (found := found.get(key)) is None:
-            return _nothing(Status.BadNoData)
+            return nothing(Status.BadNoData)
         if isinstance(found, Mapping):
             age_s = found.get("age_s", age_s)
     status = Status.UncertainLastUsableValue if age_s > OLD_S else Status.Good
-    return _value(ua.Variant(found, one.kind), status, now - timedelta(seconds=age_s))
-
-
-def _good(value: Any) -> ua.DataValue:
-    return _value(ua.Variant(value), Status.Good, datetime.now(UTC))
-
-
-def _nothing(status: int) -> ua.DataValue:
-    return _value(ua.Variant(None), status, datetime.now(UTC))
-
-
-# asyncua's types ask for its own kinds of numbers and times, and it takes Python's.
-
-
-def _value(value: ua.Variant, status: Any, told: Any) -> ua.DataValue:
-    now: Any = datetime.now(UTC)
-    return ua.DataValue(value, ua.StatusCode(status), told, now)
-
-
-def _id(identifier: Any, namespace: Any) -> ua.NodeId:
-    return ua.NodeId(identifier, namespace)
+    return stated(ua.Variant(found, one.kind), status, now - timedelta(seconds=age_s))

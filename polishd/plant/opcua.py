@@ -16,9 +16,10 @@ from asyncua.server.user_managers import UserManager
 
 from polishd.config.plant import OpcUaSection
 from polishd.daemon import client
-from polishd.model.errors import NoDaemon, PolishdError
+from polishd.model.errors import ConfigError, NoDaemon, PolishdError
 from polishd.plant.machine import Machine
 from polishd.plant.states import STATES
+from polishd.plant.work import Order, read_work
 
 LOOK_S = 1.0
 """Between two questions."""
@@ -72,12 +73,21 @@ async def serve(name: str, state_dir: Path, section: OpcUaSection) -> None:
 
 async def _ask_on(machine: Machine, state_dir: Path) -> None:
     while True:
+        orders = await asyncio.to_thread(_orders, state_dir)
         try:
             live = await asyncio.to_thread(client.request, state_dir, "live", ANSWER_S)
         except NoDaemon:
-            await machine.no_daemon()
+            await machine.no_daemon(orders)
         except PolishdError:
-            await machine.silent()
+            await machine.silent(orders)
         else:
-            await (machine.told(live) if live.get("state") in STATES else machine.silent())
+            await (machine.told(live, orders) if live.get("state") in STATES else machine.silent(orders))
         await asyncio.sleep(LOOK_S)
+
+
+def _orders(state_dir: Path) -> tuple[Order, ...] | None:
+    """Of the journal; None: it cannot be read."""
+    try:
+        return read_work(state_dir)
+    except ConfigError:
+        return None

@@ -47,3 +47,5 @@ STATES: Mapping[str, Said] = {
 }
 """Of a daemon. Held is out of service: it does nothing until a person has mended the cause, and said so."""
 NO_DAEMON = Said(Item.NotAvailable, Mode.Nothing)
+GOING = {"starting", "changing", "polishing"}
+"""A job under way is worked in these, and stands still in the others."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from polishd.drivers.handover.variables import watched, written
 from tests.interop.devices import DONE, IDLE, QUICK, READY
 from tests.interop.peers import Peer, Program, program
 from tests.system.sim_rig import Cell, cell, wait_for
+from tests.unit.plant.journals import write_journal
 from tests.unit.web.served import answering
 
 PEER = Peer("node-opcua", "OPC UA", "server and client", "npm", "node-opcua")
@@ -31,6 +32,9 @@ TYPES = {
     "string": ("String", ""),
 }  # fmt: skip
 SILENCE_S = 20.0
+CONTROL = ("JobManagement", "JobOrderControl")
+NOT_OK = 2
+"""Of ResultEvaluationEnum."""
 SIM = """
 [plant]
 aperture_mm = 40.0
@@ -113,6 +117,7 @@ def test_its_client_finds_a_cell_as_a_machine(tmp_path: Path) -> None:
     cell_file = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell_file.write_text(cell_file.read_text() + MACHINE)
     config = load_config(cell_file)
+    write_journal(config.state_dir)
     command = [sys.executable, "-m", "polishd.cli", "opcua", str(cell_file)]
     with answering(config.state_dir), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
@@ -129,7 +134,23 @@ def test_its_client_finds_a_cell_as_a_machine(tmp_path: Path) -> None:
             assert seen("MachineryBuildingBlocks", *state) == ["Good", "Executing"]
             assert seen("Cell", "Force_N")[0] == "BadNoData"
             assert seen("Identification", "Colour") == ["absent", "Colour"]
+            wait_for(lambda: seen(*CONTROL, "CurrentState") == ["Good", "Running"], "the job under way")
+            _it_reads_jobs_and_results(lambda *path: peer.ask(walk=["Machines", config.cell.name, *path], whole=True))
         server.terminate()
+
+
+def _it_reads_jobs_and_results(read: Callable[..., Any]) -> None:
+    status, jobs = read(*CONTROL, "JobOrderList")
+    assert status == "Good"
+    assert [(one["jobOrder"]["jobOrderID"], one["state"][0]["stateText"]["text"]) for one in jobs] == [
+        ("lens", "Ended"), ("mirror", "Ended"), ("flat", "Aborted"), ("wedge", "Running"), ("prism", "AllowedToStart")
+    ]  # fmt: skip
+    _, answers = read("JobManagement", "JobOrderResults", "JobOrderResponseList")
+    assert [one["jobResponseID"] for one in answers] == ["lens.1", "mirror.2", "flat.3", "wedge.4"]
+    status, result = read("ResultManagement", "Results", "Result02")
+    told = result["resultMetaData"]
+    assert (status, told["resultId"], told["partId"], told["resultEvaluation"]) == ("Good", "mirror.2", "A-2", NOT_OK)
+    assert read("ResultManagement", "Results", "Result02", "ResultMetaData", "ResultId") == ["Good", "mirror.2"]
 
 
 def test_its_client_finds_all_that_our_plc_has(client: Program) -> None:

@@ -65,7 +65,7 @@ async function client() {
   const session = await made.createSession();
   const index = (await session.readNamespaceArray()).indexOf(NAMESPACE);
   const node = (name) => `ns=${index};s=${name}`;
-  const answer = async ({ browse, read, write, walk }) => {
+  const answer = async ({ browse, read, write, walk, whole }) => {
     if (walk) {
       let at = opcua.resolveNodeId("ObjectsFolder");
       for (const name of walk) {
@@ -75,6 +75,7 @@ async function client() {
         at = found.nodeId;
       }
       const { statusCode, value } = await session.read({ nodeId: at, attributeId: opcua.AttributeIds.Value });
+      if (whole) return [statusCode.name, value ? value.value : null]; // a structure, as its class writes it
       return [statusCode.name, value ? value.value && (value.value.text || value.value.toString()) : null];
     }
     if (browse) {

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,21 +17,17 @@ from asyncua import Client, Node, ua
 from asyncua.ua.uaerrors import BadNotWritable, BadUserAccessDenied
 
 from polishd.config.cell import load_config
-from polishd.config.plant import OpcUaSection
 from polishd.console.demo_files import write_demo
 from polishd.daemon.states import State
 from polishd.plant import opcua
-from polishd.plant.machine import FILES, MACHINERY
+from polishd.plant.machine import FILES
 from polishd.plant.states import STATES
 from tests.patience import SOON_S
+from tests.unit.plant.seen import SECTION, inner, missing, seen, until, watching
 from tests.unit.said import Polishd
 from tests.unit.web.served import LIVE, Answers, answering
 
-SECTION = OpcUaSection(
-    port=0, manufacturer="Maker", serial_number="7", product_instance_uri="urn:maker:7", model="P", location="Hall 2"
-)
 KEYS = '\n[opcua]\nport = 0\nmanufacturer = "Maker"\nserial_number = "7"\nproduct_instance_uri = "urn:maker:7"\n'
-MANDATORY = ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
 KINDS = {"MachineIdentificationType", "MachineryItemState_StateMachineType", "MachineryOperationModeStateMachineType"}
 TOLD = {
     "force": {"force_n": 19.5, "setpoint_n": 20.0, "age_s": 0.1},
@@ -54,54 +48,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def daemon(tmp_path: Path) -> Iterator[Answers]:
     with answering(tmp_path) as found:
         yield found
-
-
-@asynccontextmanager
-async def watching(folder: Path) -> AsyncIterator[Node]:
-    """The machine, as a client on loopback has it."""
-    async with opcua.serving("cell 7", folder, SECTION) as address, Client(address) as client:
-        space = await client.get_namespace_index(MACHINERY)
-        yield (await client.get_node(ua.NodeId(1001, space)).get_children(ua.ObjectIds.Organizes))[0]
-
-
-async def inner(node: Node, *names: str) -> Node:
-    """Of these browse names, in whatever namespaces."""
-    for name in names:
-        found = [one for one in await node.get_children() if (await one.read_browse_name()).Name == name]
-        assert len(found) == 1, (name, found)
-        node = found[0]
-    return node
-
-
-async def seen(node: Node, *names: str) -> tuple[Any, str]:
-    found = await (await inner(node, *names)).read_data_value(raise_on_bad_status=False)
-    value = None if found.Value is None else found.Value.Value
-    return value.Text if isinstance(value, ua.LocalizedText) else value, found.StatusCode.name
-
-
-async def until(look: Callable[[], Awaitable[bool]]) -> None:
-    async with asyncio.timeout(SOON_S):
-        while not await look():  # noqa: ASYNC110 - what a server shows has no event here
-            await asyncio.sleep(0.02)
-
-
-async def missing(instance: Node, kind: Node) -> list[str]:
-    """Mandatory parts of a type, of those above it and of its interfaces, that the instance has not, at any depth."""
-    lacks = []
-    has = {(await one.read_browse_name()).to_string(): one for one in await instance.get_children()}
-    for part in await kind.get_children():
-        rules = await part.get_references(ua.ObjectIds.HasModellingRule, ua.BrowseDirection.Forward)
-        if MANDATORY in [rule.NodeId for rule in rules]:
-            name = (await part.read_browse_name()).to_string()
-            if name not in has:
-                lacks.append(name)
-            else:
-                lacks += await missing(has[name], part)
-    above = await kind.get_references(ua.ObjectIds.HasSubtype, ua.BrowseDirection.Inverse)
-    beside = await kind.get_references(ua.ObjectIds.HasInterface, ua.BrowseDirection.Forward)
-    for other in (*above, *beside):
-        lacks += await missing(instance, Node(instance.session, other.NodeId))
-    return lacks
 
 
 async def test_every_mandatory_node_of_the_models_is_there_and_can_be_read(tmp_path: Path, daemon: Answers) -> None:

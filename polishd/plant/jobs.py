@@ -1,0 +1,245 @@
+"""Jobs of OPC 40001-3 and results of OPC 40001-101: what a cell has to do and has done, which nobody can change there.
+
+A job is added and begun by people at the cell, with polishd's own orders: methods that would do it are not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import Node, Server, ua
+from asyncua.common.instantiate_util import instantiate
+
+from polishd.model.cycle import Outcome
+from polishd.plant.values import Status, good, node_id, nothing
+from polishd.plant.work import Figure, Order
+
+ISA95 = "http://opcfoundation.org/UA/ISA95-JOBCONTROL_V2/"
+JOBS = "http://opcfoundation.org/UA/Machinery/Jobs/"
+RESULTS = "http://opcfoundation.org/UA/Machinery/Result/"
+JOB_MANAGEMENT, RESULT_MANAGEMENT, RESULT_TYPE, RESPONSE = 1003, 1004, 2001, 3013
+"""Nodes of them: types."""
+MOST_RESULTS = 10
+"""Results that stand there; ``Result01`` is the latest."""
+NO_SUCH_JOB = 1
+"""ReturnStatus of OPC 10031-4: no job has that id."""
+UNITS = "http://www.opcfoundation.org/UA/units/un/cefact"
+NANOMETRE = 4404277
+"""Its code there, C45."""
+COMPLETED = 1
+"""ResultState of OPC 40001-101."""
+EMPTY = ("EquipmentID", "MaterialClassID", "MaterialDefinitionID", "PersonnelID", "PhysicalAssetID", "WorkMaster")
+"""Lists of what an order from elsewhere might name: this machine takes none."""
+TYPES: Any = ua
+"""Of the models: asyncua makes their classes while the server starts."""
+
+
+class Jobs:
+    """The jobs and results of one cell."""
+
+    def __init__(self, server: Server, control: Node, responses: Node, results: Node) -> None:
+        self._server, self._control, self._responses, self._results = server, control, responses, results
+        self._isa95 = 0
+        self._told: tuple[Order, ...] | None = None
+        self._going: bool | None = None
+        self._places: list[tuple[Node, Node, Node]] = []
+
+    @classmethod
+    async def added(cls, server: Server, management: Node, results: Node) -> Jobs:
+        """To these two, which are of the types JobManagementType and ResultManagementType."""
+        isa95, jobs = [await server.get_namespace_index(uri) for uri in (ISA95, JOBS)]
+        control = await management.get_child(ua.QualifiedName("JobOrderControl", jobs))
+        answers = await management.get_child(ua.QualifiedName("JobOrderResults", jobs))
+        for name in EMPTY:
+            child = await control.get_child(ua.QualifiedName(name, isa95))
+            kind = ua.VariantType.ExtensionObject if name == "WorkMaster" else ua.VariantType.String
+            await child.write_value(good(ua.Variant([], kind, is_array=True)))
+        most = await control.get_child(ua.QualifiedName("MaxDownloadableJobOrders", isa95))
+        await most.write_value(good(ua.Variant(0, ua.VariantType.UInt16)))
+        own = management.nodeid.NamespaceIndex
+        listed = await answers.add_variable(
+            node_id("JobManagement.JobOrderResults.JobOrderResponseList", own),
+            ua.QualifiedName("JobOrderResponseList", isa95),
+            _several([]),
+            datatype=node_id(RESPONSE, isa95),
+        )
+        space = await server.get_namespace_index(RESULTS)
+        folder = await results.add_object(
+            node_id("ResultManagement.Results", own), ua.QualifiedName("Results", space), ua.ObjectIds.FolderType
+        )
+        found = cls(server, control, listed, folder)
+        found._isa95 = isa95
+        by_id = await answers.get_child(ua.QualifiedName("RequestJobResponseByJobOrderID", isa95))
+        by_state = await answers.get_child(ua.QualifiedName("RequestJobResponseByJobOrderState", isa95))
+        server.link_method(by_id, found._by_id)
+        server.link_method(by_state, found._by_state)
+        return found
+
+    async def told(self, orders: Sequence[Order] | None, going: bool | None) -> None:
+        """As the journal has them; None: it cannot be read.
+
+        ``going``: whether the one under way goes on; None: nobody knows what became of it since.
+        """
+        now = None if orders is None else tuple(orders)
+        if (now, going) == (self._told, self._going) and now is not None:
+            return
+        self._told, self._going = now, going
+        current = await self._control.get_child("0:CurrentState")
+        number = await current.get_child("0:Id")
+        orders_list = await self._control.get_child(ua.QualifiedName("JobOrderList", self._isa95))
+        if now is None or going is None:
+            await self._write(nothing(Status.BadNoCommunication), current, number, orders_list, self._responses)
+        else:
+            await self._write(good(_several([self._and_state(order) for order in now])), orders_list)
+            answers = [self._response(order) for order in now if order.number is not None]
+            await self._write(good(_several(answers)), self._responses)
+            await self._state_is(next((one for one in now if one.state == "Running"), None), current, number)
+        await self._results_are(None if now is None else [one for one in now if one.end and one.number is not None])
+
+    async def _state_is(self, order: Order | None, current: Node, number: Node) -> None:
+        """The state machine is that of the job under way: without one it has no state."""
+        if order is None:
+            await self._write(nothing(Status.BadNoData), current, number)
+            return
+        states = {"Running": 5037, "Interrupted": 5038}
+        await self._write(good(ua.LocalizedText(self._said(order), "en")), current)
+        await self._write(good(node_id(states[self._said(order)], self._isa95)), number)
+
+    async def _results_are(self, ended: Sequence[Order] | None) -> None:
+        """The latest first; there are as many variables as there were ever results."""
+        latest = [] if ended is None else list(reversed(ended))[:MOST_RESULTS]
+        while len(self._places) < len(latest):
+            self._places.append(await self._place(len(self._places) + 1))
+        for place, nodes in enumerate(self._places):
+            if place < len(latest):
+                found = _result(latest[place])
+                values = (found, found.ResultMetaData, found.ResultMetaData.ResultId)
+                for node, value in zip(nodes, values, strict=True):
+                    await self._write(good(value), node)
+            else:
+                why = Status.BadNoCommunication if ended is None else Status.BadNoData
+                await self._write(nothing(why), *nodes)
+
+    async def _place(self, number: int) -> tuple[Node, Node, Node]:
+        """One more result, and of it what the model wants to be there."""
+        space = await self._server.get_namespace_index(RESULTS)
+        own = self._results.nodeid.NamespaceIndex
+        name = f"Result{number:02}"
+        (result, *_) = await instantiate(
+            self._results, self._server.get_node(node_id(RESULT_TYPE, space)),
+            nodeid=node_id(f"ResultManagement.Results.{name}", own), bname=ua.QualifiedName(name, own),
+            dname=ua.LocalizedText(name), instantiate_optional=False,
+        )  # fmt: skip
+        meta = await result.get_child(ua.QualifiedName("ResultMetaData", space))
+        return result, meta, await meta.get_child(ua.QualifiedName("ResultId", space))
+
+    async def _write(self, value: ua.DataValue, *nodes: Node) -> None:
+        for node in nodes:
+            await self._server.write_attribute_value(node.nodeid, value)
+
+    def _said(self, order: Order) -> str:
+        """Its state: one under way that nobody works on now is interrupted."""
+        return "Interrupted" if order.state == "Running" and not self._going else order.state
+
+    def _states(self, order: Order) -> list[Any]:
+        name = self._said(order)
+        step = TYPES.RelativePathElement(
+            ReferenceTypeId=node_id(ua.ObjectIds.HasComponent, 0),
+            IncludeSubtypes=True,
+            TargetName=ua.QualifiedName(name, self._isa95),
+        )
+        return [TYPES.ISA95StateDataType(BrowsePath=ua.RelativePath([step]), StateText=ua.LocalizedText(name, "en"))]
+
+    def _and_state(self, order: Order) -> Any:
+        part = TYPES.ISA95MaterialDataType(MaterialLotID=order.part_id, MaterialUse="Produced")
+        job = TYPES.ISA95JobOrderDataType(
+            JobOrderID=order.name,
+            StartTime=_time(order.began_s),
+            EndTime=_time(order.ended_s),
+            MaterialRequirements=[part],
+        )
+        return TYPES.ISA95JobOrderAndStateDataType(JobOrder=job, State=self._states(order))
+
+    def _response(self, order: Order) -> Any:
+        return TYPES.ISA95JobResponseDataType(
+            JobResponseID=order.id, JobOrderID=order.name, JobState=self._states(order),
+            Description=ua.LocalizedText(_words(order), "en"), StartTime=_time(order.began_s),
+            EndTime=_time(order.ended_s), JobResponseData=[_parameter(one) for one in order.figures],
+        )  # fmt: skip
+
+    async def _by_id(self, _: Any, job: ua.Variant) -> Any:
+        """RequestJobResponseByJobOrderID: of the last job of that name."""
+        if (known := self._known()) is None:
+            return _unreadable()
+        found = next((one for one in reversed(known) if one.name == job.Value), None)
+        answer = TYPES.ISA95JobResponseDataType() if found is None else self._response(found)
+        return [ua.Variant(answer), ua.Variant(NO_SUCH_JOB if found is None else 0, ua.VariantType.UInt64)]
+
+    async def _by_state(self, _: Any, states: ua.Variant) -> Any:
+        """RequestJobResponseByJobOrderState: of all that are in that state."""
+        if (known := self._known()) is None:
+            return _unreadable()
+        asked = {one.StateText.Text for one in states.Value or ()}
+        found = [self._response(one) for one in known if self._said(one) in asked]
+        return [_several(found), ua.Variant(0, ua.VariantType.UInt64)]
+
+    def _known(self) -> list[Order] | None:
+        """Those that have a response."""
+        if self._told is None or self._going is None:
+            return None
+        return [one for one in self._told if one.number is not None]
+
+
+def _result(order: Order) -> Any:
+    times = None
+    if order.began_s is not None and order.ended_s is not None:
+        times = TYPES.ProcessingTimesDataType(StartTime=_time(order.began_s), EndTime=_time(order.ended_s))
+    verdicts = TYPES.ResultEvaluationEnum
+    verdict = verdicts.OK if _accepted(order) else verdicts.NotOK if order.holds is False else verdicts.NotDecidable
+    meta = TYPES.ResultMetaDataType(
+        ResultId=order.id, IsPartial=False, ResultState=COMPLETED, PartId=order.part_id, JobId=order.name,
+        CreationTime=_time(order.ended_s), ProcessingTimes=times, ResultEvaluation=verdict,
+        ResultEvaluationDetails=ua.LocalizedText(_words(order), "en"),
+    )  # fmt: skip
+    content = [ua.Variant(_pair(one)) for one in (Figure("Outcome", order.end), *order.figures)]
+    return TYPES.ResultDataType(ResultMetaData=meta, ResultContent=content)
+
+
+def _accepted(order: Order) -> bool:
+    return order.end == Outcome.IN_TOLERANCE or (order.end == "accepted" and order.holds is not False)
+
+
+def _words(order: Order) -> str:
+    """How it ended, and why."""
+    return ": ".join(filter(None, (order.end.replace("_", " "), order.why))) or "under way"
+
+
+def _pair(figure: Figure) -> ua.KeyValuePair:
+    """Of the base model: each client reads it. The unit is in its name."""
+    unit = f" [{figure.unit}]" if figure.unit else ""
+    return ua.KeyValuePair(ua.QualifiedName(figure.name + unit), ua.Variant(figure.value))
+
+
+def _parameter(figure: Figure) -> Any:
+    unit = None
+    if figure.unit == "nm":
+        text = ua.LocalizedText("nm"), ua.LocalizedText("nanometre", "en")
+        unit = ua.EUInformation(UNITS, NANOMETRE, *text)
+    described = None if unit or not figure.unit else [ua.LocalizedText(f"in {figure.unit}", "en")]
+    value = ua.Variant(figure.value)
+    return TYPES.ISA95ParameterDataType(ID=figure.name, Value=value, Description=described, EngineeringUnits=unit)
+
+
+def _several(values: list[Any]) -> ua.Variant:
+    return ua.Variant(values, ua.VariantType.ExtensionObject, is_array=True)
+
+
+def _time(unix_s: float | None) -> Any:
+    return None if unix_s is None else datetime.fromtimestamp(unix_s, UTC)
+
+
+def _unreadable() -> ua.StatusCode:
+    status: Any = Status.BadNoCommunication
+    return ua.StatusCode(status)
