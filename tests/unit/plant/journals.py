@@ -23,22 +23,22 @@ def write_journal(state_dir: Path) -> None:
     state_dir.mkdir(parents=True, exist_ok=True)
     Store.open(state_dir / JOURNAL_NAME).close()
     with closing(sqlite3.connect(state_dir / JOURNAL_NAME)) as journal, journal:
-        for job in JOBS:
+        for row in JOBS:
             sql = (
                 "INSERT INTO job (id, name, part_id, terms, started, ended, outcome) VALUES (?, ?, ?, 'null', ?, ?, ?)"
             )
-            journal.execute(sql, job)
+            journal.execute(sql, row)
         for number, name, part, job, ended, verdict, reason in QUEUE:
             begun = None if job is None else 90.0
             sql = ("INSERT INTO queue (id, place, name, part_id, path, content, files, added, job, begun, ended, "
                    "verdict, reason) VALUES (?, ?, ?, ?, '', '', '{}', 80.0, ?, ?, ?, ?, ?)")  # fmt: skip
             journal.execute(sql, (number, number, name, part, job, begun, ended, verdict, reason))
-        for job, rms_nm in RMS_NM.items():
+        for measured, rms_nm in RMS_NM.items():
             line = {"what": "RMS", "value": rms_nm, "limit": 2.0, "unit": "nm"}
             stats = json.dumps({"rms_nm": rms_nm, "pv_nm": 5 * rms_nm, "judged": [line]})
             for cycle, told in enumerate((json.dumps({"rms_nm": 9.0, "pv_nm": 50.0}), stats)):
                 sql = "INSERT INTO map (job, cycle, sha256, path, stats, taken) VALUES (?, ?, '', '', ?, 150.0)"
-                journal.execute(sql, (job, cycle, told))
+                journal.execute(sql, (measured, cycle, told))
             sql = ("INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, "
                    "started, how) VALUES (?, 0, '', '', 1, 0, 1, '{}', 110.0, 'done')")  # fmt: skip
-            journal.execute(sql, (job,))
+            journal.execute(sql, (measured,))

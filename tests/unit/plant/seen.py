@@ -13,12 +13,13 @@ from asyncua import Client, Node, ua
 from polishd.config.plant import OpcUaSection
 from polishd.plant import opcua
 from polishd.plant.machine import MACHINERY
+from polishd.plant.values import node_id
 from tests.patience import SOON_S
 
 SECTION = OpcUaSection(
     port=0, manufacturer="Maker", serial_number="7", product_instance_uri="urn:maker:7", model="P", location="Hall 2"
 )
-MANDATORY = ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
+MANDATORY = node_id(ua.ObjectIds.ModellingRule_Mandatory, 0)
 
 
 @asynccontextmanager
@@ -27,7 +28,7 @@ async def watching(folder: Path) -> AsyncIterator[Node]:
     async with opcua.serving("cell 7", folder, SECTION) as address, Client(address) as client:
         await client.load_data_type_definitions()
         space = await client.get_namespace_index(MACHINERY)
-        yield (await client.get_node(ua.NodeId(1001, space)).get_children(ua.ObjectIds.Organizes))[0]
+        yield (await client.get_node(node_id(1001, space)).get_children(ua.ObjectIds.Organizes))[0]
 
 
 async def inner(node: Node, *names: str) -> Node:
@@ -41,6 +42,7 @@ async def inner(node: Node, *names: str) -> Node:
 
 async def seen(node: Node, *names: str) -> tuple[Any, str]:
     found = await (await inner(node, *names)).read_data_value(raise_on_bad_status=False)
+    assert found.StatusCode is not None
     value = None if found.Value is None else found.Value.Value
     return value.Text if isinstance(value, ua.LocalizedText) else value, found.StatusCode.name
 
@@ -68,3 +70,10 @@ async def missing(instance: Node, kind: Node) -> list[str]:
     for other in (*above, *beside):
         lacks += await missing(instance, Node(instance.session, other.NodeId))
     return lacks
+
+
+async def type_of(node: Node) -> Node:
+    """Its type definition."""
+    found = await node.read_type_definition()
+    assert found is not None
+    return Node(node.session, found)

@@ -12,8 +12,9 @@ from asyncua import Client, Node, ua
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.plant import opcua
 from polishd.plant.jobs import ISA95, JOBS, RESULTS
+from polishd.plant.values import node_id
 from tests.unit.plant.journals import write_journal
-from tests.unit.plant.seen import SECTION, inner, missing, seen, until, watching
+from tests.unit.plant.seen import SECTION, inner, missing, seen, type_of, until, watching
 from tests.unit.web.served import LIVE, Answers, answering
 
 STATES = ["Ended", "Ended", "Aborted", "Running", "AllowedToStart"]
@@ -46,14 +47,14 @@ async def test_every_mandatory_node_of_jobs_and_results_is_there(tmp_path: Path,
         await until(lambda: _are(machine, STATES))
         for name, kind_name in (("JobManagement", "JobManagementType"), ("ResultManagement", "ResultManagementType")):
             node = await inner(machine, name)
-            kind = Node(node.session, await node.read_type_definition())
+            kind = await type_of(node)
             assert (await kind.read_browse_name()).Name == kind_name
             assert not await missing(node, kind)
             assert (await inner(machine, "MachineryBuildingBlocks", name)).nodeid == node.nodeid
         for path in (("JobManagement", "JobOrderControl"), ("JobManagement", "JobOrderResults"),
                      ("ResultManagement", "Results", "Result01")):  # fmt: skip
             node = await inner(machine, *path)
-            kind = Node(node.session, await node.read_type_definition())
+            kind = await type_of(node)
             assert not await missing(node, kind)
             assert await missing(await inner(machine, "Cell"), kind), "something else lacks them"
 
@@ -144,7 +145,7 @@ async def test_nobody_can_order_motion(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         control = await inner(machine, "JobManagement", "JobOrderControl")
         assert ua.NodeClass.Method not in [await one.read_node_class() for one in await control.get_children()]
-        kind = Node(control.session, await control.read_type_definition())
+        kind = await type_of(control)
         orders = await kind.get_methods()
         assert {"Store", "StoreAndStart", "Start", "Stop", "Pause", "Resume", "Abort"} <= {
             (await one.read_browse_name()).Name for one in orders
@@ -160,7 +161,7 @@ async def test_nobody_can_write_a_job_or_a_result(tmp_path: Path, daemon: Answer
         space = await client.get_namespace_index("urn:polishd:cell 7")
         for name in ("JobManagement.JobOrderControl.JobOrderList", "JobManagement.JobOrderControl.CurrentState"):
             with pytest.raises(ua.UaStatusCodeError):
-                await client.get_node(ua.NodeId(name, space)).write_value(None)
+                await client.get_node(node_id(name, space)).write_value(None)
         assert {JOBS, RESULTS} <= set(await client.get_namespace_array())
 
 
@@ -177,5 +178,5 @@ async def _is_result(machine: Node, value: Any, status: str) -> bool:
 
 
 async def _space(machine: Node, uri: str) -> int:
-    array = await Node(machine.session, ua.NodeId(ua.ObjectIds.Server_NamespaceArray)).read_value()
+    array = await Node(machine.session, node_id(ua.ObjectIds.Server_NamespaceArray, 0)).read_value()
     return int(array.index(uri))

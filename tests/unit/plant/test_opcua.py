@@ -22,8 +22,9 @@ from polishd.daemon.states import State
 from polishd.plant import opcua
 from polishd.plant.machine import FILES
 from polishd.plant.states import STATES
+from polishd.plant.values import node_id
 from tests.patience import SOON_S
-from tests.unit.plant.seen import SECTION, inner, missing, seen, until, watching
+from tests.unit.plant.seen import SECTION, inner, missing, seen, type_of, until, watching
 from tests.unit.said import Polishd
 from tests.unit.web.served import LIVE, Answers, answering
 
@@ -55,7 +56,7 @@ async def test_every_mandatory_node_of_the_models_is_there_and_can_be_read(tmp_p
         await until(lambda: _is(machine, ("Cell", "State"), "polishing"))
         for name in ("Identification", "MachineryItemState", "MachineryOperationMode"):
             node = await inner(machine, name)
-            kind = Node(node.session, await node.read_type_definition())
+            kind = await type_of(node)
             assert (await kind.read_browse_name()).Name in KINDS
             assert not await missing(node, kind)
             assert await missing(await inner(machine, "Cell"), kind), "something else lacks them"
@@ -134,7 +135,7 @@ async def test_nobody_can_write_add_or_remove(tmp_path: Path, daemon: Answers) -
             await client.connect()
         async with Client(address) as client:
             space = await client.get_namespace_index("urn:polishd:cell 7")
-            force = client.get_node(ua.NodeId("Cell.Force_N", space))
+            force = client.get_node(node_id("Cell.Force_N", space))
             with pytest.raises((BadUserAccessDenied, BadNotWritable)):
                 await force.write_value(1.0)
             with pytest.raises(BadUserAccessDenied):
