@@ -1,4 +1,4 @@
-"""What every test gets: no task, no process and no niceness outlives it, and hypothesis behaves alike on every machine."""
+"""What every test gets: no task, process or niceness outlives it, and hypothesis behaves alike on every machine."""
 
 from __future__ import annotations
 

@@ -82,12 +82,21 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
         block, place, share = some.positions(spot)
         half = spot.half_width_mm(some.depth_ratio)[block]
         away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
-        patch = np.ascontiguousarray(spot.patch(some.depth_ratio, some.azimuth_rad))[block]
+        patch = spot.patch(some.depth_ratio, some.azimuth_rad)
         centre = pitch_mm / 2 + away * [1, -1]
-        across, down = (shares(at, half, pitch_mm, 1, patch.shape[1]) for at in centre.T)
-        rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2
+        (column, across), (row, down) = (_inside(shares(at, half, pitch_mm, 1, patch.shape[1])) for at in centre.T)
+        squares = patch[block[:, None, None], row[:, :, None], column[:, None, :]]
+        rate = np.einsum("mi,mij,mj->m", down, squares, across) / pitch_mm**2
         rates[which] = np.bincount(block, share * rate, some.n) * some.factor
     return rates
+
+
+def _inside(share: FloatArray) -> tuple[Indices, FloatArray]:
+    """(m, 1, squares) shares in a cell -> (m, few) the squares that may have any, and theirs."""
+    some = share[:, 0] > 0
+    width = int(some.sum(axis=1).max())
+    which = np.minimum(np.argmax(some, axis=1), some.shape[1] - width)[:, None] + np.arange(width)
+    return which, np.take_along_axis(share[:, 0], which, axis=1)
 
 
 def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> Indices:

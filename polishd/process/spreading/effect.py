@@ -23,7 +23,7 @@ from polishd.process.spot import Spot
 from polishd.process.spreading.blocks import Blocks, blocks_of
 from polishd.process.spreading.family import Family, meshed_family
 from polishd.process.spreading.sampling import misses, sampled_rows
-from polishd.process.spreading.weights import outermost, spread
+from polishd.process.spreading.weights import damping, outermost, spread
 
 TOLERANCE = 1e-3
 FINER = (1, 2, 3, 4)
@@ -103,7 +103,9 @@ class SpreadEffect:
         for k in range(self.rank):
             dwell = (self.weights.T @ (self.coefficients[:, k] * times)).reshape(self.where.lattice)
             total += self.spectra[k] * scipy.fft.rfft2(dwell, self.where.size)
-        fine = scipy.fft.irfft2(total, self.where.size)[self._on_grid]
+        fine = scipy.fft.irfft2(total, self.where.size, overwrite_x=True)[self._on_grid]
+        if self.finer == 1:
+            return np.asarray(fine, dtype=np.float64)
         cells = fine.reshape(self.grid.ny, self.finer, self.grid.nx, self.finer)
         return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64))
 
@@ -189,11 +191,12 @@ def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: Blocks, family: Famil
     fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
     side = family.kernels.shape[1]
     where = layout(fine.shape, outermost(fine, blocks), (side, side))
+    damped = damping(scipy.fft.fftfreq(where.size[0]))[:, None] * damping(scipy.fft.rfftfreq(where.size[1]))
     return SpreadEffect(
         grid=grid,
         finer=finer,
         weights=spread(fine, spot, blocks, where),
         where=where,
         coefficients=family.coefficients * blocks.factor[:, None],
-        spectra=np.asarray(scipy.fft.rfft2(family.kernels, where.size), dtype=np.complex128),
+        spectra=np.asarray(scipy.fft.rfft2(family.kernels, where.size) / damped, dtype=np.complex128),
     )

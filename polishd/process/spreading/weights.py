@@ -1,7 +1,8 @@
-"""Weights of places between the nodes of a lattice on the nodes about them: Lagrange's, of degree WIDTH - 1.
+"""Weights of places between the nodes of a lattice on the nodes about them: those of quadratic splines.
 
-They keep every moment up to their degree, the volume that a block removes first of all, and what is smooth to that
-order. They reach WIDTH / 2 nodes: what the rim of a spot makes of them stays at the rim.
+A window laid down with them is damped by them; divided by that, `damping`, it is what a quadratic spline through its
+values is between them. They keep the volume that a block removes, and reach WIDTH / 2 nodes: what the rim of a spot
+makes of them stays near the rim.
 """
 
 from __future__ import annotations
@@ -15,30 +16,30 @@ from polishd.process.convolution import Layout
 from polishd.process.spot import Spot
 from polishd.process.spreading.blocks import Blocks
 
-WIDTH = 4
-"""Six are no better where the rim of the spot is sharp, and cost twice the memory: docs/decisions/0018."""
+WIDTH = 3
 CHUNK = 8192
 """Blocks worked on at a time: bounds memory."""
 
 
-def lagrange(place: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+def spline(place: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """(m,) first node of places that are given in units of the lattice, and (m, WIDTH) weights from it on."""
-    first = np.floor(place).astype(np.int64) - (WIDTH // 2 - 1)
-    along = (place - first)[:, None] - np.arange(WIDTH)
-    weight = np.ones((len(place), WIDTH))
-    for j in range(WIDTH):
-        for other in range(WIDTH):
-            if other != j:
-                weight[:, j] *= along[:, other] / (j - other)
-    return first, weight
+    nearest = np.floor(place + 0.5).astype(np.int64)
+    off = place - nearest
+    weight = np.stack([(0.5 - off) ** 2 / 2, 0.75 - off**2, (0.5 + off) ** 2 / 2], axis=1)
+    return nearest - WIDTH // 2, weight
+
+
+def damping(frequency: FloatArray) -> FloatArray:
+    """(m,) what `spline` makes of a wave of so many cycles a node along one axis: between 1 and 1/2."""
+    return np.asarray(0.75 + 0.25 * np.cos(2 * np.pi * frequency))
 
 
 def outermost(grid: Grid, blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(2,) first and last row, and column, of the nodes that n > 0 blocks weigh on."""
     found = []
     for at in _rows_and_columns(grid, np.concatenate([blocks.start_mm, blocks.end_mm])):
-        first, last = (int(np.floor(end)) for end in (at.min(), at.max()))
-        found.append(np.array([first + 1 - WIDTH // 2, last + WIDTH // 2]))
+        first, _ = spline(np.array([at.min(), at.max()]))
+        found.append(first + np.array([0, WIDTH - 1]))
     return found[0], found[1]
 
 
@@ -49,7 +50,7 @@ def spread(grid: Grid, spot: Spot, blocks: Blocks, where: Layout) -> sparse.csr_
     for chunk in range(0, blocks.n, CHUNK):
         some = blocks.part(slice(chunk, chunk + CHUNK))
         block, place, share = some.positions(spot)
-        (row, down), (column, across) = (lagrange(at) for at in _rows_and_columns(grid, place))
+        (row, down), (column, across) = (spline(at) for at in _rows_and_columns(grid, place))
         weight = share[:, None, None] * down[:, :, None] * across[:, None, :]
         rows = row[:, None, None] - where.first[0] + np.arange(WIDTH)[:, None]
         columns = column[:, None, None] - where.first[1] + np.arange(WIDTH)
