@@ -85,7 +85,8 @@ def test_a_case_with_an_error_fails_and_has_no_figures(rows: list[dict[str, Any]
 
 
 def test_jobs_of_which_none_came_so_far_as_a_figure_are_jobs_still() -> None:
-    rows = [{**row(k, "a", 30.0, 0, rms_nm=[], ended="error"), "true_rms_end_nm": None} for k in range(3)]
+    none = {"rms_nm": [], "true_rms_end_nm": None, "ended": "error"}
+    rows = [{**row(k, "a", 30.0, 0), **none} for k in range(3)]
     found = summed_up(rows)
     assert found.kind == "loop"
     assert found.groups[0].figures["true_rms_end_nm"].median is None
