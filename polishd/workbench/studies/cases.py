@@ -24,7 +24,7 @@ UNHURRIED = {"dwell.within_s": 3600.0, "dwell.cross_check": ""}
 """What loops of a study have otherwise than any cell: iterations end a solve, not the clock, or a busy machine would
 give other figures; and no second opinion, unless a loop asks for one."""
 
-OF_PEOPLE = frozenset({"web", "opcua", "shop", "notify", "certificate"})
+OF_PEOPLE = {"web", "opcua", "shop", "notify", "certificate"}
 """Sections of a cell's file that say who watches it and who is told: no figure depends on them."""
 
 
