@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness test test-all test-long test-maps ways-out crash faults replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -119,6 +119,9 @@ scenarios: $(VENV)/.installed ## one thing wrong at a time, three loops: runs th
 robustness: $(VENV)/.installed ## 2,200 jobs over what a machine may have, each correction: runs the study on, into docs/studies.md
 	@$(ONE_THREAD) $(BIN)/polishd study examples/robustness.toml --out build/robustness $(ARGS)
 	@$(BIN)/python -m docs.reference.robustness build/robustness
+
+robustness-dask: $(VENV)/.installed ## the same on a Dask cluster that loses a worker: equal to the bit; into docs/studies.md (ARGS="--limit N")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.cluster $(ARGS)
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)

@@ -89,11 +89,21 @@ class LoopStudy(Document):
             raise self.error(f"loops.{name}.poses", f"is not {wanted}") from None
         return keys, witness, tuple((angle, *(shift or (0.0, 0.0))) for angle, *shift in poses), learns
 
+    def file_of(self, key: Literal["cell", "plant"]) -> Path:
+        """That file; ConfigError with the place of its key where it is not there."""
+        return self._there(key, self.cell if key == "cell" else self.plant)
+
+    def _there(self, key: str, given: str) -> Path:
+        path = self.resolve(given)
+        if not path.exists():
+            raise self.error(key, f"{path}: no such file; name one that is there")
+        return path
+
     def all_scenarios(self) -> dict[str, Scenario]:
         """By name, those of its files and folders; ConfigError for one that is wrong, or not there."""
         found = {}
         for given in self.scenarios:
-            path = self.resolve(given)
+            path = self._there("scenarios", given)
             files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
             if not files:
                 raise self.error("scenarios", f"{given}: no .toml file is in this folder; name one that has scenarios")

@@ -48,7 +48,13 @@ class AxisSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _of_list(cls, value: Any) -> Any:
-        return {"values": value} if isinstance(value, list) else value
+        if isinstance(value, list):
+            return {"values": value}
+        if not isinstance(value, dict):
+            raise ValueError(
+                f"is one value, {value!r}; give a list, or a table such as {{ linear = [a, b], count = n }}"
+            )
+        return value
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:

@@ -72,7 +72,7 @@ def load_swept(path: Path) -> Swept:
         sweep = SweepSection.model_validate(section)
     except ValidationError as error:
         raise ConfigError("\n".join(problems(error, SweepSection, source, ("sweep",)))) from error
-    places = _places(sweep, source)
+    places = _places(sweep, raw, source)
     points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
     stands = (*((location_of(key), place) for key, place in places.items()), *_made(places, raw))
     swept = Swept(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
@@ -117,9 +117,10 @@ def put(raw: dict[str, Any], key: str, value: Any) -> None:
     inner[last] = value
 
 
-def _places(sweep: SweepSection, source: Source) -> dict[str, Location]:
+def _places(sweep: SweepSection, raw: Mapping[str, Any], source: Source) -> dict[str, Location]:
     """Where each swept key is written. ConfigError for one that is swept twice, or that no case can have."""
     places: dict[str, Location] = {}
+    loops = list(raw.get("loops", ())) if isinstance(raw.get("loops", {}), Mapping) else []
     for number, group in enumerate(sweep.group):
         for key in group.over:
             place = ("sweep", "group", number, "over", key)
@@ -127,6 +128,9 @@ def _places(sweep: SweepSection, source: Source) -> dict[str, Location]:
                 raise ConfigError(source.error(place, "is swept by another group, too; keep one of both"))
             if key in FIXED or not all(key.split(".")):
                 raise ConfigError(source.error(place, "no case has its own; sweep a key below it, or another"))
+            if key.startswith("loops.") and (name := key.split(".")[1]) not in loops:
+                problem = f"the study has no loop {name!r}, only {', '.join(loops) or 'none'}; mend the name"
+                raise ConfigError(source.error(place, problem))
             places[key] = place
     return places
 

@@ -130,6 +130,11 @@ class Queue:
         """Whether it waits, or is under way."""
         return any(one.id == entry.id for one in self.to_do())
 
+    def require_held(self, entry: Entry) -> None:
+        """ConfigError where it was taken out meanwhile."""
+        if not self.holds(entry):
+            raise ConfigError(f"the job {entry.name!r} was taken out of the queue")
+
     def last_ended(self) -> Entry | None:
         """The job that was worked last."""
         return next(
@@ -192,8 +197,7 @@ class Queue:
         """It is under way, as that row of the journal's jobs; ConfigError where it was taken out meanwhile."""
         sql = "UPDATE queue SET begun = ?, job = ? WHERE id = ? AND ended IS NULL"
         self._write((sql, (time.time(), job, entry.id)))
-        if not self.holds(entry):
-            raise ConfigError(f"the job {entry.name!r} was taken out of the queue")
+        self.require_held(entry)
 
     def end(self, entry: Entry, verdict: Verdict, *also: Row) -> None:
         """It is over, durably, together with other rows; one that never came to its begin has begun and ended now."""

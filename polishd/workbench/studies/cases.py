@@ -24,6 +24,9 @@ UNHURRIED = {"dwell.within_s": 3600.0, "dwell.cross_check": ""}
 """What loops of a study have otherwise than any cell: iterations end a solve, not the clock, or a busy machine would
 give other figures; and no second opinion, unless a loop asks for one."""
 
+OF_PEOPLE = {"web", "opcua", "shop", "notify", "certificate"}
+"""Sections of a cell's file that say who watches it and who is told: no figure depends on them."""
+
 
 class Making:
     """What cases of one study are made of: files are read once, cells' configurations kept."""
@@ -40,7 +43,7 @@ class Making:
         keys, witness, poses, learns = study.loop(loop)
         belief = self._once(
             f"belief {loop} {_said(keys)}",
-            lambda: made_of((self.config(study, loop).model_dump(mode="json"), cell.parent)),
+            lambda: made_of((self.config(study, loop).model_dump(mode="json", exclude=OF_PEOPLE), cell.parent)),
         )
         plant = self._once(
             f"plant {scenario} {_said(study.plant_with)}", lambda: made_of((self.plant(study, scenario), sim.parent))
@@ -53,13 +56,13 @@ class Making:
         """The cell's as that loop has it. ConfigError at the loop's or the sweep's key."""
         keys = study.loop(loop)[0]
         try:
-            return load_config(study.resolve(study.cell), {**UNHURRIED, **keys})
+            return load_config(study.file_of("cell"), {**UNHURRIED, **keys})
         except ConfigError as error:
             raise _of_loop(error, study, loop) from error
 
     def plant(self, study: LoopStudy, scenario: str) -> dict[str, Any]:
         """SIM.toml's sections, the study's laid over them, and the scenario's. ConfigError."""
-        path = study.resolve(study.plant)
+        path = study.file_of("plant")
         sections, _ = self._once(f"sim {path}", lambda: parse_toml(path))
         whole = deepcopy(dict(sections))
         lay_over(whole, {name: dict(keys) for name, keys in study.plant_with.items()})
@@ -72,7 +75,7 @@ class Making:
 
     def check_plant(self, study: LoopStudy, scenario: str) -> None:
         """ConfigError, with the place of the scenario's, the study's or the sweep's key, where no plant is so."""
-        path, wrong = study.resolve(study.plant), self.scenarios(study)[scenario]
+        path, wrong = study.file_of("plant"), self.scenarios(study)[scenario]
         _, source = self._once(f"sim {path}", lambda: parse_toml(path))
         stands: list[tuple[Location, Location]]
         stands = [((a, b), ("plant", a, b)) for a, keys in wrong.plant.items() for b in keys]

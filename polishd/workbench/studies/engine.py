@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from pathlib import Path
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.case import Case, versions
 from polishd.workbench.studies.children import Answer, Task
-from polishd.workbench.studies.executors import Executor
+from polishd.workbench.studies.executors import LOST, Executor
 
 TASK_S = 1.0
 """Work of a task, about: of less, the wire would be most of it."""
@@ -21,6 +21,8 @@ MOST_CASES = 500
 TRIES = 2
 WITHIN_S = 600.0
 """Wall time of a case, unless told."""
+LOOK_S = 5.0
+"""After so long without an answer it is asked whether anybody works."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,21 +34,34 @@ class Done:
     tries: int
 
 
-def work(study: Path, cases: Sequence[Case], executor: Executor, within_s: float = WITHIN_S) -> Iterator[Done]:
+def _silent(words: str) -> None:
+    """Nobody waits at a terminal."""
+
+
+def work(
+    study: Path,
+    cases: Sequence[Case],
+    executor: Executor,
+    within_s: float = WITHIN_S,
+    tell: Callable[[str], None] = _silent,
+) -> Iterator[Done]:
     """Each as it ends, in any order. One that fails, hangs or kills its worker is tried once more, and by itself.
 
+    Where nobody is there to work, ``tell`` is told once, and once more when somebody has come.
     ConfigError where a worker refuses them all: other versions, other files.
     """
     whole = Task(str(study), uuid.uuid4().hex, versions(), within_s, ())
     fresh, again = deque(cases), deque[Case]()
     running: dict[Future[list[Answer]], tuple[Case, ...]] = {}
     tried: dict[int, int] = {}
-    pace = _Pace()
+    pace, lack = _Pace(), _Lack(executor, tell)
     while fresh or again or running:
         while (fresh or again) and len(running) < max(executor.slots, 1):  # one more would wait behind a long one
             some = (again.popleft(),) if again else tuple(fresh.popleft() for _ in range(min(pace.cases, len(fresh))))
             running[executor.submit(replace(whole, cases=some))] = some
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
+        ended = wait(running, timeout=LOOK_S, return_when=FIRST_COMPLETED).done
+        lack.look(ended)
+        for future in ended:
             for case, answer in zip(some := running.pop(future), _answers(future, some), strict=True):
                 tried[case.number] = tried.get(case.number, 0) + 1
                 if answer.error and tried[case.number] < TRIES:
@@ -63,9 +78,23 @@ def _answers(future: Future[list[Answer]], cases: Sequence[Case]) -> list[Answer
     except ConfigError:
         raise
     except CancelledError as error:
-        raise ConfigError("the cluster was lost; begin the study again, and it goes on where it was") from error
+        raise ConfigError(LOST) from error
     except Exception as error:  # noqa: BLE001  a cluster loses tasks in ways of its own
         return [Answer(case.number, error=f"its task was lost: {type(error).__name__}: {error}") for case in cases]
+
+
+class _Lack:
+    """Says once that there is nobody to work, and once that there is again."""
+
+    def __init__(self, executor: Executor, tell: Callable[[str], None]) -> None:
+        self._executor, self._tell, self._told = executor, tell, False
+
+    def look(self, ended: Collection[object]) -> None:
+        """After each wait. Asked only when nothing has ended for a while, or that was told before."""
+        lack = "" if ended else self._executor.lack
+        if bool(lack) != self._told:
+            self._told = not self._told
+            self._tell(f"{lack}; it is waited for" if lack else "a worker is there; the study goes on")
 
 
 class _Pace:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Protocol, Self
 
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.children import Answer, Children, Task
 
-WORKERS_S = 60.0
-"""In which a cluster has its first worker."""
+ANSWER_S = 60.0
+"""In which a scheduler answers."""
+
+LOST = "the cluster was lost; begin the study again, and it goes on where it was"
 
 
 class Executor(Protocol):
@@ -21,6 +22,10 @@ class Executor(Protocol):
     @property
     def slots(self) -> int:
         """Tasks that run at once."""
+
+    @property
+    def lack(self) -> str:
+        """In words, for whom is waited and what to do; empty where somebody works."""
 
     def submit(self, task: Task) -> Future[list[Answer]]:
         """Run it somewhere. Its future raises ConfigError where it is refused, anything else where it was lost."""
@@ -40,6 +45,7 @@ class LocalPool:
     def __init__(self, workers: int | None = None) -> None:
         """``workers`` None: one a core that this process may use."""
         self.slots = workers or len(os.sched_getaffinity(0))
+        self.lack = ""  # they are started as they are wanted
         self._children = Children()
         self._threads = ThreadPoolExecutor(self.slots, thread_name_prefix="study")
 
@@ -63,7 +69,7 @@ class DaskCluster:
     """Workers of a Dask scheduler, of which each thread has a child process, as here."""
 
     def __init__(self, address: str) -> None:
-        """Connect. ConfigError where Dask is not installed, or nobody answers."""
+        """Connect; workers may come later. ConfigError where Dask is not installed, or nobody answers."""
         try:
             from distributed import Client
         except ImportError as error:
@@ -71,20 +77,29 @@ class DaskCluster:
                 "--scheduler: distributed is not installed; install polishd[dask], or leave it out and compute here"
             ) from error
         connect: Any = Client
-        with ExitStack() as failing:
-            try:
-                self._client = connect(address, timeout=WORKERS_S)
-                failing.callback(self._client.close)
-                self._client.wait_for_workers(1, timeout=WORKERS_S)
-            except (OSError, TimeoutError, ValueError) as error:
-                raise ConfigError(f"--scheduler {address}: no scheduler with workers answers: {error}") from error
-            failing.pop_all()
+        try:
+            self._client = connect(address, timeout=ANSWER_S)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ConfigError(
+                f"--scheduler {address}: no scheduler answers: {error}; start one with `dask scheduler`, or mend that"
+            ) from error
+        self._address = address
         self._executor = self._client.get_executor(pure=False)
 
     @property
     def slots(self) -> int:
         """Threads of all workers that are there now."""
-        return sum(self._client.nthreads().values())
+        try:
+            return sum(self._client.nthreads().values())
+        except (OSError, TimeoutError) as error:  # the scheduler is gone, and Dask calls again in vain
+            raise ConfigError(LOST) from error
+
+    @property
+    def lack(self) -> str:
+        """That it has no worker, if so: what was given to it waits at the scheduler."""
+        if self.slots:
+            return ""
+        return f"no worker at {self._address}: start one with `dask worker {self._address} --nthreads 1`"
 
     def submit(self, task: Task) -> Future[list[Answer]]:
         """To some worker; where it is lost, Dask gives the task to another."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from polishd.files import unwritable, whole_file, write_atomic
+from polishd.files import require_writable, unwritable, whole_file, write_atomic
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.case import Case, versions
 from polishd.workbench.studies.engine import Done
@@ -41,6 +41,10 @@ class Kept:
         rows = self._known.get(case.of)
         return None if rows is None or rows[0]["error"] else rows
 
+    def count_others(self, cases: Iterable[Case]) -> int:
+        """Of the cases that are known, those of another study, or of this one as it was."""
+        return len(self._known.keys() - {case.of for case in cases})
+
     def add(self, done: Done) -> Rows:
         """One more case, on the disk at once."""
         rows = _rows(done)
@@ -70,6 +74,17 @@ class Kept:
     def table(self, case: Case) -> Rows:
         """Rows as the table has them: number and parameters are the study's of now."""
         return [laid(case, row) for row in self._known.get(case.of, ())]
+
+
+def make_folder(out: Path | None) -> None:
+    """Before anything is computed: one that cannot be made is no news for the end. ConfigError."""
+    if out is None:
+        return
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        require_writable(out)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be made: {error.strerror}; name a folder with --out") from error
 
 
 def laid(case: Case, row: Mapping[str, Any]) -> Row:

@@ -15,7 +15,7 @@ from polishd.workbench.studies.case import Case
 from polishd.workbench.studies.cases import cases_of
 from polishd.workbench.studies.engine import work
 from polishd.workbench.studies.executors import DaskCluster, Executor, LocalPool
-from polishd.workbench.studies.kept import Kept, Rows
+from polishd.workbench.studies.kept import Kept, Rows, make_folder
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.working import closed_loop
 
@@ -40,17 +40,25 @@ def run_cases(swept: Swept, options: StudyOptions) -> Worked:
         for name in first.loops:  # its program and its plugins, too
             with first.blame(f"loops.{name}"):
                 closed_loop(first, name)
+    make_folder(options.out)  # what is refused leaves none
     kept = Kept(options.out)
+    if others := kept.count_others(of_study):
+        _say(f"{options.out}: {others} cases there are of other files, keys or versions than now, and are not taken")
     todo = [case for case in cases if kept.find(case) is None]
     try:
         if todo:
             with executor_of(options) as executor, _progress(first.title, len(cases), len(cases) - len(todo)) as bar:
-                for done in work(swept.path, todo, executor, options.case_s):
+                for done in work(swept.path, todo, executor, options.case_s, _say):
                     kept.add(done)
                     bar.advance(bar.task_ids[0])
     finally:
         kept.merge(of_study, swept.source.text)
     return Worked(cases, [row for case in cases for row in kept.table(case)])
+
+
+def _say(words: str) -> None:
+    """A line above the progress."""
+    stderr.print(words, markup=False, highlight=False, soft_wrap=True)
 
 
 def executor_of(options: StudyOptions) -> Executor:

@@ -140,6 +140,8 @@ def _told(rows: Sequence[Row]) -> list[str]:
 
 def kind_of(rows: Sequence[Row]) -> str:
     """Which kind of study they are of."""
+    if any(row.get("loop") is not None for row in rows):  # also of jobs of which none came so far as a figure
+        return "loop"
     return next(
         (kind for kind, figures in FIGURES.items() if any(row.get(figures[0]) is not None for row in rows)), "loop"
     )

@@ -15,13 +15,13 @@ from rich.table import Table
 from polishd.config.loop_study import LoopStudy
 from polishd.config.study import CorrectionsStudy, PassesStudy, SpotsStudy, Study
 from polishd.config.sweep_points import load_swept
-from polishd.files import require_writable, write_atomic
+from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.recipe.encoding import facts_of
 from polishd.show.tables import json_line, stderr, stdout
 from polishd.workbench.studies import confusion, pictures, tables
 from polishd.workbench.studies.corrections import Tell, compare_corrections
-from polishd.workbench.studies.kept import Rows, read_table
+from polishd.workbench.studies.kept import Rows, make_folder, read_table
 from polishd.workbench.studies.loops import looped
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.passes import polish_evenly
@@ -55,11 +55,10 @@ def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
     for name in ("limit", "workers", "scheduler"):
         if getattr(options, name) is not None and not many:
             raise typer.BadParameter(f'--{name} goes with a [sweep] and with kind = "loop"; leave it out')
-    if out is not None:
-        _make_folder(out)
     if many:
         answer = _of_many(first, run_cases(swept, options).rows, is_sweep=swept.is_sweep)
     else:
+        make_folder(out)
         with stderr.status("reading") as status:
             answer = _answer(first, lambda words: status.update(f"{first.title}: {words}"))
     _give(answer, out, as_json=as_json)
@@ -69,7 +68,7 @@ def show_verb(folder: Path, *, as_json: bool) -> None:
     """What a study has left in its folder, as far as it came: tables or JSON, and pictures beside. ConfigError."""
     rows, text = read_table(folder)
     title = str(tomllib.loads(text).get("title", "")) if text else ""
-    _make_folder(folder)
+    make_folder(folder)
     _give(_summed(title or folder.name, rows), folder, as_json=as_json)
 
 
@@ -122,15 +121,6 @@ def _summed(title: str, rows: Rows) -> Answer:
         *tables.error_notes(rows),
     ]
     return Answer(summary.as_json(), summary_tables(title, summary), notes, summary_pictures(summary))
-
-
-def _make_folder(out: Path) -> None:
-    """Before anything is computed: a folder that cannot be made is no news for the end."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        require_writable(out)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be made: {error.strerror}; name a folder with --out") from error
 
 
 def _write(out: Path, answer: Answer) -> None:

@@ -23,6 +23,8 @@ CELLS = ("north", "south", "west")
 LOOK_S = 0.25
 PART_S = 120.0
 """Of a sitting for each of its parts, and twice as much to begin with: longer is stuck."""
+LOOKS = 5
+"""So often what is known is held against the journals, while these still grow."""
 PATIENCE = 6
 """So often a person says of one job that it may go on; then it is put aside."""
 
@@ -80,7 +82,7 @@ class Sitting:
                 came.wrong.append(f"stuck: {error}: {[cell.status() for cell in self._cells]}")
             came.kills, came.releases = dict(luck.killed), luck.releases
             came.resumed = self._resumed.total()
-            came.wrong += lost_or_twice(self._shop, self._cells)
+            came.wrong += self._lost_or_twice()
             self._by_the_plants(came, names)
         self._count(came, names, before)
         came.seconds = round(time.monotonic() - began_s, 1)
@@ -105,6 +107,16 @@ class Sitting:
                 return
             assert time.monotonic() < end_s, f"the parts do not end: {self._shop.states()}"
             time.sleep(LOOK_S)
+
+    def _lost_or_twice(self) -> list[str]:
+        """A daemon that was started again says more while this is looked at: that is told, too, and looked at anew."""
+        for _ in range(LOOKS):
+            wrong = lost_or_twice(self._shop, self._cells)
+            if not wrong or not untold(self._shop, self._cells):
+                return wrong
+            with contextlib.suppress(AssertionError):  # then it is told as lost
+                wait_for(lambda: not untold(self._shop, self._cells), "the last reports", 120.0)
+        return wrong
 
     def _take_out(self) -> None:
         """What no cell has."""

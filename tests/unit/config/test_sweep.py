@@ -156,6 +156,10 @@ REFUSED = {
     'draws = 3\nover."process.force_n" = [12.0]': 'draws: goes with how = "drawn" and "latin"; drop it',
     'how = "zipped"\nover."process.force_n" = [1.0, 2.0]\nover."process.rpm" = [1.0]': "process.rpm: has 1 values, and",
     'how = "odd"\nover."process.force_n" = [12.0]': "how: 'odd' is not allowed",
+    'over."process.force_n" = 3': "process.force_n: is one value, 3; give a list, or a table",
+    'over."process.force_n" = [nan]': "process.force_n: nan is not allowed; must be a finite number",
+    'over."process.force_n" = { normal = [12.0, -0.5] }': "standard deviation of normal is -0.5; it must be above 0",
+    'over."loops.other.process.force_n" = [12.0]': "the study has no loop 'other', only none; mend the name",
     "over = {}": "over: has 0 entries",
 }
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +11,11 @@ import pytest
 
 from polishd.config.sweep_points import load_swept
 from polishd.model.errors import ConfigError
+from polishd.workbench.studies import engine
 from polishd.workbench.studies.cases import cases_of
 from polishd.workbench.studies.engine import work
 from polishd.workbench.studies.executors import DaskCluster, Executor, LocalPool
+from tests.unit.workbench.studies.dask_rig import Cluster
 from tests.unit.workbench.studies.test_loops import LOOPS, NONE, study_file
 
 SWEEP = """
@@ -29,74 +29,59 @@ draws = 4
 Rows = dict[int, tuple[dict[str, Any], ...]]
 
 
-class Cluster:
-    """A scheduler and two workers, as anybody starts them."""
-
-    def __init__(self, folder: Path) -> None:
-        self._file = folder / "scheduler.json"
-        self._log = (folder / "dask.log").open("wb")
-        self.processes = [self._start("scheduler", "--host", "127.0.0.1", "--port", "0")]
-        self.processes += [
-            self._start(
-                "worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", "--local-directory", str(folder)
-            )
-            for _ in range(2)
-        ]
-
-    def _start(self, what: str, *more: str) -> subprocess.Popen[bytes]:
-        words = (sys.executable, "-m", "dask", what, *more, "--no-dashboard", "--scheduler-file", str(self._file))
-        return subprocess.Popen(words, stdout=self._log, stderr=self._log)
-
-    @property
-    def address(self) -> str:
-        """Where the scheduler is; it writes its file when it listens."""
-        from distributed import Client
-
-        with Client(scheduler_file=str(self._file), timeout=120) as client:
-            client.wait_for_workers(2, timeout=120)
-        return str(json.loads(self._file.read_text())["address"])
-
-    def close(self) -> None:
-        for process in self.processes:
-            process.kill()
-            process.wait()
-        self._log.close()
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    started = Cluster(tmp_path)
-    yield started
-    started.close()
-
-
-def rows(study: Path, executor: Executor, kill: subprocess.Popen[bytes] | None = None) -> Rows:
-    """By case; after the first that came, that worker is killed."""
+def rows(
+    study: Path, executor: Executor, kill: Callable[[], None] = lambda: None, tell: Callable[[str], None] = print
+) -> Rows:
+    """By case; after each that came, whom ``kill`` knows is killed."""
     found = {}
     with executor:
-        for done in work(study, cases_of(load_swept(study)), executor):
+        for done in work(study, cases_of(load_swept(study)), executor, tell=tell):
             found[done.case.number] = tuple(
                 {key: value for key, value in row.items() if key != "cpu_s"} for row in done.answer.rows
             )
-            if kill is not None:
-                kill.kill()
+            kill()
     return found
 
 
 @pytest.mark.full
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_a_pool(tmp_path: Path, cluster: Cluster) -> None:
+def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_a_pool(tmp_path: Path) -> None:
     study = study_file(tmp_path, f"{LOOPS}{NONE}{SWEEP}", near=-0.1)
     here = rows(study, LocalPool(2))
-    there = rows(study, DaskCluster(cluster.address), cluster.processes[1])
+    with Cluster(tmp_path, 2) as cluster:
+        there = rows(study, DaskCluster(cluster.address), cluster.workers[0].kill)
     assert len(here) == 8
     assert all(here.values())
     assert there == here
 
 
+@pytest.mark.full
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_cluster_without_workers_is_waited_for_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None at first, and none once the only one was killed; whoever reads it starts one."""
+    monkeypatch.setattr(engine, "LOOK_S", 1.0)
+    study, said = study_file(tmp_path, f"{LOOPS}{SWEEP}", near=-0.1), list[str]()
+    with Cluster(tmp_path, 0) as cluster:
+
+        def kill() -> None:
+            cluster.workers[0].kill()
+
+        def tell(words: str) -> None:
+            said.append(words)
+            if words.startswith("no worker"):
+                cluster.add_worker()
+
+        found = rows(study, DaskCluster(cluster.address), kill, tell)
+        start = f"no worker at {cluster.address}: start one with `dask worker {cluster.address} --nthreads 1`"
+    assert len(found) == 4
+    assert all(found.values())
+    assert said == [f"{start}; it is waited for", "a worker is there; the study goes on"] * 2
+    assert len(cluster.workers) == 2
+
+
 def test_nobody_at_the_address_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.workbench.studies.executors.WORKERS_S", 0.2)
-    with pytest.raises(ConfigError, match=r"--scheduler tcp://127.0.0.1:1: no scheduler with workers answers"):
+    monkeypatch.setattr("polishd.workbench.studies.executors.ANSWER_S", 0.2)
+    with pytest.raises(ConfigError, match=r"--scheduler tcp://127.0.0.1:1: no scheduler answers"):
         DaskCluster("tcp://127.0.0.1:1")
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from polishd.model.errors import ConfigError
-from polishd.workbench.studies import children
+from polishd.workbench.studies import children, engine
 from polishd.workbench.studies.case import Case, versions
+from polishd.workbench.studies.children import Answer, Task
 from polishd.workbench.studies.engine import Done, work
 from polishd.workbench.studies.executors import LocalPool
 
@@ -55,6 +57,43 @@ def test_what_hangs_is_killed_at_its_limit(tmp_path: Path) -> None:
     assert found[1].answer.error == "did not end within 0.5 s and was killed"
     assert found[0].answer.rows
     assert found[2].answer.rows
+
+
+class Lonely(LocalPool):
+    """One that has nobody to work until somebody was told of it."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.lack, self.said, self.given = "no worker at x", list[str](), list[tuple[Task, Future[list[Answer]]]]()
+
+    def submit(self, task: Task) -> Future[list[Answer]]:
+        self.given.append((task, Future()))
+        return self.given[-1][1]
+
+    def come(self, words: str) -> None:
+        """Whoever reads it starts one."""
+        self.said.append(words)
+        self.lack = ""
+        for task, future in self.given:
+            if not future.done():
+                future.set_result([Answer(case.number, ({},)) for case in task.cases])
+
+
+def test_nobody_to_work_is_told_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "LOOK_S", 0.05)
+    with Lonely() as lonely:
+        (done,) = work(tmp_path / "study.toml", cases(""), lonely, tell=lonely.come)
+    assert done.answer.rows == ({},)
+    assert lonely.said == ["no worker at x; it is waited for", "a worker is there; the study goes on"]
+
+
+def test_one_that_is_slow_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "LOOK_S", 0.05)
+    said: list[str] = []
+    with LocalPool(1) as pool:
+        found = list(work(tmp_path / "study.toml", cases("hangs"), pool, 0.3, said.append))
+    assert "did not end within 0.3 s" in found[0].answer.error
+    assert not said
 
 
 def test_a_refusal_ends_the_study(tmp_path: Path) -> None:

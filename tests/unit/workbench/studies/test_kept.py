@@ -44,6 +44,14 @@ def test_what_is_known_is_found_again_whole_or_from_the_journal(tmp_path: Path) 
     assert Kept(tmp_path).find(second) is not None, "of the table"
 
 
+def test_cases_of_another_study_or_as_it_was_are_counted(tmp_path: Path) -> None:
+    kept = Kept(tmp_path)
+    for number, of in enumerate("abc"):
+        kept.add(done(case(number, of)))
+    assert kept.count_others([case(0, "a"), case(1, "b"), case(2, "c"), case(3, "d")]) == 0
+    assert kept.count_others([case(0, "a"), case(1, "x")]) == 2
+
+
 def test_a_case_that_moved_in_the_study_is_known_by_what_decides_it(tmp_path: Path) -> None:
     kept = Kept(tmp_path)
     kept.add(done(case(0, "a", force=1.0)))

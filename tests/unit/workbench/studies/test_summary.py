@@ -84,6 +84,17 @@ def test_a_case_with_an_error_fails_and_has_no_figures(rows: list[dict[str, Any]
     assert first.figures["true_rms_end_nm"].median == 14.5
 
 
+def test_jobs_of_which_none_came_so_far_as_a_figure_are_jobs_still() -> None:
+    none = {"rms_nm": [], "true_rms_end_nm": None, "ended": "error"}
+    rows = [{**row(k, "a", 30.0, 0), **none} for k in range(3)]
+    found = summed_up(rows)
+    assert found.kind == "loop"
+    assert found.groups[0].figures["true_rms_end_nm"].median is None
+    assert found.groups[0].share[0] == 1.0
+    assert summary_tables("t", found)
+    assert all(draw() for draw in summary_pictures(found).values())
+
+
 def test_tables_and_pictures_are_of_all_of_it(rows: list[dict[str, Any]]) -> None:
     found = summed_up(rows)
     titles = [str(table.title) for table in summary_tables("t", found)]

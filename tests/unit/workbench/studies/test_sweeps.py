@@ -116,6 +116,7 @@ REFUSED = {
     'over."cell_with.process.forc_n" = [12.0]': "cell_with.process.forc_n: unknown key; did you mean 'force_n'?",
     'over."loops.exact.process.force_n" = [900.0]': "loops.exact.process.force_n: 900.0 is out of range",
     'over."loops.exact.learns" = [3]': "loops.exact.learns: must be true or false",
+    'over."loops.other.process.rpm" = [12.0]': "loops.other.process.rpm: the study has no loop 'other', only exact",
 }
 
 
@@ -125,6 +126,46 @@ def test_a_case_that_cannot_be_is_refused_before_any_runs(tmp_path: Path, group:
     line = path.read_text().splitlines().index(group) + 1
     with pytest.raises(ConfigError, match=rf"^{re.escape(f'{path}:{line}: sweep.group.over.{said}')}"):
         cases_of(load_swept(path))
+
+
+def test_a_file_that_is_not_there_is_told_at_its_key_and_out_is_not_made(tmp_path: Path) -> None:
+    path, out = study_file(tmp_path, LOOPS, near=-0.1), tmp_path / "out"
+    whole = path.read_text()
+    for wrong in ('cell = "no.toml"', 'plant = "no.toml"', 'scenarios = ["no.toml"]'):
+        key = wrong.partition(" ")[0]
+        lines = [wrong if line.startswith(f"{key} =") else line for line in whole.splitlines()]
+        path.write_text("\n".join(lines))
+        said = f"{path}:{lines.index(wrong) + 1}: {key}: {tmp_path / 'no.toml'}: no such file"
+        with pytest.raises(ConfigError, match=rf"^{re.escape(said)}"):
+            study_verb(path, StudyOptions(out=out), as_json=True)
+    group = 'over."cell" = ["no.toml"]'
+    path.write_text(f"{whole}\n[[sweep.group]]\n{group}\n")
+    line = path.read_text().splitlines().index(group) + 1
+    with pytest.raises(ConfigError, match=rf"^{re.escape(f'{path}:{line}: sweep.group.over.cell: ')}"):
+        study_verb(path, StudyOptions(out=out), as_json=True)
+    assert not out.exists()
+
+
+def test_who_watches_a_cell_decides_no_case(tmp_path: Path) -> None:
+    """Or a study would begin anew because a page's port is another one."""
+    path = study_file(tmp_path, LOOPS, near=-0.1)
+
+    def of(key: str) -> str:
+        path.write_text(path.read_text().partition("[loops.exact]")[0] + f"{LOOPS}{key}\n")
+        return cases_of(load_swept(path))[0].of
+
+    assert of('"web.port" = 9000') == of("")
+    assert of('"process.rpm" = 900.0') != of("")
+
+
+def test_rows_that_are_not_taken_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, out = few(tmp_path), tmp_path / "out"
+    study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
+    study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
+    assert "are not taken" not in capsys.readouterr().err
+    study.write_text(study.read_text().replace("linear = [8.0, 14.0]", "linear = [8.0, 17.0]"))
+    study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
+    assert f"{out}: 1 cases there are of other files, keys or versions than now" in capsys.readouterr().err
 
 
 def test_the_shipped_study_has_two_thousand_jobs_on_the_same_draws() -> None:

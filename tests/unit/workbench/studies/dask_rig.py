@@ -1,0 +1,58 @@
+"""A Dask scheduler and workers over TCP on loopback, as anybody starts them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Self
+
+WITHIN_S = 120.0
+"""In which a process of Dask is there: others want the machine, too."""
+
+
+class Cluster:
+    """The scheduler, and the workers that were started so far, of one thread each."""
+
+    def __init__(self, folder: Path, workers: int) -> None:
+        """Start them; it is ended as a context."""
+        self._folder, self._file = folder, folder / "scheduler.json"
+        self._file.unlink(missing_ok=True)  # of a run before: its address is nobody's
+        self._log = (folder / "dask.log").open("wb")
+        self._scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        self.workers: list[subprocess.Popen[bytes]] = []
+        for _ in range(workers):
+            self.add_worker()
+
+    def add_worker(self) -> None:
+        """One more, which nobody starts again."""
+        words = ("--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", "--local-directory", str(self._folder))
+        self.workers.append(self._start("worker", *words))
+
+    @property
+    def address(self) -> str:
+        """Where the scheduler is, once it listens: it writes its file then."""
+        end_s = time.monotonic() + WITHIN_S
+        while time.monotonic() < end_s:
+            try:
+                return str(json.loads(self._file.read_text())["address"])
+            except (OSError, ValueError):  # not there, or half written
+                time.sleep(0.1)
+        raise TimeoutError(f"no Dask scheduler within {WITHIN_S:g} s; read {self._log.name}")
+
+    def _start(self, what: str, *more: str) -> subprocess.Popen[bytes]:
+        words = (sys.executable, "-m", "dask", what, *more, "--no-dashboard", "--scheduler-file", str(self._file))
+        return subprocess.Popen(words, stdout=self._log, stderr=self._log)
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Kill all of it."""
+        for process in (*self.workers, self._scheduler):
+            process.kill()
+            process.wait()
+        self._log.close()
