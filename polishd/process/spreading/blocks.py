@@ -12,6 +12,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.dynamic_tif import lean_azimuth_rad, positions
 from polishd.process.robot.refusal import refuse_where
 from polishd.process.spot import Spot, shares
+from polishd.process.tif_family import patches
 
 Indices = NDArray[np.int64]
 
@@ -33,6 +34,9 @@ class Blocks:
     """(n,) as of `corrected_spot`, sunk at the rim."""
     factor: FloatArray
     """(n,) on the removal."""
+    bent: FloatArray | None = None
+    """(n, 3) how the part's curvature makes each contact wider along x and y, and askew (`curved.Curved`); None: as on
+    a flat."""
 
     @property
     def n(self) -> int:
@@ -43,7 +47,7 @@ class Blocks:
         """Some of them."""
         return Blocks(
             self.start_mm[which], self.end_mm[which], self.azimuth_rad[which], self.depth_ratio[which],
-            self.factor[which],
+            self.factor[which], None if self.bent is None else self.bent[which],
         )  # fmt: skip
 
     def seen_from(self, origin_mm: FloatArray) -> Blocks:
@@ -53,24 +57,31 @@ class Blocks:
     def positions(self, spot: Spot) -> tuple[Indices, FloatArray, FloatArray]:
         """The places that stand for the blocks, as in `effect_columns`: (m,) block, (m, 2) mm, (m,) share of it."""
         length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
+        if self.bent is not None:
+            length = length / self.bent[:, :2].min(axis=1)
         pieces = np.ceil(length / spot.step_mm(self.depth_ratio)).astype(np.int64)
         block, place = positions(self.start_mm, self.end_mm, pieces)
         return block, place, 1 / np.bincount(block, minlength=self.n)[block]
+
+    def half_mm(self, spot: Spot) -> FloatArray:
+        """(n, 2) half the sides of each patch, along x and y."""
+        half = spot.half_width_mm(self.depth_ratio)[:, None]
+        return np.asarray(half * (np.ones(2) if self.bent is None else self.bent[:, :2]), dtype=np.float64)
 
     def reach_mm(self, spot: Spot) -> FloatArray:
         """(n,) radius about the middle of each block outside which it removes nothing."""
         offset = np.linalg.norm(spot.offset_mm(self.depth_ratio, self.azimuth_rad), axis=1)
         length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
-        return np.asarray(np.sqrt(2) * spot.half_width_mm(self.depth_ratio) + offset + length / 2, dtype=np.float64)
+        return np.asarray(np.linalg.norm(self.half_mm(spot), axis=1) + offset + length / 2, dtype=np.float64)
 
 
-def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray) -> Blocks:
+def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray, bent: FloatArray | None = None) -> Blocks:
     """The blocks of a program; depth ratios and factors (n,) as of `corrected_spot`. ComputeError: they cannot be."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
     ends = program.start_mm[:, :2], program.end_mm[:, :2]
-    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor)
+    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor, bent)
 
 
 def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
@@ -80,11 +91,11 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
     for which in np.split(reached, range(CHUNK, reached.size, CHUNK)):
         some = blocks.part(which)
         block, place, share = some.positions(spot)
-        half = spot.half_width_mm(some.depth_ratio)[block]
+        half = some.half_mm(spot)[block]
         away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
-        patch = np.ascontiguousarray(spot.patch(some.depth_ratio, some.azimuth_rad))[block]
+        patch = np.ascontiguousarray(patches(spot, some.depth_ratio, some.azimuth_rad, some.bent))[block]
         centre = pitch_mm / 2 + away * [1, -1]
-        across, down = (shares(at, half, pitch_mm, 1, patch.shape[1]) for at in centre.T)
+        across, down = (shares(*along, pitch_mm, 1, patch.shape[1]) for along in zip(centre.T, half.T, strict=True))
         rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2
         rates[which] = np.bincount(block, share * rate, some.n) * some.factor
     return rates
@@ -94,5 +105,5 @@ def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float
     """The blocks whose patch touches the cell from any of their positions."""
     block, place, _ = blocks.positions(spot)
     away = place + spot.offset_mm(blocks.depth_ratio, blocks.azimuth_rad)[block] - sample_mm
-    half = spot.half_width_mm(blocks.depth_ratio)[block] + pitch_mm / 2
-    return np.unique(block[(np.abs(away) < half[:, None]).all(axis=1)])
+    half = blocks.half_mm(spot)[block] + pitch_mm / 2
+    return np.unique(block[(np.abs(away) < half).all(axis=1)])
