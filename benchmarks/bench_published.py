@@ -2,7 +2,8 @@
 
 The mirrors' maps are at hand. Those of the tools are not to be had: a disc of the same size and RMS takes their place,
 whose amplitude falls with the square of the frequency. All bonnets have the same rate at their middle, as theirs are
-not stated. So a row says what the dwell can leave at best of such a map, and theirs, measured on glass, what it was with all that a machine adds.
+not stated. So a row says what the dwell can leave at best of such a map, and theirs, measured on glass, what it was
+with all that a machine adds.
 """
 
 from __future__ import annotations
