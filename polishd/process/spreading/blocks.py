@@ -11,8 +11,7 @@ from polishd.model.program import Program
 from polishd.model.surface import FloatArray
 from polishd.process.dynamic_tif import lean_azimuth_rad, positions
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import Spot, shares
-from polishd.process.tif_family import patches
+from polishd.process.spot import Spot, askew, shares
 
 Indices = NDArray[np.int64]
 
@@ -93,12 +92,27 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
         block, place, share = some.positions(spot)
         half = some.half_mm(spot)[block]
         away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
-        patch = np.ascontiguousarray(patches(spot, some.depth_ratio, some.azimuth_rad, some.bent))[block]
+        patch = np.ascontiguousarray(spot.patch(some.depth_ratio, some.azimuth_rad))[block]
         centre = pitch_mm / 2 + away * [1, -1]
         across, down = (shares(*along, pitch_mm, 1, patch.shape[1]) for along in zip(centre.T, half.T, strict=True))
+        if some.bent is not None:
+            patch, down = _strips(patch, down, some.bent[block, 2])
         rate = (down @ patch @ across.transpose(0, 2, 1))[:, 0, 0] / pitch_mm**2
         rates[which] = np.bincount(block, share * rate, some.n) * some.factor
     return rates
+
+
+def _strips(patch: FloatArray, down: FloatArray, correlation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rows of (m, squares, squares) patches that lie in a cell, made askew, and their (m, 1, rows) shares in it.
+
+    A cell is a few rows of a spot that is large against it, and to make a patch askew is most of the work.
+    """
+    touched = down[:, 0] > 0
+    wide = max(int(touched.sum(axis=1).max(initial=0)), 1)
+    first = np.minimum(touched.argmax(axis=1), patch.shape[1] - wide)
+    rows = first[:, None] + np.arange(wide)
+    strip = np.take_along_axis(patch, rows[:, :, None], axis=1)
+    return askew(strip, correlation, rows), np.take_along_axis(down, rows[:, None, :], axis=2)
 
 
 def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> Indices:
