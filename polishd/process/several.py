@@ -77,3 +77,10 @@ def note(effect: Effect) -> str | None:
     if isinstance(effect, SeveralEffects):
         return "; ".join(told for part in effect.parts if (told := note(part)) is not None) or None
     return effect.note if isinstance(effect, SpreadEffect) else None
+
+
+def off(effect: Effect) -> float:
+    """By which share of its peak the removal is off at most, at samples, of an effect without a matrix; 0 of one."""
+    if isinstance(effect, SeveralEffects):
+        return max(off(part) for part in effect.parts)
+    return effect.error if isinstance(effect, SpreadEffect) else 0.0

@@ -11,6 +11,7 @@ from functools import cache
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray
@@ -144,16 +145,17 @@ def turned(x_mm: float | FloatArray, y_mm: float | FloatArray, azimuth_rad: Floa
     return np.stack([x_mm * sine + y_mm * cosine, y_mm * sine - x_mm * cosine], axis=-1)
 
 
-def askew(patch: FloatArray, correlation: FloatArray) -> FloatArray:
+def askew(patch: FloatArray, correlation: FloatArray, rows: NDArray[np.int64] | None = None) -> FloatArray:
     """(n, squares, squares) patches of discs, each row moved and narrowed so that they are ellipses within the patch.
 
     ``correlation`` (n,) of x and y over each ellipse; as wide and as tall as the disc was. What a row holds is kept.
+    With ``rows`` (n, r) the patches are (n, r, squares): these rows of each alone.
     """
     squares = patch.shape[-1]
     content = np.concatenate([np.zeros((*patch.shape[:2], 1)), np.cumsum(patch, axis=2)], axis=2)
     edge = np.linspace(-1, 1, squares + 1)
-    up = 1 - (np.arange(squares) + 0.5) * 2 / squares
-    moved = (edge - correlation[:, None, None] * up[:, None]) / np.sqrt(1 - correlation**2)[:, None, None]
+    up = 1 - ((np.arange(squares) if rows is None else rows) + 0.5) * 2 / squares
+    moved = (edge - correlation[:, None, None] * up[..., None]) / np.sqrt(1 - correlation**2)[:, None, None]
     place = np.clip((moved + 1) * squares / 2, 0, squares)
     left = np.minimum(place.astype(np.int64), squares - 1)
     low, high = (np.take_along_axis(content, left + k, axis=2) for k in (0, 1))

@@ -63,7 +63,10 @@ class SpotPath:
 
     def without_matrix(self, grid: Grid, spots: CorrectedSpot, tolerance: float = TOLERANCE) -> SpreadEffect:
         """The same in memory that goes with points and samples. ComputeError where its error is above the tolerance."""
-        return spread_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor, tolerance=tolerance)
+        bent = None if self.curved is None else np.column_stack([self.curved.wider, self.curved.askew])
+        return spread_effect(
+            grid, self.spot, self.program, spots.depth_ratio, spots.factor, tolerance=tolerance, bent=bent
+        )
 
     def convolutions(self, grid: Grid, spots: CorrectedSpot) -> ConvolutionEffect:
         """The same as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""

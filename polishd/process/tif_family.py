@@ -13,7 +13,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.process.robot.refusal import refuse_where, require_number
-from polishd.process.spot import Spot, shares
+from polishd.process.spot import Spot, askew, shares
 
 RATIOS = 33
 """Depth ratios that the basis is taken from, evenly over their range."""
@@ -75,21 +75,40 @@ def tif_family(
     return TifFamily(basis.T.reshape(-1, size, size), coefficients, worst)
 
 
-def windows(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray, reach: int) -> FloatArray:
-    """(n, (2 reach + 1)^2) nm/s averages over cells round a point that lies in the middle of one, row 0 the top."""
-    half = spot.half_width_mm(depth_ratio)
+def patches(spot: Spot, depth_ratio: FloatArray, azimuth_rad: FloatArray, bent: FloatArray | None) -> FloatArray:
+    """(n, squares, squares) of a spot, on a curved part askew; ``bent`` as of `Blocks`."""
+    patch = spot.patch(depth_ratio, azimuth_rad)
+    return patch if bent is None else askew(patch, bent[:, 2])
+
+
+def windows(
+    spot: Spot,
+    pitch_mm: float,
+    depth_ratio: FloatArray,
+    azimuth_rad: FloatArray,
+    reach: int,
+    *,
+    bent: FloatArray | None = None,
+) -> FloatArray:
+    """(n, (2 reach + 1)^2) nm/s averages over cells round a point that lies in the middle of one, row 0 the top.
+
+    ``bent`` (n, 3) as of `Blocks`.
+    """
+    half, wider = spot.half_width_mm(depth_ratio), np.ones((len(depth_ratio), 2)) if bent is None else bent[:, :2]
     offset = spot.offset_mm(depth_ratio, azimuth_rad)
-    patch = np.ascontiguousarray(spot.patch(depth_ratio, azimuth_rad))
+    patch = np.ascontiguousarray(patches(spot, depth_ratio, azimuth_rad, bent))
     size, middle = 2 * reach + 1, (reach + 0.5) * pitch_mm
-    across = shares(middle + offset[:, 0], half, pitch_mm, size, patch.shape[2])
-    down = shares(middle - offset[:, 1], half, pitch_mm, size, patch.shape[1])
+    across = shares(middle + offset[:, 0], half * wider[:, 0], pitch_mm, size, patch.shape[2])
+    down = shares(middle - offset[:, 1], half * wider[:, 1], pitch_mm, size, patch.shape[1])
     return np.asarray(down @ patch @ across.transpose(0, 2, 1) / pitch_mm**2).reshape(len(patch), -1)
 
 
-def reach_cells(spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> int:
-    """Cells on either side of a point that hold every spot, whichever way it lies."""
+def reach_cells(
+    spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray, wider: float = 1.0
+) -> int:
+    """Cells on either side of a point that hold every spot, whichever way it lies, so many times as wide."""
     offset = np.linalg.norm(spot.offset_mm(depth_ratio, azimuth_rad), axis=1)
-    return int(np.ceil((spot.half_width_mm(depth_ratio) + offset).max(initial=0.0) / pitch_mm - 0.5 + 1e-9))
+    return int(np.ceil((wider * spot.half_width_mm(depth_ratio) + offset).max(initial=0.0) / pitch_mm - 0.5 + 1e-9))
 
 
 def _samples(depth_ratio: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

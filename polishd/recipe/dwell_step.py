@@ -23,6 +23,7 @@ from polishd.process.dwell.curve import Row, Solve, price_curve
 from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.proof import proved
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.validation import negligible
 from polishd.process.edge.correctable import correctable
@@ -47,6 +48,8 @@ CROSS_CHECK_GAP = 1e-3
 """Most by which an independent solver may be better."""
 LAST_SHARE = 0.25
 """Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
+PROOF_SHARE = 0.5
+"""Of what is left of it, that a proof may take before an independent solver is asked."""
 DEADLINE = "deadline"
 """What a certificate says of a solver whose time was over."""
 KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
@@ -286,7 +289,8 @@ class _Step:
 
     def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
         """The same solution with an independent solver's word on it, where its own proof is not enough."""
-        other, certificate = self.recipe.cross_check, dwell.certificate
+        other, dwell = self.recipe.cross_check, self.proved(problem, dwell)
+        certificate = dwell.certificate
         if other is None or (certificate.gap is not None and certificate.gap <= self.dwell.cross_check_above):
             return dwell
         try:
@@ -297,6 +301,15 @@ class _Step:
             return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
         gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
         return with_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
+
+    def proved(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+        """The same solution; where its gap is too large to do without a second opinion, the best that can be proved."""
+        enough = self.dwell.cross_check_above
+        if enough == 0:  # it is asked whatever is proved
+            return dwell
+        static = dwell if self.divide_by is None else replace(dwell, time_s=dwell.time_s * self.divide_by)
+        found = proved(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
+        return with_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
 
     def noted(self, dwell: DwellSolution) -> DwellSolution:
         """The same solution; its certificate says what of the surface is out of the spot's reach."""

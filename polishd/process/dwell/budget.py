@@ -50,7 +50,24 @@ def within_budget(problem: DwellProblem, budget_s: float, solve: Solve, toleranc
         accept=lambda point: (1 - tolerance) * budget_s <= point.total_s <= budget_s,
         feasible=lambda point: point.total_s <= budget_s,
     )
-    return _noted(found, f"the budget of {budget_s:.6g} s binds at {found.problem.price_nm2_per_s:.6g} nm^2/s")
+    binds = f"the budget of {budget_s:.6g} s binds at {found.problem.price_nm2_per_s:.6g} nm^2/s"
+    better = better_within_nm(found, budget_s)
+    return _noted(found, binds if better is None else f"{binds}: no dwell within it leaves {better:.2g} nm less")
+
+
+def better_within_nm(found: Solved, budget_s: float) -> float | None:
+    """By how much less any dwell that takes no more than ``budget_s`` can leave at most, nm of the objective's root.
+
+    The price is the budget's multiplier: whatever keeps to the budget costs no less than the priced least, less the
+    price of all of it. Without the price the objective is the residual's and the regularisation's. None: nothing is
+    proved.
+    """
+    certificate, price = found.solution.certificate, found.problem.price_nm2_per_s
+    if certificate.gap is None:
+        return None
+    left = max(certificate.objective - price * found.total_s, 0.0)
+    gap = certificate.gap * certificate.objective + price * max(budget_s - found.total_s, 0.0)
+    return float(left**0.5 - max(left - gap, 0.0) ** 0.5)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadr
 from polishd.process.dwell.setup import conditioning_note
 from polishd.process.metrics import band_rms
 from polishd.process.several import note as effect_note
+from polishd.process.several import off
 
 
 def certified(
@@ -57,7 +58,7 @@ def certified(
     f = f or quadratic(problem)
     objective, slope = f.at(t)
     gap = gap_at(problem, t, objective, slope)
-    told = [note for note in (conditioning_note(problem, f), effect_note(problem.effect)) if note is not None]
+    told = [note for note in (conditioning_note(problem, f), _effect_note(problem, removal)) if note is not None]
     certificate = Certificate(
         solver=solver,
         objective=objective,
@@ -78,6 +79,12 @@ def certified(
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
+
+
+def _effect_note(problem: DwellProblem, removal: FloatArray) -> str | None:
+    """What the effect is off by, of this removal in nm, too: beside the gap, which is of the effect as given."""
+    told, share = effect_note(problem.effect), off(problem.effect)
+    return told if told is None or not share > 0 else f"{told}; here that is up to {share * removal.max():.2g} nm"
 
 
 def _finite(value: float) -> float | None:

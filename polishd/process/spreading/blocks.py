@@ -11,7 +11,7 @@ from polishd.model.program import Program
 from polishd.model.surface import FloatArray
 from polishd.process.dynamic_tif import lean_azimuth_rad, positions
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import Spot, shares
+from polishd.process.spot import Spot, askew, shares
 
 Indices = NDArray[np.int64]
 
@@ -33,6 +33,9 @@ class Blocks:
     """(n,) as of `corrected_spot`, sunk at the rim."""
     factor: FloatArray
     """(n,) on the removal."""
+    bent: FloatArray | None = None
+    """(n, 3) how the part's curvature makes each contact wider along x and y, and askew (`curved.Curved`); None: as on
+    a flat."""
 
     @property
     def n(self) -> int:
@@ -43,7 +46,7 @@ class Blocks:
         """Some of them."""
         return Blocks(
             self.start_mm[which], self.end_mm[which], self.azimuth_rad[which], self.depth_ratio[which],
-            self.factor[which],
+            self.factor[which], None if self.bent is None else self.bent[which],
         )  # fmt: skip
 
     def seen_from(self, origin_mm: FloatArray) -> Blocks:
@@ -53,24 +56,31 @@ class Blocks:
     def positions(self, spot: Spot) -> tuple[Indices, FloatArray, FloatArray]:
         """The places that stand for the blocks, as in `effect_columns`: (m,) block, (m, 2) mm, (m,) share of it."""
         length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
+        if self.bent is not None:
+            length = length / self.bent[:, :2].min(axis=1)
         pieces = np.ceil(length / spot.step_mm(self.depth_ratio)).astype(np.int64)
         block, place = positions(self.start_mm, self.end_mm, pieces)
         return block, place, 1 / np.bincount(block, minlength=self.n)[block]
+
+    def half_mm(self, spot: Spot) -> FloatArray:
+        """(n, 2) half the sides of each patch, along x and y."""
+        half = spot.half_width_mm(self.depth_ratio)[:, None]
+        return np.asarray(half * (np.ones(2) if self.bent is None else self.bent[:, :2]), dtype=np.float64)
 
     def reach_mm(self, spot: Spot) -> FloatArray:
         """(n,) radius about the middle of each block outside which it removes nothing."""
         offset = np.linalg.norm(spot.offset_mm(self.depth_ratio, self.azimuth_rad), axis=1)
         length = np.linalg.norm(self.end_mm - self.start_mm, axis=1)
-        return np.asarray(np.sqrt(2) * spot.half_width_mm(self.depth_ratio) + offset + length / 2, dtype=np.float64)
+        return np.asarray(np.linalg.norm(self.half_mm(spot), axis=1) + offset + length / 2, dtype=np.float64)
 
 
-def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray) -> Blocks:
+def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray, bent: FloatArray | None = None) -> Blocks:
     """The blocks of a program; depth ratios and factors (n,) as of `corrected_spot`. ComputeError: they cannot be."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
     ends = program.start_mm[:, :2], program.end_mm[:, :2]
-    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor)
+    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor, bent)
 
 
 def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
@@ -80,12 +90,18 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
     for which in np.split(reached, range(CHUNK, reached.size, CHUNK)):
         some = blocks.part(which)
         block, place, share = some.positions(spot)
-        half = spot.half_width_mm(some.depth_ratio)[block]
+        half = some.half_mm(spot)[block]
         away = place + spot.offset_mm(some.depth_ratio, some.azimuth_rad)[block] - sample_mm
         patch = spot.patch(some.depth_ratio, some.azimuth_rad)
         centre = pitch_mm / 2 + away * [1, -1]
-        (column, across), (row, down) = (_inside(shares(at, half, pitch_mm, 1, patch.shape[1])) for at in centre.T)
-        squares = patch[block[:, None, None], row[:, :, None], column[:, None, :]]
+        (column, across), (row, down) = (
+            _inside(shares(at, wide, pitch_mm, 1, patch.shape[1])) for at, wide in zip(centre.T, half.T, strict=True)
+        )
+        if some.bent is None:
+            squares = patch[block[:, None, None], row[:, :, None], column[:, None, :]]
+        else:  # of a spot that is large against the cell only these rows are made askew: that is most of the work
+            strip = askew(patch[block[:, None], row], some.bent[block, 2], row)
+            squares = np.take_along_axis(strip, column[:, None, :], axis=2)
         rate = np.einsum("mi,mij,mj->m", down, squares, across) / pitch_mm**2
         rates[which] = np.bincount(block, share * rate, some.n) * some.factor
     return rates
@@ -94,7 +110,7 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
 def _inside(share: FloatArray) -> tuple[Indices, FloatArray]:
     """(m, 1, squares) shares in a cell -> (m, few) the squares that may have any, and theirs."""
     some = share[:, 0] > 0
-    width = int(some.sum(axis=1).max())
+    width = max(int(some.sum(axis=1).max(initial=0)), 1)
     which = np.minimum(np.argmax(some, axis=1), some.shape[1] - width)[:, None] + np.arange(width)
     return which, np.take_along_axis(share[:, 0], which, axis=1)
 
@@ -103,5 +119,5 @@ def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float
     """The blocks whose patch touches the cell from any of their positions."""
     block, place, _ = blocks.positions(spot)
     away = place + spot.offset_mm(blocks.depth_ratio, blocks.azimuth_rad)[block] - sample_mm
-    half = spot.half_width_mm(blocks.depth_ratio)[block] + pitch_mm / 2
-    return np.unique(block[(np.abs(away) < half[:, None]).all(axis=1)])
+    half = blocks.half_mm(spot)[block] + pitch_mm / 2
+    return np.unique(block[(np.abs(away) < half).all(axis=1)])

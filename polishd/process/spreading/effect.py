@@ -135,6 +135,7 @@ def spread_effect(
     factor: FloatArray,
     *,
     tolerance: float = TOLERANCE,
+    bent: FloatArray | None = None,
 ) -> SpreadEffect:
     """The effect of blocks at rest or in motion, on nodes of the grid or off them, as `effect_matrix` has it.
 
@@ -148,6 +149,8 @@ def spread_effect(
         depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
         factor: (n,) on the removal.
         tolerance: largest ``error``.
+        bent: (n, 3) how much wider along x and y, and how askew the contacts are on a curved part, as of `Curved`;
+            None: as on a flat.
 
     Raises:
         ComputeError: an impossible depth ratio or factor, no block that touches the grid, or the tolerance is out of
@@ -155,13 +158,15 @@ def spread_effect(
     """
     require_number("the tolerance of the effect", tolerance, "", above=0.0, below=1.0)
     require_number("the grid's pitch", grid.pitch_mm, "mm", above=0.0)
-    blocks = blocks_of(program, depth_ratio, factor)
+    blocks = blocks_of(program, depth_ratio, factor, bent)
     rows = sampled_rows(grid, spot, blocks)
     if not rows:
         raise ComputeError("no block touches the grid at a sample: path and part do not meet")
     error = np.inf
     for finer, share in product(FINER, MISSED):
-        family = meshed_family(spot, grid.pitch_mm / finer, depth_ratio, blocks.azimuth_rad, share * tolerance)
+        family = meshed_family(
+            spot, grid.pitch_mm / finer, depth_ratio, blocks.azimuth_rad, share * tolerance, bent=bent
+        )
         trials = (_laid_down(row.grid, finer, spot, row.blocks, family.part(row.which)) for row in rows)
         found = (trial.adjoint(row.only_sample) for trial, row in zip(trials, rows, strict=True))
         error, entry = misses(rows, found)
@@ -180,7 +185,7 @@ def _coarse(whole: SpreadEffect, spot: Spot, blocks: Blocks, depth_ratio: FloatA
     half_cells = float(np.median(spot.half_width_mm(depth_ratio))) / fine.pitch_mm
     times = max(int(half_cells / COARSE_CELLS), 1)
     grid = Grid(-(-fine.ny // times), -(-fine.nx // times), times * fine.pitch_mm)
-    family = meshed_family(spot, grid.pitch_mm, depth_ratio, blocks.azimuth_rad, COARSE_TOLERANCE)
+    family = meshed_family(spot, grid.pitch_mm, depth_ratio, blocks.azimuth_rad, COARSE_TOLERANCE, bent=blocks.bent)
     if times * whole.finer == 1 and len(family.kernels) >= whole.rank:
         return None
     return _laid_down(grid, 1, spot, blocks, family).single()

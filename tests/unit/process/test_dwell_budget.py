@@ -12,7 +12,7 @@ import pytest
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.process.dwell import interior_point, newton_cg
-from polishd.process.dwell.budget import floor_cost, to_target, within_budget
+from polishd.process.dwell.budget import better_within_nm, floor_cost, to_target, within_budget
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from tests.unit.process.gaussian import dwell_problem
@@ -50,6 +50,21 @@ def test_no_dwell_within_the_budget_is_better() -> None:
         assert quadratic(PROBLEM).value(extra) > best
     scaled = solve(PROBLEM).time_s * budget / FREE.dwell_total_s  # the naive way: everything a little shorter
     assert quadratic(PROBLEM).value(np.maximum(scaled, PROBLEM.lower_s)) > 1.5 * best
+
+
+@pytest.mark.parametrize("more", [1.0, 1.02, 1.3])
+def test_what_any_dwell_within_a_budget_can_be_better_by_is_proved(more: float) -> None:
+    """Of a dwell that leaves some of it unused, too: beside the least within all of it."""
+    found = within_budget(PROBLEM, 0.6 * FREE.dwell_total_s, solve)
+    budget = more * found.total_s
+    proof = better_within_nm(found, budget)
+    assert proof is not None
+    value = quadratic(PROBLEM).value
+    least = within_budget(PROBLEM, budget, solve, tolerance=1e-5).solution.time_s
+    true = value(found.solution.time_s) ** 0.5 - value(least) ** 0.5
+    assert true <= proof + 1e-9
+    assert proof < (1e-4 if more == 1 else 3 * true)
+    assert any("no dwell within it leaves" in note for note in found.solution.certificate.notes)
 
 
 def test_more_budget_never_hurts() -> None:

@@ -14,6 +14,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import automatic, newton_cg, spectral
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.proof import proved
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.setup import regularisation_from_rho
 from polishd.process.dwell.validation import negligible, without_traces
@@ -108,6 +109,26 @@ def test_a_gap_that_is_proved_to_be_small_is_enough() -> None:
     assert soon.gap <= 1e-3
     assert soon.kkt_residual <= spectral.ACCEPTED
     assert soon.objective <= whole.objective * (1 + 1e-3)
+
+
+def test_a_sharper_proof_is_found_by_the_coarser_effect_and_holds() -> None:
+    asked = problem(rho=1e-5)
+    found = spectral.solve(asked, 120.0, 1e-4, 0.0)
+    sharper = proved(asked, found, 1e-6, 60.0).certificate
+    assert found.certificate.gap is not None
+    assert sharper.gap is not None
+    assert sharper.gap < 0.2 * found.certificate.gap
+    best = spectral.solve(asked, 120.0, 1e-7, 0.0).certificate.objective
+    assert found.certificate.objective - best <= sharper.gap * found.certificate.objective
+
+
+def test_what_the_effect_is_off_by_is_said_in_nm_too() -> None:
+    asked = problem()
+    found = spectral.solve(asked, 120.0)
+    effect = asked.effect
+    assert isinstance(effect, SpreadEffect)
+    off_nm = effect.error * found.removal_nm.max()
+    assert f"{effect.note}; here that is up to {off_nm:.2g} nm" in found.certificate.notes
 
 
 def test_steps_on_a_coarser_grid_come_to_the_same_dwell() -> None:

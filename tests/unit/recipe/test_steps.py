@@ -319,7 +319,12 @@ def test_nobody_is_asked_about_what_is_proved(program: Program, measured: Measur
     assert proved.gap is not None
     assert 0.0 <= proved.gap <= 1e-4
     assert proved.cross_check is None
-    doubtful = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=proved.gap / 2)
+    sharper = small_recipe(cross_check=DwellSolver("never", never), cross_check_above=proved.gap / 2)
+    more = checked(sharper, program, measured).certificate
+    assert more.cross_check is None
+    assert more.gap is not None
+    assert more.gap <= proved.gap / 2
+    doubtful = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=1e-13)
     assert checked(doubtful, program, measured).certificate.cross_check == "qp"
 
 
