@@ -58,7 +58,7 @@ def certified(
     f = f or quadratic(problem)
     objective, slope = f.at(t)
     gap = gap_at(problem, t, objective, slope)
-    told = [note for note in (conditioning_note(problem, f), _effect_note(problem, removal)) if note is not None]
+    told = [note for note in (conditioning_note(problem, f), *_effect_notes(problem, removal)) if note is not None]
     certificate = Certificate(
         solver=solver,
         objective=objective,
@@ -81,10 +81,16 @@ def certified(
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
 
 
-def _effect_note(problem: DwellProblem, removal: FloatArray) -> str | None:
+def _effect_notes(problem: DwellProblem, removal: FloatArray) -> tuple[str, ...]:
     """What the effect is off by, of this removal in nm, too: beside the gap, which is of the effect as given."""
     told, share = effect_note(problem.effect), off(problem.effect)
-    return told if told is None or not share > 0 else f"{told}; here that is up to {share * removal.max():.2g} nm"
+    if told is None:
+        return ()
+    return (
+        (told, f"without a matrix this removal is off by up to {share * removal.max():.2g} nm")
+        if share > 0
+        else (told,)
+    )
 
 
 def _finite(value: float) -> float | None:

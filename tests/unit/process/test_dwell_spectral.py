@@ -128,7 +128,8 @@ def test_what_the_effect_is_off_by_is_said_in_nm_too() -> None:
     effect = asked.effect
     assert isinstance(effect, SpreadEffect)
     off_nm = effect.error * found.removal_nm.max()
-    assert f"{effect.note}; here that is up to {off_nm:.2g} nm" in found.certificate.notes
+    assert effect.note in found.certificate.notes
+    assert f"without a matrix this removal is off by up to {off_nm:.2g} nm" in found.certificate.notes
 
 
 def test_steps_on_a_coarser_grid_come_to_the_same_dwell() -> None:
