@@ -51,6 +51,7 @@ def driver(plugin: Any, kind: str, options: dict[str, Any], folder: Path, endpoi
     return DriverCase(plugin=plugin, type=kind, options=options).build(folder, endpoint)
 
 
+@pytest.mark.full
 async def test_a_recorded_probe_is_played_to_the_drivers(
     probed: tuple[Path, dict[str, Any]], tmp_path: Path, type_of_actuator: str
 ) -> None:

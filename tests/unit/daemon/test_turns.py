@@ -115,6 +115,7 @@ async def test_the_first_pass_leaves_what_the_later_tool_does_better(bench: TwoT
     assert after[2] < after[1] < after[0]
 
 
+@pytest.mark.full
 async def test_a_tool_that_is_mounted_is_not_asked_for_again(bench: TwoTools) -> None:
     await bench.polish_by_hand(bench.job())
     again = bench.job(max_cycles=3)
@@ -126,6 +127,7 @@ async def test_a_tool_that_is_mounted_is_not_asked_for_again(bench: TwoTools) ->
     assert tools(bench) == ["wide", "narrow", "narrow"], "the last tool goes on to the end"
 
 
+@pytest.mark.full
 async def test_what_a_pass_taught_of_one_tool_is_believed_of_that_tool_alone(bench: TwoTools) -> None:
     job = bench.job(wide_passes=2, max_cycles=3)
     await bench.polish_by_hand(job)

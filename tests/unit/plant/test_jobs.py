@@ -42,6 +42,7 @@ async def states(machine: Node) -> list[str]:
     return [one.State[0].StateText.Text for one in value or ()]
 
 
+@pytest.mark.full
 async def test_every_mandatory_node_of_jobs_and_results_is_there(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _are(machine, STATES))
@@ -80,6 +81,7 @@ async def test_the_jobs_are_told_with_their_states(tmp_path: Path, daemon: Answe
         }  # fmt: skip
 
 
+@pytest.mark.full
 async def test_a_held_cell_has_its_job_interrupted(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,6 +92,7 @@ async def test_a_held_cell_has_its_job_interrupted(
         assert await seen(machine, "JobManagement", "JobOrderControl", "CurrentState") == ("Interrupted", "Good")
 
 
+@pytest.mark.full
 async def test_a_daemon_that_is_not_understood_leaves_jobs_unknown_and_results_as_they_are(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +106,7 @@ async def test_a_daemon_that_is_not_understood_leaves_jobs_unknown_and_results_a
         await until(lambda: _is_result(machine, None, "BadNoCommunication"))
 
 
+@pytest.mark.full
 async def test_the_latest_results_stand_there_with_verdict_and_figures(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _are(machine, STATES))
@@ -124,6 +128,7 @@ async def test_the_latest_results_stand_there_with_verdict_and_figures(tmp_path:
         assert await seen(machine, *part) == ("lens.1", "Good")
 
 
+@pytest.mark.full
 async def test_a_response_is_asked_for_by_job_and_by_state(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _are(machine, STATES))
@@ -156,6 +161,7 @@ async def test_nobody_can_order_motion(tmp_path: Path, daemon: Answers) -> None:
     assert not daemon.asked, "the daemon was asked for nothing but how it is"
 
 
+@pytest.mark.full
 async def test_nobody_can_write_a_job_or_a_result(tmp_path: Path, daemon: Answers) -> None:
     async with opcua.serving("cell 7", tmp_path, SECTION) as address, Client(address) as client:
         space = await client.get_namespace_index("urn:polishd:cell 7")

@@ -82,6 +82,7 @@ async def test_a_value_has_its_status_and_the_time_at_which_it_was_told(tmp_path
         assert (old.ServerTimestamp - old.SourceTimestamp).total_seconds() == pytest.approx(9.0, abs=0.5)
 
 
+@pytest.mark.full
 async def test_without_a_daemon_the_machine_is_not_available_and_nothing_else_is_known(tmp_path: Path) -> None:
     with answering(tmp_path):
         serving = watching(tmp_path)
@@ -96,6 +97,7 @@ async def test_without_a_daemon_the_machine_is_not_available_and_nothing_else_is
         await serving.__aexit__(None, None, None)
 
 
+@pytest.mark.full
 async def test_a_daemon_that_hangs_is_told_as_unknown_while_clients_are_answered(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,6 +119,7 @@ async def test_a_daemon_that_hangs_is_told_as_unknown_while_clients_are_answered
             over.set()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("answer", [{"ok": False, "error": "no"}, {"ok": True, "state": "dancing"}])
 async def test_an_answer_that_is_none_of_ours_is_told_as_unknown(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]
@@ -127,6 +130,7 @@ async def test_an_answer_that_is_none_of_ours_is_told_as_unknown(
         await until(lambda: _bad(machine, ("MachineryItemState", "CurrentState")))
 
 
+@pytest.mark.full
 async def test_nobody_can_write_add_or_remove(tmp_path: Path, daemon: Answers) -> None:
     async with opcua.serving("cell 7", tmp_path, SECTION) as address:
         client = Client(address)

@@ -79,6 +79,7 @@ def test_no_dwell_is_better_by_more_than_is_proved(
     assert value - least(problem) <= gap + 1e-10 * max(value, 1e-3)
 
 
+@pytest.mark.full
 @settings(max_examples=200, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), rho=st.sampled_from([1e-8, 1e-6, 0.1]), price=st.sampled_from([0.01, 1.0]))
 def test_nor_is_any_dwell_at_random_where_time_has_a_price(seed: int, rho: float, price: float) -> None:

@@ -73,12 +73,14 @@ def test_a_path_that_is_here_dense_and_there_thin_is_left_to_projected_newton() 
     assert 0.8 * spent_s < seconds <= spent_s, "both solvers' time"
 
 
+@pytest.mark.full
 def test_it_finds_it_where_an_upper_bound_holds() -> None:
     asked = problem()
     free = spectral.solve(asked, 120.0).time_s
     agree(replace(asked, upper_s=np.full(free.size, float(np.quantile(free, 0.8)))))
 
 
+@pytest.mark.full
 def test_weights_and_the_price_of_time_have_their_part() -> None:
     asked = problem()
     weighed = replace(asked, weight=np.where(GRID.radius_mm() < 9, 2.0, 1.0), price_nm2_per_s=0.5)
@@ -111,6 +113,7 @@ def test_a_gap_that_is_proved_to_be_small_is_enough() -> None:
     assert soon.objective <= whole.objective * (1 + 1e-3)
 
 
+@pytest.mark.full
 def test_a_sharper_proof_is_found_by_the_coarser_effect_and_holds() -> None:
     asked = problem(rho=1e-5)
     found = spectral.solve(asked, 120.0, 1e-4, 0.0)
@@ -132,6 +135,7 @@ def test_what_the_effect_is_off_by_is_said_in_nm_too() -> None:
     assert f"without a matrix this removal is off by up to {off_nm:.2g} nm" in found.certificate.notes
 
 
+@pytest.mark.full
 def test_steps_on_a_coarser_grid_come_to_the_same_dwell() -> None:
     asked = problem()
     effect = asked.effect

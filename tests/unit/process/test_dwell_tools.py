@@ -83,6 +83,7 @@ def test_a_change_that_costs_more_than_it_saves_is_not_made() -> None:
     assert dear.total_s == least
 
 
+@pytest.mark.full
 def test_the_slope_can_be_asked_for_and_is_met() -> None:
     plain = both(6.0)
     was = slope(np.nan_to_num(plain.residual_nm), MASK, 1.0).rms_urad

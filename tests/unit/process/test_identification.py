@@ -109,6 +109,7 @@ def test_errors_are_as_large_as_stated_over_fifty_passes() -> None:
     assert ((errors**2).mean(axis=0) > 0.4).all()
 
 
+@pytest.mark.full
 def test_drop_outs_and_a_bump_are_left_out() -> None:
     one, truth = polished(), {"rate": 0.1, "offset_x": 0.3}
     clean = one.removed(truth)
@@ -193,6 +194,7 @@ def test_the_projection_that_fits_is_found() -> None:
     assert (kept.projection, kept.projection_rivals) == ("linear", ())
 
 
+@pytest.mark.full
 def test_projections_that_fit_alike_are_said_to() -> None:
     one = polished(gamma_span=0.002)
     result = found(one.removed({}), one.blocks(normal=one.gamma + 1e-5), knowing(""))
@@ -241,6 +243,7 @@ def test_blocks_that_cannot_be() -> None:
         found(removed, replace(blocks, time_s=0 * blocks.time_s), prior)
 
 
+@pytest.mark.full
 def test_force_and_speed_count_as_they_were() -> None:
     one, prior = polished(), knowing("")
     half_speed = replace(one.blocks(), rpm=np.full(len(one.time), 500.0), force_n=np.full(len(one.time), np.nan))

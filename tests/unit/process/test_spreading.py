@@ -304,6 +304,7 @@ def test_it_is_an_effect_and_can_go_to_the_worker() -> None:
     assert effect.grid == GRID
 
 
+@pytest.mark.full
 def test_a_tolerance_out_of_reach_is_refused_with_what_was_reached() -> None:
     path = moves(60)
     with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 1.0e-06 is asked for"):

@@ -207,6 +207,7 @@ def listening(tmp_path: Path) -> Iterator[tuple[str, int]]:
             process.wait(SOON_S)
 
 
+@pytest.mark.full
 def test_a_body_that_is_too_slow_is_refused_and_others_are_answered_meanwhile(listening: tuple[str, int]) -> None:
     head = b"POST /api/session HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 100\r\n\r\n"
     with socket.create_connection(listening, SOON_S) as slow, socket.create_connection(listening, SOON_S) as other:

@@ -161,6 +161,7 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
         looped(path, 1)
 
 
+@pytest.mark.full
 def test_every_shipped_scenario_is_another_plant() -> None:
     study = load_study(EXAMPLES / "scenarios.toml")
     assert isinstance(study, LoopStudy)

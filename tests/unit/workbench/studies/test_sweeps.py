@@ -52,6 +52,7 @@ def table(folder: Path) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if key not in TIMES} for row in rows]
 
 
+@pytest.mark.full
 def test_a_killed_study_goes_on_and_has_the_same_table(tmp_path: Path) -> None:
     study, whole, killed = few(tmp_path), tmp_path / "whole", tmp_path / "killed"
     study_verb(study, StudyOptions(out=whole, workers=1), as_json=True)
@@ -158,6 +159,7 @@ def test_who_watches_a_cell_decides_no_case(tmp_path: Path) -> None:
     assert of('"process.rpm" = 900.0') != of("")
 
 
+@pytest.mark.full
 def test_rows_that_are_not_taken_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study, out = few(tmp_path), tmp_path / "out"
     study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
