@@ -102,6 +102,7 @@ bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.js
 
 performance: $(VENV)/.installed ## what make bench has measured, into docs/performance.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
+	@$(BIN)/python -m docs.reference.cost
 
 COMPARED = --limit 24
 compare: $(VENV)/.installed ## what the compliance correction is worth, on parts of 100 and 300 mm (COMPARED="--limit N")
