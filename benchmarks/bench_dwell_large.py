@@ -33,6 +33,7 @@ def rows(progress: Progress) -> Iterator[Row]:
         problem = build(case)
         yield cold(case, problem, peers.reference(problem, GAP), progress)
     for case in LARGE:
+        yield transforms(case, progress)
         yield dynamic(case, progress)
         yield warm(case, progress)
     yield memory(LARGE[0])
@@ -79,6 +80,16 @@ def entries(problem: DwellProblem) -> float:
     effect = problem.effect
     assert isinstance(effect, ConvolutionEffect)
     return effect.n * (2 * effect.corner[0] + 1) ** 2 * 0.785
+
+
+def transforms(case: Case, progress: Progress) -> Row:
+    """Ours beside nothing but the transforms of its iterations, one after the other: the ratio is to be 1/1.3."""
+    progress(f"transforms alone, {case.name}")
+    problem = build(case)
+    value, goal = peers.lean(problem).value, peers.reference(problem, GAP)
+    alone = partial(peers.transforms, problem, peers.iterations(problem, value, goal))
+    return race(f"dwell solve and its transforms, {case.name}", partial(peers.ours, problem, value, goal),
+                {"its transforms alone": alone}, progress=progress)  # fmt: skip
 
 
 def dynamic(case: Case, progress: Progress) -> Row:

@@ -83,6 +83,17 @@ def iterations(problem: DwellProblem, value: Callable[[FloatArray], float], goal
     return work.iterations
 
 
+def transforms(problem: DwellProblem, times: int) -> None:
+    """What so many iterations of ours transform: forth and back, one for the removal and one for each convolution."""
+    effect = problem.effect
+    assert isinstance(effect, ConvolutionEffect)
+    work = splitting(problem, effect)
+    spectrum = fft.rfft2(work.y)
+    for _ in range(times * (1 + work.rank)):
+        fft.rfft2(work.y)
+        fft.irfft2(spectrum, work.size)
+
+
 def newton(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
     zero = np.zeros(problem.effect.n)
     value, slope = f.value(zero), f.gradient(zero)
