@@ -50,11 +50,14 @@ def _version(asked: bool) -> None:
 @app.callback()
 def root(
     *,
-    version: Annotated[
+    _asked: Annotated[
         bool, Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Controller daemon of an unattended robotic polishing cell."""
+    # Before numpy is imported: BLAS threads that wait for each other take three times the CPU, on a busy machine more.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
 
 
 @app.command()

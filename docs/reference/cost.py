@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from docs.reference.performance import PAGE
 
-ROW = re.compile(r"^\| size: (phi|hexagon) .*?, (\d+) blocks, .*?(gap \S+|memory) \| (\S+) (s|MB) ", re.M)
+ROW = re.compile(r"^\| size: (phi|hexagon) .*?, (\d+) blocks, .*?(gap \S+|memory) \| (\S+) (s|MB) ", re.MULTILINE)
 
 
 def main() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,13 +43,6 @@ class MapGroup(TyperGroup):
 
 
 app = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
-
-
-@app.callback()
-def one_thread() -> None:
-    """Before numpy is imported: on a busy machine two BLAS threads wait for each other for a minute."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
 
 
 @app.command(DEFAULT)
