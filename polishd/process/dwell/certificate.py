@@ -84,13 +84,9 @@ def certified(
 def _effect_notes(problem: DwellProblem, removal: FloatArray) -> tuple[str, ...]:
     """What the effect is off by, of this removal in nm, too: beside the gap, which is of the effect as given."""
     told, share = effect_note(problem.effect), off(problem.effect)
-    if told is None:
-        return ()
-    return (
-        (told, f"without a matrix this removal is off by up to {share * removal.max():.2g} nm")
-        if share > 0
-        else (told,)
-    )
+    if told is None or not share > 0:
+        return () if told is None else (told,)
+    return told, f"without a matrix this removal is off by up to {share * removal.max():.2g} nm"
 
 
 def _finite(value: float) -> float | None:

@@ -24,7 +24,7 @@ from polishd.process.dwell import newton_cg
 from polishd.process.dwell.certificate import certified, gap_at
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Product, Quadratic, projected_gradient, quadratic, warm_start_s
+from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.validation import check
 from polishd.process.spreading.effect import SpreadEffect
 
@@ -128,14 +128,6 @@ def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
     return replace(problem, effect=effect.coarse, target_nm=nothing, solve_mask=mask, metric_mask=mask, weight=weight)
 
 
-def _curvature_of(problem: DwellProblem, effect: SpreadEffect) -> Product:
-    """Hessian times a direction, as `Quadratic.rough_curvature`, with the samples that do not count left in place."""
-    weight = np.where(problem.solve_mask, 1.0 if problem.weight is None else problem.weight, 0.0)
-    weight = (weight * (2 / np.count_nonzero(problem.solve_mask))).astype(effect.spectra.real.dtype)
-    held = 2 * problem.regularisation
-    return lambda way: effect.adjoint(weight * effect.removal_nm(way)) + held * way
-
-
 def _minimise(
     problem: DwellProblem, effect: SpreadEffect, f: Quadratic, tolerances: tuple[float, float], limit: TimeLimit
 ) -> tuple[FloatArray, int, str]:
@@ -144,7 +136,7 @@ def _minimise(
     lower, upper = problem.lower_s, problem.upper_s
     bending = stepping(problem, effect)
     near, pull = metric(bending, effect.coarse or effect)
-    bend_of = f.rough_curvature if bending is problem else _curvature_of(bending, near.effect)
+    bend_of = f.rough_curvature if bending is problem else quadratic(bending).rough_curvature
     start = warm_start_s(problem, f)
     bounded = lower.copy() if start is None else np.clip(start, lower, upper)
     look_at = f.rough_at if kkt_tolerance >= FINELY[0] and gap >= FINELY[1] else f.at

@@ -104,8 +104,6 @@ class SpreadEffect:
             dwell = (self.weights.T @ (self.coefficients[:, k] * times)).reshape(self.where.lattice)
             total += self.spectra[k] * scipy.fft.rfft2(dwell, self.where.size)
         fine = scipy.fft.irfft2(total, self.where.size, overwrite_x=True)[self._on_grid]
-        if self.finer == 1:
-            return np.asarray(fine, dtype=np.float64)
         cells = fine.reshape(self.grid.ny, self.finer, self.grid.nx, self.finer)
         return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64))
 
