@@ -56,7 +56,7 @@ class _Pass:
         said, misfit = judged(self.recipe, self.program, covers)
         found = [f"check will refuse: {said}{misfit}"] if misfit else []
         found += [*self.program.warnings, *steps.violations(self.recipe, self.plan), *self.solved.answer.notes]
-        return [*found, *self.planned.certificate.notes]
+        return list(dict.fromkeys([*found, *self.planned.certificate.notes]))  # the effect says its own in both
 
     def row(self) -> dict[str, Any]:
         """Its entry in the summary."""
