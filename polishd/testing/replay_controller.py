@@ -54,7 +54,10 @@ class Controller:
         self._passed = dict(variables)
         self._ends: dict[int, str] = {}
         """By line: how the link ended upon it."""
-        self._script = Script(name, self._exchanges(), Orders(), frozenset({READ, BEAT}))
+        found = self._exchanges()
+        self._timed = frozenset({BEAT, *(one.out for one in found if _taken_back(one.out))})
+        """Keys of what is written when its time is over, whatever else is ordered meanwhile."""
+        self._script = Script(name, found, Orders(), frozenset({READ, *self._timed}))
         self.mismatch: AssertionError | None = None
         """The first one; the link is lost over it, and the block raises it."""
 
@@ -81,9 +84,9 @@ class Controller:
         exchange = self._script.opened()
         return CUT_OFF if exchange is None else self._ends.get(exchange.line, "")
 
-    def has(self, message: bytes) -> bool:
-        """Whether it is recorded here, or was before."""
-        return self._script.has(message)
+    def is_early(self, message: bytes) -> bool:
+        """Whether it is recorded, but only of a later time, and was due by the driver's clock alone."""
+        return Orders().key(message) in self._timed and not self._script.has(message)
 
     def asked(self, message: bytes) -> tuple[Passed, str]:
         """What is recorded of it, and how the link was lost upon it."""
@@ -135,8 +138,8 @@ class Replayed:
         return Reading(one.at_s if one.clock_s is None else one.clock_s, values, one.changed_s or {})
 
     async def write(self, values: Mapping[str, Value]) -> None:
-        """See Variables. The first heartbeat comes when it is due, which may be sooner than then: it has no place."""
-        if set(values) == {"heartbeat"} and not self._controller.has(_written(values)):
+        """See Variables. A first heartbeat or an order's taking back comes when it is due: sooner than then, maybe."""
+        if self._controller.is_early(_written(values)):
             self._require()
         else:
             self._asked(_written(values))
@@ -185,6 +188,12 @@ def _delivered(files: Numbered) -> list[tuple[int, str, str]]:
         elif one.way == "end" and found:
             found[-1] = (*found[-1][:2], one.why)
     return found
+
+
+def _taken_back(out: bytes) -> bool:
+    """Whether an order is: one value, which is off."""
+    values = json.loads(out) if out not in (b"", READ) else {}
+    return len(values) == 1 and not any(values.values())
 
 
 def _written(values: Mapping[str, object]) -> bytes:

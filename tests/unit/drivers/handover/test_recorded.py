@@ -137,6 +137,27 @@ async def test_a_slower_machine_s_heartbeat_may_come_sooner_than_the_first_that_
         await again.write({"heartbeat": 2})
 
 
+async def test_an_order_may_be_taken_back_sooner_than_then(tmp_path: Path) -> None:
+    fake, heard = FakePlc(tmp_path), list[Passed]()
+    orders = [{"reset": True}, {"hold": True}, {"reset": False}, {"load": True}]
+    with heard_by(heard.append), talking_to("robot"):
+        link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
+        await link.open()
+        for values in orders:
+            await link.read()
+            await link.write(values)
+        await link.close()
+    path = written(tmp_path / "case.jsonl", heard)
+    async with replayed_controller(path, "robot") as plc:
+        again = plc.variables()
+        await again.open()
+        for at in (0, 2, 1, 3):
+            await again.read()
+            await again.write(orders[at])
+    with pytest.raises(AssertionError, match=r"the driver sent '{\"load\": true}'; the recording has"):
+        await played(path, lambda plc, link: link.write(orders[3]))
+
+
 async def test_an_order_that_is_not_recorded_ends_the_link_and_the_block(tmp_path: Path) -> None:
     fake, heard = FakePlc(tmp_path), list[Passed]()
     with heard_by(heard.append):
