@@ -58,7 +58,7 @@ class JobMaker:
         require_time_limits(config, self.cell)
         terms = await asyncio.to_thread(terms_of, config, programs[0].sha256)
         queue.require_held(entry)  # or the journal would have a job that another cell may be given now
-        own = journal.of_job(entry.name, entry.part_id, terms)
+        own = journal.of_job(entry.name, entry.part_id, terms, queue.begin_row(entry))
         require_same(config, terms, own)
         queue.begin(entry, own.number)
         await look_for_part(self.cell, config, hooks)

@@ -80,9 +80,9 @@ class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
         store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
         return cls(store, arrays, NO_JOB, nothing_known(store), resumed=False)
 
-    def of_job(self, job: str, part_id: str, terms: Mapping[str, Any]) -> Self:
-        """The same, with its unfinished job of that name, or a new one."""
-        number, resumed = _taken_up(self._store, self.arrays, job, part_id)
+    def of_job(self, job: str, part_id: str, terms: Mapping[str, Any], *also: Row) -> Self:
+        """The same, with its unfinished job of that name, or a new one: ``also`` is written with the latter's row."""
+        number, resumed = _taken_up(self._store, self.arrays, job, part_id, also)
         journal = type(self)(self._store, self.arrays, number, read_job(self._store, number), resumed=resumed)
         if not journal.begun:
             journal._take(part_id, terms)
@@ -239,23 +239,23 @@ def over_row(job: int, outcome: str, detail: str = "") -> Row:
     return "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?", (time.time(), outcome, detail, job)
 
 
-def _taken_up(store: Store, arrays: ArrayStore, job: str, part_id: str) -> tuple[int, bool]:
+def _taken_up(store: Store, arrays: ArrayStore, job: str, part_id: str, also: Sequence[Row]) -> tuple[int, bool]:
     """The number of the unfinished job of that name, or of a new one; and whether it is the former."""
     rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
     if rows and rows[0][1] == job:
         return int(rows[0][0]), True
-    number = _begin(store, job, part_id)
+    number = _begin(store, job, part_id, also)
     _drop_plans(store, arrays)
     return number, False
 
 
-def _begin(store: Store, job: str, part_id: str) -> int:
+def _begin(store: Store, job: str, part_id: str, also: Sequence[Row]) -> int:
     """A new row; a job that was not finished is over then, and the log says so."""
     for (name,) in store.read("SELECT name FROM job WHERE outcome IS NULL"):
         log.warning("the job %r was not finished; %r takes its place", name, job)
     sql = "UPDATE job SET ended = ?, outcome = 'stopped', detail = ? WHERE outcome IS NULL"
     new = "INSERT INTO job (name, part_id, terms, started) VALUES (?, ?, 'null', ?)"
-    store.write((sql, (time.time(), f"{job} took its place")), (new, (job, part_id, time.time())))
+    store.write((sql, (time.time(), f"{job} took its place")), (new, (job, part_id, time.time())), *also)
     return int(store.read("SELECT max(id) FROM job")[0][0])
 
 

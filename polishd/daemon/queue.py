@@ -193,6 +193,15 @@ class Queue:
         if self.holds(entry):
             raise ConfigError(f"the job {name!r} has just begun: hold the cell first (polishd hold)")
 
+    def begin_row(self, entry: Entry) -> Row:
+        """It is under way as the newest of the journal's jobs: to be written together with that job's row.
+
+        Between the two a kill would leave a job in the journal of which the queue knows nothing, and whose part another
+        cell may be given.
+        """
+        sql = "UPDATE queue SET begun = ?, job = (SELECT max(id) FROM job) WHERE id = ? AND ended IS NULL"
+        return sql, (time.time(), entry.id)
+
     def begin(self, entry: Entry, job: int) -> None:
         """It is under way, as that row of the journal's jobs; ConfigError where it was taken out meanwhile."""
         sql = "UPDATE queue SET begun = ?, job = ? WHERE id = ? AND ended IS NULL"
