@@ -118,13 +118,15 @@ READINGS: Sequence[tuple[str, str, str]] = (
     ("robot", "robot", "{state}, block {executed}, {buffer_s:.1f} s buffered"),
 )
 """Of what the devices told: the answer's name, ours, and what is said of it."""
+SAID = ("leaving", "reason", "next")
+"""In words."""
 
 
 def _rows(one: Watched, passed_s: float) -> Iterator[Row]:
     live = one.live
     cycle = "" if live.get("cycle") is None else f", cycle {live['cycle']}"
     yield "part", Text(f"{live.get('part')}, job {live.get('job')}{cycle}")
-    yield from ((name, Text(for_cell(str(live[name]), one.path))) for name in ("reason", "next") if live.get(name))
+    yield from ((name, Text(for_cell(str(live[name]), one.path))) for name in SAID if live.get(name))
     if one.cycles:
         yield "figure", Text(_figure(one.cycles))
         if (left := _left(one.cycles[-1])) is not None:

@@ -74,6 +74,10 @@ class Cell:
     """Force sensors whose zero is known: what hangs on them has not been changed since."""
     pressing: bool = False
     """The tool is on the part, on its way to it, or not yet known to be off again."""
+    leaving: str = ""
+    """The error over which contact is left, or was last; empty since the tool went down."""
+    on_broken: Callable[[BaseException], None] = field(default=lambda _: None, repr=False)
+    """Is told of it, before any device has confirmed anything."""
     emergency: bool = False
     """Motion is to stop at once, whatever the part costs: somebody asked for it."""
 
@@ -131,6 +135,17 @@ class Cell:
     def hears(self, name: str) -> None:
         """That device has answered."""
         self.heard_s[name] = time.monotonic()
+
+    def ended(self, task: asyncio.Task[None]) -> None:
+        """A done callback of what works or watches while the tool presses."""
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.breaks(error)
+
+    def breaks(self, error: BaseException) -> None:
+        """Contact is to be left over that error; later ones follow from it."""
+        if self.pressing and not self.leaving:
+            self.leaving = f"{type(error).__name__}: {error}"
+            self.on_broken(error)
 
     def robot_told(self, progress: RobotProgress) -> None:
         """The job's robot has said how far it is."""

@@ -84,8 +84,8 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
 
 def _fed(cell: Cell, job: Job, plan: Plan) -> AbstractAsyncContextManager[Stream]:
     """The robot, with the plan, and what it says told to whoever watches."""
-    least_s, heard = cell.limits.buffer_s, cell.robot_told
-    return streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, heard=heard)
+    least_s, heard, ended = cell.limits.buffer_s, cell.robot_told, cell.ended
+    return streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, heard=heard, ended=ended)
 
 
 _in_contact: set[object] = set()

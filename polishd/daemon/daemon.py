@@ -62,6 +62,7 @@ class Daemon:
         """The one under way, with the journal that knows it."""
         self.bus = bus
         self._cell = cell
+        cell.on_broken = partial(_tell_broken, bus)
         self._of_queue = False  # what a person is told to run depends on it
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
@@ -75,8 +76,7 @@ class Daemon:
             State.HELD: self._wait,
         }
         self._health = Health(cell, lambda: self.job)
-        self.state = State.STARTING
-        self.reason = ""
+        self.state, self.reason = State.STARTING, ""
 
     @property
     def handlers(self) -> dict[str, Handler]:
@@ -305,6 +305,12 @@ class Daemon:
         if order.refused and self.state is State.HELD:
             raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
         return {"state": self.state, "reason": self.reason, "next": to_do(self.state, queue=self._of_queue)}
+
+
+def _tell_broken(bus: EventBus, error: BaseException) -> None:
+    """At once: until every device has confirmed, or is given up, seconds pass."""
+    with suppress(PolishdError):  # a lost journal: polishing ends over it
+        bus.publish(events.ContactBroken(error=str(error), kind=type(error).__name__))
 
 
 async def to_the_end(daemon: Daemon) -> tuple[Outcome, Exception | None]:

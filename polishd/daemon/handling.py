@@ -194,7 +194,8 @@ class Handling:
         limits = replace(
             job.tools.now.contact, force_n=asked.force_n, rpm=0.0, force_band=FORCE_BAND, deepest_mm=deepest_mm
         )
-        feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=cell.limits.buffer_s)
+        least_s, ended = cell.limits.buffer_s, cell.ended
+        feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, ended=ended)
         async with feed as stream:
             await require_robot(cell)
             await stream.approach()

@@ -73,7 +73,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
     ``touch`` hears all samples, and when the tool is ordered off and is off. Yields what the words on the force say.
     """
     watch = _Watch(limits, touch, _force_check(limits))
-    cell.pressing = True
+    cell.pressing, cell.leaving = True, ""
     try:
         await tare(cell, limits.apart_n)
         await cell.spindle.set_speed(limits.rpm)
@@ -83,6 +83,8 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
                 group.create_task(_watch_force(cell, watch), name="watch force"),
                 group.create_task(watch_sensor(cell, watch.forces, touch, watch.landed), name="watch force sensor"),
             ]
+            for watcher in watchers:
+                watcher.add_done_callback(cell.ended)
             await _land(cell, watch)
             yield watch.forces
             touch.leave()
@@ -94,11 +96,14 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
         await cell.spindle.set_speed(0.0)
     except BaseExceptionGroup as errors:
         error = most_telling(errors)
+        cell.breaks(error)
         with told_first(errors):
             await make_safe(cell, touch, silent=watch.silent)
             error = await told_apart(cell, error, limits.apart_n)
         raise error from errors
     except BaseException as error:
+        if not isinstance(error, asyncio.CancelledError):  # an order, or what has ended beside
+            cell.breaks(error)
         with told_first(error):
             await make_safe(cell, touch, silent=watch.silent)
         raise

@@ -15,6 +15,7 @@ from polishd.ports.clock import Clock
 from polishd.ports.devices import Robot
 
 Heard = Callable[[RobotProgress], None]
+Ended = Callable[[asyncio.Task[None]], None]
 
 CHUNK = 128
 """Blocks handed over at once."""
@@ -158,9 +159,16 @@ class Stream:
 
 @asynccontextmanager
 async def streaming(
-    plan: Plan, robot: Robot, clock: Clock, lookahead_s: float, *, least_s: float, heard: Heard = lambda _: None
+    plan: Plan,
+    robot: Robot,
+    clock: Clock,
+    lookahead_s: float,
+    *,
+    least_s: float,
+    heard: Heard = lambda _: None,
+    ended: Ended = lambda _: None,
 ) -> AsyncIterator[Stream]:
-    """Prepare the robot and feed it in the background for as long as the block lasts."""
+    """Prepare the robot and feed it in the background for as long as the block lasts; ``ended``: a done callback."""
     await robot.prepare(plan)
     stream = Stream(plan, robot, clock, lookahead_s, least_s, heard=heard)
     try:
@@ -170,6 +178,8 @@ async def streaming(
                 group.create_task(stream.watch(), name="watch robot"),
                 group.create_task(stream.supplied(), name="watch supply"),
             ]
+            for task in tasks:
+                task.add_done_callback(ended)
             yield stream
             for task in tasks:
                 task.cancel()

@@ -32,6 +32,7 @@ async def _live(cell: Cell, health: Health, standing: Callable[[], Mapping[str, 
     return {
         **standing(),
         "pressing": cell.pressing,
+        "leaving": cell.leaving if cell.pressing else "",
         "approval": cell.approval.wanted,
         "told": cell.live.facts(),
         "ages_s": health.ages_s(),

@@ -139,6 +139,15 @@ class Acknowledged(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ContactBroken(Event):
+    """An error in contact was noticed, and the tool is being lifted; `held` or `failed` follows once all is safe."""
+
+    name: ClassVar[str] = "contact_broken"
+    error: Annotated[str, "what is wrong"]
+    kind: Annotated[str, "the error's class"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Held(Event):
     """An error that a person can mend holds the cell, or any error ends a job of the queue."""
 
@@ -380,6 +389,6 @@ class PlanWritten(Event):
 EVENTS: tuple[type[Event], ...] = (
     Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, Measured,
     Repeated, GateStopped, Learned, Found, Solved, ToolMounted, TouchedOff, SignalWrong, PlanWaits, Approved, PassBegun,
-    Progress, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, RateOffered, PlanWritten,
+    Progress, ContactBroken, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, RateOffered, PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

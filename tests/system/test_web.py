@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -87,6 +89,31 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
                 assert took_s < SEEN_S or os.getloadavg()[0] > cores / 2, took_s
             assert page.requests
             assert all(one.startswith((url, "data:", "about:")) for one in page.requests), page.requests
+            assert page.problems == []
+
+
+def test_a_link_that_is_pulled_in_contact_is_seen_and_explained_at_once(tmp_path: Path) -> None:
+    """Not only once the cell is safe and held: until then the tool is still being lifted."""
+    with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=1) as files:
+        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
+        lost_s = tomllib.loads(files.cell.read_text())["actuator"]["silence_s"]
+        token = Users(users_path(load_config(files.cell))).add("anna", Role.WATCH)
+        with web_of(files) as url, browsing(tmp_path / "browser") as page:
+            signed_in(page, url, token)
+            with Daemon(files) as daemon:
+                daemon.wait_in_contact(SOON_S)
+                page.until(FRESH)
+                actuator = json.loads((files.sim_dir / "pids.json").read_text())["actuator"]
+                os.kill(actuator, signal.SIGSTOP)
+                pulled_s = time.monotonic()
+                try:
+                    page.until("/lifted: LinkError.*actuator/.test(document.getElementById('why').textContent)")
+                    took_s = time.monotonic() - pulled_s
+                    page.until("document.getElementById('alarms').textContent.includes('actuator')")
+                finally:
+                    os.kill(actuator, signal.SIGCONT)
+                idle = os.getloadavg()[0] < (os.cpu_count() or 1) / 2
+                assert took_s < lost_s + 0.5 or not idle, took_s
             assert page.problems == []
 
 

@@ -100,7 +100,7 @@ function show() {
   if (!live) return;
   const phase = live.state === "polishing" ? live.phase : null;
   put("does", live.approval ? texts.waits : (phase && texts.phase[phase]) || texts.does[live.state] || live.state);
-  put("why", live.reason);
+  put("why", live.leaving ? texts.leaving(live.leaving) : live.reason);
   put("next", (phase && texts.soon[phase]) || live.next);
   progress(live);
   table(live, Number.isFinite(passed) ? passed : 1e9);

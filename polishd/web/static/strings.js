@@ -22,6 +22,7 @@ export const texts = {
     condition: "The pad is conditioned.", touch_off: "It feels how the part sits." },
   soon: { measure: "Next: learn from the last pass, and plan.", learn: "Next: compute the dwell.",
     solve: "Next: make the program.", plan: "Next: polish.", run: "Next: measure again." },
+  leaving: (why) => `The tool is being lifted: ${why}`,
   waits: "A plan waits for approval; nothing moves before.",
   part: "Part", job: "Job", cycle: "cycle", block: "block",
   age: (s) => (s === null || s === undefined ? "never" : s < 60 ? `${s.toFixed(1)} s ago` : `${Math.round(s / 60)} min ago`),

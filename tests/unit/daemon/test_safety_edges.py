@@ -130,3 +130,47 @@ async def test_landing_has_its_own_time_and_then_the_grace() -> None:
     fake.actuator.times = ActuatorTimes(landing_s=0.001)
     await polish_for(fake, 0.1, replace(LIMITS, grace_s=60.0))
     assert "robot.make_safe" not in fake.events
+
+
+async def test_why_contact_is_left_is_told_before_anybody_has_confirmed() -> None:
+    """Seconds may pass until then, and whoever watches the cell wonders."""
+    fake, told = FakeCell(), list[tuple[str, list[str]]]()
+    fake.cell.on_broken = lambda error: told.append((str(error), [*fake.events]))
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    assert fake.cell.leaving == ""
+    fake.spindle.ends = True
+    with pytest.raises(LinkError, match="samples ended"):
+        await task
+    ((why, before),) = told
+    assert fake.cell.leaving == f"LinkError: {why}"
+    assert "spindle: its samples ended" in why
+    assert not [one for one in before if "make_safe" in one]
+    fake.spindle.ends = False
+    await polish_for(fake)
+    assert fake.cell.leaving == "", "of the contact before"
+
+
+async def test_an_order_is_no_error_over_which_contact_is_left() -> None:
+    fake, told = FakeCell(), list[BaseException]()
+    fake.cell.on_broken = told.append
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert (told, fake.cell.leaving) == ([], "")
+
+
+async def test_what_ends_while_nothing_presses_breaks_no_contact() -> None:
+    fake, told = FakeCell(), list[BaseException]()
+    fake.cell.on_broken = told.append
+
+    async def fails() -> None:
+        raise LinkError("before it went down")
+
+    task = asyncio.ensure_future(fails())
+    task.add_done_callback(fake.cell.ended)
+    with pytest.raises(LinkError):
+        await task
+    assert (told, fake.cell.leaving) == ([], "")
