@@ -558,6 +558,7 @@ async def test_the_spindle_refuses_what_its_drive_says_it_cannot(spindle: Spindl
     assert spindle.safe()
 
 
+@pytest.mark.full
 async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(
     spindle: SpindleRig, cells: Cells, request: Any
 ) -> None:

@@ -76,6 +76,7 @@ def test_a_pass_and_what_is_wrong_with_requests() -> None:
     assert np.std((seen["height_nm"] - after["height_nm"])[inside]) == pytest.approx(0.3, rel=0.1)
 
 
+@pytest.mark.full
 def test_a_frame_without_end_ends_it() -> None:
     code, answers = asked(tail=b"no json\n")
     assert code == 1

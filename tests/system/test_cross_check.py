@@ -274,6 +274,7 @@ def programs(draw: st.DrawFn) -> bytes:
     return "\n".join([*lines, "M2", ""]).encode()
 
 
+@pytest.mark.full
 @given(programs())
 def test_both_readers_find_the_same_seconds_and_places(text: bytes) -> None:
     found = read(text, "t.rnc")

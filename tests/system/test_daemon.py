@@ -129,6 +129,7 @@ def quick_watchdogs_cell(out: Path) -> Iterator[DemoFiles]:
         yield files
 
 
+@pytest.mark.full
 def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: Path) -> None:
     with quick_watchdogs_cell(tmp_path / "cell") as files:
         with Daemon(files) as daemon:
@@ -259,6 +260,7 @@ def test_a_device_that_dies_in_contact_ends_the_pass_safely(tmp_path: Path, devi
         assert lifted, "the tool left the part"
 
 
+@pytest.mark.full
 def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
     files = write_small(tmp_path / "cell")
     answer = polishd("run", files.cell)

@@ -235,6 +235,7 @@ def test_silence_of_the_writer_holds_the_robot(shared: Cell) -> None:
         robot.close()
 
 
+@pytest.mark.full
 def test_silence_makes_the_actuator_let_go(shared: Cell) -> None:
     coil = shared.coil()
     try:

@@ -56,6 +56,7 @@ def test_from_the_text_to_the_robot() -> None:
     assert over(nc_stages(nc_program(BLOCKS)), BLOCKS) == {}
 
 
+@pytest.mark.full
 def test_from_what_the_robot_tells_to_the_report(tmp_path: Path) -> None:
     assert over(kept_stages(TOLD, tmp_path), TOLD) == {}
     run = tmp_path / "run"

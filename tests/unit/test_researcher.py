@@ -56,6 +56,7 @@ def test_the_page_has_all_and_each_is_short() -> None:
     assert all(len(text.strip().splitlines()) <= 9 for _, text in EXAMPLES)
 
 
+@pytest.mark.full
 def test_polishd_has_the_names_late() -> None:
     assert polishd.read_map is researcher.read_map
     with pytest.raises(AttributeError, match="no attribute 'read_mop'"):

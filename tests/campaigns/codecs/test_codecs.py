@@ -20,6 +20,7 @@ from tests.campaigns.codecs.talks import TALKS, campaign
 from tests.kinds import kind
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("make", TALKS, ids=lambda one: one.name)
 def test_no_reply_is_taken_for_a_value_that_is_none(monkeypatch: pytest.MonkeyPatch, make: type[Talk]) -> None:
     require_a_talk(*campaign(monkeypatch, make, 2_000))

@@ -26,6 +26,7 @@ from tests.unit.daemon.test_journal import FORMAT_1, FORMAT_2, made
 needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="strace records the writes")
 
 
+@pytest.mark.full
 @needs_strace
 def test_a_recording_without_a_crash_is_what_was_written(tmp_path: Path) -> None:
     disk = Disk()
@@ -42,6 +43,7 @@ def test_no_crash_loses_or_repeats_anything(tmp_path: Path) -> None:
     assert not tried.bad, tried.examples
 
 
+@pytest.mark.full
 @needs_strace
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("weak", [NORMAL, NO_STORE_SYNC])
@@ -51,6 +53,7 @@ def test_what_is_not_synced_is_found_to_be_lost(tmp_path: Path, weak: str) -> No
     assert tried.bad["twice_unmarked"]
 
 
+@pytest.mark.full
 @needs_strace
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("script", [FORMAT_2, FORMAT_1], ids=["2", "1"])

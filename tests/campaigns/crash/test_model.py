@@ -9,6 +9,7 @@ from tests.campaigns.crash.model import BROKEN, MISSING, check
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"the model is not checked: {MISSING}")
 
 
+@pytest.mark.full
 def test_no_order_of_steps_and_one_fault_breaks_a_promise() -> None:
     found = check(1)
     assert found.states > 1_000

@@ -113,6 +113,7 @@ in_import(module, mutant if sys.argv[1] == "fault" else module.sound(mutant), [t
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("fault", "failed"), [("fault", True), ("none", False)])
 def test_a_fault_is_in_what_is_imported(fault: str, failed: bool) -> None:
     command = [sys.executable, "-c", ONE_AT_IMPORT, fault]

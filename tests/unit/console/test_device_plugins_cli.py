@@ -71,6 +71,7 @@ def with_tool(cell: Path, plugin: str) -> int:
     return text.splitlines().index('type = "soft_tool"') + 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("verb", VERBS)
 def test_an_actuator_that_cannot_lift(polishd: Polishd, cell: Path, install: Callable[..., str], verb: str) -> None:
     line = with_tool(cell, install("acme", TOOL.format(retract="", build="    pass")))
@@ -107,6 +108,7 @@ def test_a_device_that_cannot_be_built(
     assert says in said.err
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("section", "address"),
     [

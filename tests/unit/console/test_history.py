@@ -33,6 +33,7 @@ def test_a_row_a_job_and_what_went_wrong(polishd: Polishd, cell: Path) -> None:
     assert "LinkError" in text
 
 
+@pytest.mark.full
 def test_for_programs(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     said = polishd("history", cell, "--json", "--out", tmp_path / "h.png")
     first, second = json.loads(said.out)["jobs"]
@@ -50,6 +51,7 @@ def test_no_job_yet_is_one_line(polishd: Polishd, tmp_path: Path) -> None:
     assert f"no job was begun in this cell yet; polishd run '{cell}' begins one" in said.err, "it can be copied"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("jobs", [0, 40])
 def test_the_picture_of_nothing_and_of_months(monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
     monkeypatch.setattr("polishd.show.style.DPI", 30)

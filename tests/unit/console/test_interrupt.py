@@ -89,6 +89,7 @@ def test_behind_nohup_it_is_not_heard(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
+@pytest.mark.full
 def test_the_module_is_the_program(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-m", "polishd", "version"], capture_output=True, check=True, timeout=60)
     assert ended.stdout == subprocess.run(

@@ -36,6 +36,7 @@ def waiting(polishd: Polishd, cell: Path) -> list[str]:
     return [found["name"] for found in polishd("job", "list", cell, "--json").answer["jobs"] if not found["verdict"]]
 
 
+@pytest.mark.full
 def test_jobs_are_added_listed_moved_and_taken_out(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     said = polishd("job", "add", cell, *(job(tmp_path, name) for name in ("a", "b", "c")))
     assert said.code == 0, said.err
@@ -49,6 +50,7 @@ def test_jobs_are_added_listed_moved_and_taken_out(polishd: Polishd, cell: Path,
     assert waiting(polishd, cell) == ["c", "b"]
 
 
+@pytest.mark.full
 def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     good, wrong = job(tmp_path, "a"), job(tmp_path, "b", "[process]\nforce_n = -1.0\n")
     said = polishd("job", "add", cell, good, wrong)
@@ -57,6 +59,7 @@ def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path:
     assert waiting(polishd, cell) == []
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("more", "code", "problem"),
     [
@@ -75,6 +78,7 @@ def test_each_is_judged_as_check_does(
     assert waiting(polishd, cell) == []
 
 
+@pytest.mark.full
 def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     path = job(tmp_path, "a")
     assert polishd("job", "add", cell, path).code == 0

@@ -190,6 +190,7 @@ def asked(polishd: Polishd, demo: Path) -> Asked:
     return Asked(polishd, demo)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each("case.wire")
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.kind}-{case.what}")
 def test_a_wrong_serial_line_is_told_in_one_line(asked: Asked, served: Served, case: Case) -> None:
@@ -198,6 +199,7 @@ def test_a_wrong_serial_line_is_told_in_one_line(asked: Asked, served: Served, c
     assert re.search(case.says, asked.told(case.section, scheme))
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each("case.wire")
 @pytest.mark.parametrize("case", TCP, ids=lambda case: f"{case.kind}-{case.what}")
 def test_a_wrong_peer_on_tcp_is_told_in_one_line(asked: Asked, served: Served, case: Case) -> None:

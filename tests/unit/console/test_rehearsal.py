@@ -319,6 +319,7 @@ def test_what_cannot_be_simulated_leaves_no_folder_behind(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["cell.toml"]
 
 
+@pytest.mark.full
 def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) -> None:
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))

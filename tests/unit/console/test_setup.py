@@ -39,6 +39,7 @@ def setup(cell: Path) -> dict[str, tuple[Any, str, str]]:
     return {step["what"]: (step["done"], step["found"], step["command"]) for step in found}
 
 
+@pytest.mark.full
 def test_a_new_cell_passes_its_check_and_has_all_else_to_do(cell: Path) -> None:
     found = setup(cell)
     done = [what for what, (is_done, _, _) in found.items() if is_done]

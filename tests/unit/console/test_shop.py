@@ -61,6 +61,7 @@ def test_tokens_are_shown_once_and_ended(office: Office) -> None:
     assert cells_of(shop).of_token(token) is people_of(shop).of_token(person) is None
 
 
+@pytest.mark.full
 def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office) -> None:
     added = office.told("add", office.job("a"), office.job("b"), "--by", "ada")
     assert [(one["job"], one["state"], one["by"]) for one in added["parts"]] == [

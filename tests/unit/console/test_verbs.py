@@ -53,6 +53,7 @@ def test_usage(polishd: Polishd, words: list[str]) -> None:
 # check
 
 
+@pytest.mark.full
 def test_check(polishd: Polishd, files: DemoFiles) -> None:
     said = polishd("check", files.cell, "--json")
     facts = json.loads(said.out)
@@ -67,6 +68,7 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
         assert said_to_people in people.out
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("change", "code", "says"),
     [
@@ -115,6 +117,7 @@ def test_check_says_what_the_program_covers_and_where_the_seat_is_proved(polishd
     assert covers.endswith("no point reaches 0.0 % of the clear aperture")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("change", "reach_mm", "says"),
     [
@@ -186,6 +189,7 @@ def test_plan_takes_the_cells_own_program(polishd: Polishd, files: DemoFiles, tm
     assert "program.rnc" in said.err
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("verb", ["plan", "demo"])
 def test_a_folder_that_cannot_be_written_is_one_line_at_once(
     polishd: Polishd, files: DemoFiles, tmp_path: Path, verb: str, monkeypatch: pytest.MonkeyPatch
@@ -232,6 +236,7 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
         assert polishd(verb, files.cell).code == 5, verb
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("state", "unsafe", "tool", "says"),
     [
@@ -268,6 +273,7 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     assert told_to_resume == ("it comes up held" in lines[-1]), "nobody is told to resume where no daemon runs"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("content", [None, b"", b"{}", b"[1]", b"\xff"])
 def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, content: bytes | None) -> None:
     files.state_dir.mkdir(exist_ok=True)
@@ -381,6 +387,7 @@ def test_a_demo_does_not_write_into_what_is_there(polishd: Polishd, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
+@pytest.mark.full
 def test_a_simulator_that_does_not_start_is_told(
     polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

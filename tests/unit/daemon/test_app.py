@@ -350,6 +350,7 @@ async def test_an_order_is_obeyed_though_it_cannot_be_written_down(bench: Bench)
         running.daemon.bus._sinks = ()
 
 
+@pytest.mark.full
 async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> None:
     waiting = asyncio.Event()
 
@@ -377,6 +378,7 @@ async def test_stop_in_contact(bench: Bench) -> None:
     assert bench.journal._store.read("SELECT outcome FROM job") == [(None,)], "it can be gone on with"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("order", ["resume", "stop"])
 async def test_orders_while_held(bench: Bench, order: str) -> None:
     async with Running(bench) as running:

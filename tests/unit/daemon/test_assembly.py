@@ -325,6 +325,7 @@ def test_the_instrument_reaches_recipe_and_devices(
     require_commissioned(config, recipe.instrument)
 
 
+@pytest.mark.full
 def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: Hooks) -> None:
     config = configured()
     assert config.profile_path is not None

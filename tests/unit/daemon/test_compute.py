@@ -55,6 +55,7 @@ def alive(pid: int) -> bool:
         return False
 
 
+@pytest.mark.full
 async def test_what_a_dwell_was_solved_with_stays_in_the_worker(compute: Compute) -> None:
     recipe, program = small_recipe(), small_program()
     measured = await compute(steps.condition, recipe, small_map())
@@ -69,6 +70,7 @@ async def test_what_a_dwell_was_solved_with_stays_in_the_worker(compute: Compute
     np.testing.assert_allclose(again.predicted_removal_nm, plan.predicted_removal_nm, rtol=1e-12)
 
 
+@pytest.mark.full
 async def test_arrays_go_and_come_back(compute: Compute) -> None:
     values = np.arange(600_000.0).reshape(600, 1000)
     doubled = await compute(jobs.double, values)
@@ -114,6 +116,7 @@ async def test_our_errors_come_back_as_themselves(compute: Compute) -> None:
     assert caught.value.__notes__ == ["at 3, 4"]
 
 
+@pytest.mark.full
 async def test_other_errors_are_compute_errors_with_their_traceback(compute: Compute) -> None:
     with pytest.raises(ComputeError, match="divide failed: ZeroDivisionError: float division by zero") as caught:
         await compute(jobs.divide, 1.0, 0.0)
@@ -133,6 +136,7 @@ async def test_what_cannot_travel_is_an_error_and_the_worker_stays(compute: Comp
     assert await compute(jobs.pid) == pid
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "job", [jobs.burn_on, jobs.threads_burn_on, jobs.ignore_everything], ids=lambda job: job.__name__

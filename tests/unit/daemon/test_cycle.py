@@ -96,6 +96,7 @@ async def test_no_figure_is_believed_of_a_map_that_the_gate_stops(bench: Bench) 
     assert bench.journal.history[1].stats["rms_nm"] < seems_nm < bench.journal.history[0].stats["rms_nm"]
 
 
+@pytest.mark.full
 async def test_cycles_used_after_one_measurement_more_than_passes(bench: Bench) -> None:
     job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2)
     bench.rate = 0.9
@@ -194,6 +195,7 @@ async def test_the_intent_is_durable_before_the_robot_moves(bench: Bench) -> Non
     assert known == [1, 1, 1]
 
 
+@pytest.mark.full
 async def test_the_rate_of_the_last_pass_is_used_in_the_next(bench: Bench) -> None:
     bench.rate = 0.8
     await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2))
@@ -400,6 +402,7 @@ async def test_a_link_that_stays_lost_moves_nothing(bench: Bench) -> None:
     assert bench.journal.passes == ()
 
 
+@pytest.mark.full
 async def test_garbage_is_searched_for_in_little_while_the_tool_presses(bench: Bench) -> None:
     frozen: list[int] = []
     for call in ("set_force", "retract"):
@@ -412,6 +415,7 @@ async def test_garbage_is_searched_for_in_little_while_the_tool_presses(bench: B
 # what passes show
 
 
+@pytest.mark.full
 async def test_passes_that_bring_nothing_end_the_job(bench: Bench) -> None:
     job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=9)
     assert await bench.polish(job) is Outcome.STALLED
@@ -419,6 +423,7 @@ async def test_passes_that_bring_nothing_end_the_job(bench: Bench) -> None:
     assert len(bench.journal.passes) < 9
 
 
+@pytest.mark.full
 async def test_a_worn_tool_waits_for_a_person_who_may_go_on_with_it(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

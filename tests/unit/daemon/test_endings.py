@@ -108,6 +108,7 @@ async def test_a_map_that_is_late_again_holds_again(bench: Bench) -> None:
     assert running.states() == ["polishing", "held", "polishing", "held", "polishing"]
 
 
+@pytest.mark.full
 async def test_a_link_that_was_lost_is_opened_again_before_anybody_measures(bench: Bench) -> None:
     """The spindle is gone when the pass should begin; it holds until the spindle is back."""
     spindle = bench.fake.spindle.acts
@@ -210,6 +211,7 @@ async def test_no_hold_ends_with_the_causes_own_code(site: Site, error: PolishdE
     assert "the daemon has ended" in summary["next"]
 
 
+@pytest.mark.full
 async def test_no_hold_does_not_wait_for_a_person_after_an_interruption(site: Site) -> None:
     await stopped_in_a_pass(site)
     summary = await run_cell(site.config, site.hooks, holds=False)
@@ -255,6 +257,7 @@ def last_record(site: Site) -> dict[str, Any]:
     return dict(json.loads((site.config.state_dir / RECORD_NAME).read_text()))
 
 
+@pytest.mark.full
 async def test_each_end_says_how_the_cell_stands(site: Site) -> None:
     done = await run_cell(site.config, site.hooks)
     assert (done["tool_off"], done["robot_at_rest"], done["unsafe"], done["exit_code"]) == ("yes", "yes", [], 0)
@@ -262,6 +265,7 @@ async def test_each_end_says_how_the_cell_stands(site: Site) -> None:
     assert last_ending(site.config.state_dir)["state"] == "in_tolerance"
 
 
+@pytest.mark.full
 async def test_a_device_that_did_not_confirm_is_named_when_no_daemon_runs_any_more(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -310,6 +314,7 @@ async def test_held_over_an_error_and_stopped_is_one_cause_and_its_code(site: Si
     assert [(cause["kind"], cause["ended"]) for cause in summary["causes"]] == [("StaleMap", True)]
 
 
+@pytest.mark.full
 async def test_the_first_cause_survives_a_second_failed_start(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     build = site.build
     breaks: list[Callable[[Bench], None]] = [force_that_fails, no_spindle]
@@ -336,6 +341,7 @@ def no_spindle(bench: Bench) -> None:
     bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody answers")
 
 
+@pytest.mark.full
 async def test_a_lost_journal_still_has_last_words(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))
@@ -367,6 +373,7 @@ async def test_an_error_of_nobodys_is_told_too(site: Site) -> None:
 # interrupted passes
 
 
+@pytest.mark.full
 async def test_an_interrupted_pass_costs_none_of_max_cycles_and_is_marked(tmp_path: Path) -> None:
     changes: dict[str, Any] = {"max_cycles": 2, "recipe": small_recipe(tolerance_nm=1e-6)}
     with open_journal(tmp_path) as journal:

@@ -87,6 +87,7 @@ async def test_the_seat_is_proved_at_three_places_before_contact_with_the_spindl
     assert "the part sits" in kept["notes"][0]
 
 
+@pytest.mark.full
 async def test_the_robot_stands_at_the_place_while_the_tool_is_down(bench: Bench) -> None:
     """It goes there with the tool up, and leaves after the lift."""
     await bench.polish(proving(bench))
@@ -108,6 +109,7 @@ async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int
     assert told.seat.height_mm == pytest.approx(-0.2 * sign, abs=0.02)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("positions_mm", "said"),
     [
@@ -175,6 +177,7 @@ async def test_more_force_than_the_band_ends_the_touch_off_as_it_ends_contact(be
     assert bench.fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
 
 
+@pytest.mark.full
 async def test_a_position_counts_once_the_force_sensor_says_that_the_force_acts(bench: Bench) -> None:
     sensor, read = bench.fake.with_force_sensor(), list[float]()
 
@@ -205,6 +208,7 @@ async def test_a_spindle_that_turns_ends_the_touch_off(bench: Bench) -> None:
     assert CONTACT not in bench.fake.events
 
 
+@pytest.mark.full
 async def test_a_spindle_at_rest_may_read_a_little(bench: Bench) -> None:
     bench.fake.spindle.reads = lambda sample: replace(sample, rpm=sample.rpm + 2.0)
     assert await bench.polish(proving(bench)) is Outcome.CYCLES_USED
@@ -244,6 +248,7 @@ async def test_a_touch_off_is_checked_like_any_plan(bench: Bench) -> None:
     assert bench.moved() == []
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("each_pass", "proofs"), [(False, 1), (True, 2)])
 async def test_how_often_it_is_proved(bench: Bench, each_pass: bool, proofs: int) -> None:
@@ -253,6 +258,7 @@ async def test_how_often_it_is_proved(bench: Bench, each_pass: bool, proofs: int
     assert len(bench.journal.passes) == 2
 
 
+@pytest.mark.full
 async def test_after_a_hold_it_is_proved_again(bench: Bench) -> None:
     """Somebody may have touched the part."""
     job = proving(bench)
@@ -282,6 +288,7 @@ def said(path: Path, code: str = "") -> tuple[str, ...]:
     return (sys.executable, "-c", f"import os, sys; print({told}, file=open({str(path)!r}, 'a')); {code}")
 
 
+@pytest.mark.full
 async def test_commands_run_between_passes_in_their_order(bench: Bench, tmp_path: Path) -> None:
     step = Step(command=said(tmp_path / "said"), folder=tmp_path)
     await bench.polish(between(bench, Between(clean=step, condition=step)))
@@ -388,6 +395,7 @@ class WarmPart:
         return as_map(true.height_nm + self._warm_nm * radius**2)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("settle", [Settle(limit_nm=0.2, maps=9, wait_s=60.0), None])
 async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, settle: Settle | None) -> None:
@@ -431,6 +439,7 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     assert not (bench.tmp_path / "run/cycle-01/learned.json").exists(), "nothing is learned from such maps"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("tolerance_nm", "held"), [(1.0, True), (4.0, False)])
 async def test_a_part_that_goes_on_changing_holds_the_cell_where_the_tolerance_does_not_bear_it(
     bench: Bench, tolerance_nm: float, held: bool

@@ -63,6 +63,7 @@ async def lifted_and_held(running: Running) -> str:
     return running.daemon.reason
 
 
+@pytest.mark.full
 async def test_a_disk_that_fills_up_in_contact_is_left_before_it_is_full(bench: Bench, disk: Disk) -> None:
     async with Running(bench) as running:
         await running.in_contact()
@@ -115,6 +116,7 @@ async def test_a_disk_that_is_full_ends_it_where_nobody_is_there(bench: Bench, d
             await running.outcome()
 
 
+@pytest.mark.full
 async def test_a_loop_that_is_late_twice_in_contact_is_no_loop_to_press_with(bench: Bench, disk: Disk) -> None:
     async with Running(bench) as running:
         await running.in_contact()

@@ -291,6 +291,7 @@ async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path
     assert learned["beliefs"]["rate"] == journal.passes[1].facts["rate"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("force_n", "sensed_n", "rate"), [(9.6, None, 1.0), (None, None, 0.8), (12.0, 9.6, 1.0)])
 async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     job: Job, force_n: float | None, sensed_n: float | None, rate: float
@@ -339,6 +340,7 @@ async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itse
 # after a restart
 
 
+@pytest.mark.full
 async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
     surface = await whole_cycle(job, 0, small_map(), rate=0.8)
     again = await whole_cycle(job, 1, surface, rate=0.8)

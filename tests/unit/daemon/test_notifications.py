@@ -98,6 +98,7 @@ def waiting(site: Site, name: str) -> list[str]:
 # a cell and its people
 
 
+@pytest.mark.full
 async def test_a_pass_that_fails_is_told_by_mail_webhook_and_command_in_the_words_of_status(
     site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,6 +176,7 @@ async def test_a_broken_notifier_takes_nothing_down(site: Site, told_by: Any) ->
     assert [one["error"] for one in journalled(site, "notification_failed")] == ["SystemExit: who wrote this"]
 
 
+@pytest.mark.full
 async def test_what_waits_for_a_notifier_that_is_gone_is_told(
     site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

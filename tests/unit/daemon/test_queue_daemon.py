@@ -165,6 +165,7 @@ class Knot:
         self.itself = self
 
 
+@pytest.mark.full
 async def test_what_the_passes_of_a_job_froze_does_not_outlive_it(hall: Hall) -> None:
     """The collector looks for garbage among what is old when a quarter of it is new: parts after it was frozen."""
     knots: list[weakref.ref[Knot]] = []

@@ -28,6 +28,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         yield Bench(tmp_path, journal)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", ["actuator", "robot", "spindle", "metrology"])
 async def test_a_device_that_is_not_ready_is_told_by_its_own_words_and_nothing_moves(bench: Bench, name: str) -> None:
@@ -80,6 +81,7 @@ async def test_a_device_that_the_job_does_not_use_is_not_asked_to_be_ready(bench
     assert await bench.polish(bench.job(max_cycles=1)) is Outcome.CYCLES_USED
 
 
+@pytest.mark.full
 async def test_no_touch_off_and_no_conditioning_with_a_device_that_is_not_ready(bench: Bench, tmp_path: Path) -> None:
     bench.fake.actuator.tells = DISABLED
     with pytest.raises(DeviceFault, match="drive disabled"):

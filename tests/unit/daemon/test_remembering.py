@@ -76,6 +76,7 @@ async def test_a_job_begins_with_the_rate_of_the_last_one_and_says_so(tmp_path: 
     assert note in json.loads(stats)["notes"], "in the journal, too"
 
 
+@pytest.mark.full
 async def test_its_plan_counts_with_it_and_its_pass_keeps_it(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -105,6 +106,7 @@ async def test_the_last_lesson_counts(tmp_path: Path) -> None:
     assert (await begun(tmp_path, "third")).tools.believed.rate == last
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("key", "value", "remembers"),
     [
@@ -142,6 +144,7 @@ async def test_the_time_of_a_block_goes_with_the_machine(tmp_path: Path) -> None
     assert other.tools.believed == Believed(Beliefs(Belief(0.9)), REMEMBERS.envelope.block_overhead_s)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("why", ["off", "narrowed", "tool", "forgotten", "of no use"])
 async def test_nothing_is_remembered(tmp_path: Path, why: str, caplog: pytest.LogCaptureFixture) -> None:
     await taught(tmp_path)
@@ -168,6 +171,7 @@ async def test_nothing_is_remembered(tmp_path: Path, why: str, caplog: pytest.Lo
     assert ("is of no use: other parameters" in caplog.text) is (why == "of no use")
 
 
+@pytest.mark.full
 async def test_what_is_learned_after_forgetting_is_remembered(tmp_path: Path) -> None:
     await taught(tmp_path)
     remembering.forget(tmp_path, "")

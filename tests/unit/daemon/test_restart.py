@@ -95,6 +95,7 @@ async def stopped_after_a_pass(site: Rerun) -> None:
     site.stop_at = None
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("when", ["between the runs", "while held"])
 async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun, when: str) -> None:
@@ -121,6 +122,7 @@ async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun
     assert (folder / "cycle-00/plan.npz").read_bytes() == (store / f"{site.arrays('pass', 'plan')[0]}.npz").read_bytes()
 
 
+@pytest.mark.full
 async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     site: Rerun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,6 +146,7 @@ async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     assert np.array_equal(starts[1].state["multipliers"], np.arange(3.0)), "what its solver can start from, too"
 
 
+@pytest.mark.full
 async def test_a_job_that_an_earlier_polishd_began_goes_on(site: Rerun) -> None:
     """It kept where the part lay as an array, and of what it believed two numbers."""
     await stopped_after_a_pass(site)
@@ -180,6 +183,7 @@ async def test_another_edge_is_refused_before_anything_is_opened(site: Rerun) ->
     assert site.bench.fake.events == []
 
 
+@pytest.mark.full
 async def test_another_program_is_refused_and_the_old_one_goes_on(site: Rerun) -> None:
     from tests.unit.daemon.small import small_program
 
@@ -191,6 +195,7 @@ async def test_another_program_is_refused_and_the_old_one_goes_on(site: Rerun) -
     assert (await resumed(site))["outcome"] == "in_tolerance"
 
 
+@pytest.mark.full
 async def test_a_run_folder_that_cannot_be_written_ends_no_job(site: Rerun, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*arguments: Any) -> None:
         raise OSError(28, "No space left on device")

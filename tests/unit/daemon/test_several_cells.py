@@ -67,6 +67,7 @@ def logged(site: Site) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (site.config.state_dir / "polishd.log").read_text().splitlines()]
 
 
+@pytest.mark.full
 async def test_each_cell_has_a_job_of_its_own(sites: Sites) -> None:
     ended = await sites.run()
     for site, found in zip(sites.all, ended, strict=True):
@@ -86,6 +87,7 @@ def no_run_folder(bench: Any) -> None:
     (bench.tmp_path / "run").write_text("in the way")
 
 
+@pytest.mark.full
 async def test_a_journal_that_is_lost_at_the_end_is_its_own_cells_affair(
     sites: Sites, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,6 +146,7 @@ async def test_an_ended_cell_is_given_back_while_the_other_goes_on(sites: Sites)
     assert [found["outcome"] for found in task.result()] == ["failed", "stopped"]
 
 
+@pytest.mark.full
 async def test_a_signal_stops_all_safely(sites: Sites) -> None:
     in_contact, all_are = set[int](), asyncio.Event()
 

@@ -100,6 +100,7 @@ async def test_what_goes_wrong_on_the_way_to_the_part_is_found_as_the_tool_is_se
         assert bench.journal.contact_s(0) == 0.0
 
 
+@pytest.mark.full
 async def test_estop_stops_motion_whatever_the_part_costs(bench: Bench) -> None:
     monitor = monitored(bench, "estop")
     stopped: list[bool] = []

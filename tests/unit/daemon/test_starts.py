@@ -60,6 +60,7 @@ async def test_a_run_folder_that_cannot_be_written_refuses_a_new_job(site: Rerun
     assert moved_nothing(site)
 
 
+@pytest.mark.full
 async def test_a_run_folder_that_cannot_be_written_does_not_end_a_job_that_was_begun(site: Rerun) -> None:
     folder = site.config.run_dir
     await stopped_after_a_pass(site)
@@ -103,6 +104,7 @@ async def test_a_clock_that_jumps_by_a_year_while_it_runs_changes_nothing(
         assert journal.passes[0].how == "interrupted"
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("years", [-1.0, 1.0])
 async def test_a_clock_that_jumped_between_two_runs_changes_nothing(

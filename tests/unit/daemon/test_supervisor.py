@@ -96,6 +96,7 @@ def test_a_supervisor_that_is_gone_is_logged_and_keeps_nobody(tmp_path: Path, ca
     assert "the supervisor of this process cannot be told STOPPING=1" in caplog.text
 
 
+@pytest.mark.full
 async def test_a_run_tells_its_supervisor_what_it_does(
     site: Site, systemd: Systemd, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,7 @@ def tools(bench: Bench) -> list[str]:
     return [record.facts["tool"] for record in bench.journal.passes]
 
 
+@pytest.mark.full
 async def test_each_tool_has_its_turn_with_its_own_force_and_is_asked_for_by_name(bench: TwoTools) -> None:
     outcome, asked = await bench.polish_by_hand(bench.job())
     assert outcome is Outcome.CYCLES_USED
@@ -103,6 +104,7 @@ async def test_each_tool_has_its_turn_with_its_own_force_and_is_asked_for_by_nam
     assert mounted(bench.journal) == "narrow"
 
 
+@pytest.mark.full
 async def test_the_first_pass_leaves_what_the_later_tool_does_better(bench: TwoTools) -> None:
     """One problem for both: the plan of the first pass expects more to be left than the joint one does."""
     job = bench.job()

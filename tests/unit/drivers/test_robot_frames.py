@@ -120,6 +120,7 @@ def damaged(frame: bytes, how: str, at: int, bit: int) -> bytes:
     return {"drop": b"", "cut": frame[:at], "twice": frame[:at] * 2, "noise": b"PL" * bit + b"P"}[how]
 
 
+@pytest.mark.full
 @settings(max_examples=300)
 @given(st.lists(st.tuples(st.binary(max_size=40), st.none() | DAMAGE), max_size=30), st.integers(1, 50))
 def test_sound_frames_among_damaged_ones_are_all_found_and_no_other(

@@ -145,6 +145,7 @@ async def test_a_response_is_asked_for_by_job_and_by_state(tmp_path: Path, daemo
         assert ([one.JobOrderID for one in ended], status) == (["lens", "mirror"], 0)
 
 
+@pytest.mark.full
 async def test_nobody_can_order_motion(tmp_path: Path, daemon: Answers) -> None:
     """Methods of ISA-95 that store, start, pause or stop a job are not there; by the type's they are refused, too."""
     async with watching(tmp_path) as machine:

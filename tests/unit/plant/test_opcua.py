@@ -51,6 +51,7 @@ def daemon(tmp_path: Path) -> Iterator[Answers]:
         yield found
 
 
+@pytest.mark.full
 async def test_every_mandatory_node_of_the_models_is_there_and_can_be_read(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _is(machine, ("Cell", "State"), "polishing"))
@@ -70,6 +71,7 @@ async def test_every_mandatory_node_of_the_models_is_there_and_can_be_read(tmp_p
         assert (await Node(machine.session, number).read_browse_name()).Name == "Executing"
 
 
+@pytest.mark.full
 async def test_a_value_has_its_status_and_the_time_at_which_it_was_told(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _is(machine, ("Cell", "State"), "polishing"))

@@ -110,6 +110,7 @@ def off(lesson: Lesson, name: str, true: float = 0.0) -> float:
 HALF_A_SAMPLE = MapPixels(Grid(71, 71, 0.5))
 
 
+@pytest.mark.full
 def test_a_machine_as_it_is_configured_is_found_so_and_a_round_contact_does_not_turn() -> None:
     lesson = taught(HALF_A_SAMPLE)
     assert lesson.stop == ""

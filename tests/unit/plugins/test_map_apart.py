@@ -39,6 +39,7 @@ def read(tmp_path: Path, what: str, **bounds: Any) -> SurfaceMap:
     return apart.read(parsers_apart.__name__, path, apart.USUAL._replace(**bounds))
 
 
+@pytest.mark.full
 def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
     surface = read(tmp_path, "map")
     assert (surface.pitch_mm, surface.path) == (0.5, tmp_path / "map.bin")
@@ -53,6 +54,7 @@ def test_a_file_is_called_as_it_was_named(tmp_path: Path, monkeypatch: pytest.Mo
         read(Path(), "refuse")
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("what", "reason"),
@@ -173,6 +175,7 @@ def test_an_interrupted_read_is_not_the_next_ones_answer(tmp_path: Path, monkeyp
     assert int(read(tmp_path, "map").part_id) != first
 
 
+@pytest.mark.full
 def test_nobody_waits_for_another_ones_file(tmp_path: Path) -> None:
     """Two cells in one process: a file of the one hangs, and the other's is read meanwhile; then both are served."""
     hung = tmp_path / "hung.bin"

@@ -141,6 +141,7 @@ def test_broken(tmp_path: Path, case: str) -> None:
     assert str(caught.value).startswith(f"{tmp_path / 'map.int'}: ")
 
 
+@pytest.mark.full
 def test_memory_is_bounded(tmp_path: Path) -> None:
     rows, columns = 600, 700
     content = make.codev(np.arange(rows * columns, dtype=np.float64).reshape(rows, columns) / 1e3)

@@ -77,6 +77,7 @@ def test_what_the_worker_says_is_the_map(tmp_path: Path, library: Path) -> None:
     assert surface.warnings == ("the default one of 2 channels is taken",)
 
 
+@pytest.mark.full
 def test_a_date_that_the_library_fills_in_is_guessed(tmp_path: Path, library: Path) -> None:
     """``Date 02:15:18`` is month, day and year, and read as a time of today: a map of years ago would be new."""
     path = put(tmp_path, library, info="{'acquisition_time': dateutil.parser.parse('02:15:18')}")
@@ -86,6 +87,7 @@ def test_a_date_that_the_library_fills_in_is_guessed(tmp_path: Path, library: Pa
     assert "is today's, as if filled in: the map counts as not dated" in surface.warnings[-1]
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("text", "by"), [("02/15/18 10:32:11", "header"), ("02/15/18", "guessed"), ("2018-02-15T10:32:11Z", "header")]
@@ -98,11 +100,13 @@ def test_a_date_with_its_year_is_the_headers(tmp_path: Path, library: Path, text
     assert surface.taken_at.tzinfo
 
 
+@pytest.mark.full
 def test_what_is_no_date_at_all_is_none(tmp_path: Path, library: Path) -> None:
     surface = tail.read(put(tmp_path, library, info="{'acquisition_time': 'soon'}"))
     assert (surface.taken_at, surface.warnings) == (None, ("the default one of 2 channels is taken",))
 
 
+@pytest.mark.full
 def test_a_file_without_units_leaves_them_open(tmp_path: Path, library: Path) -> None:
     surface = tail.read(put(tmp_path, library, unit=None))
     assert surface.unsaid == {"orientation", "surface", "unit", "pitch"}
@@ -113,6 +117,7 @@ def test_pixels_that_are_not_square_have_no_pitch(tmp_path: Path, library: Path)
     assert "square pixels" in tail.read(put(tmp_path, library, y_nm=3e3)).unsaid
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("body", "said"),
@@ -136,12 +141,14 @@ def test_what_goes_wrong_there_is_refused_here(tmp_path: Path, library: Path, bo
     assert "map.OPD" in str(refused.value)
 
 
+@pytest.mark.full
 def test_a_worker_that_hangs_is_ended(tmp_path: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tail, "BOUNDS", tail.BOUNDS._replace(wall_s=0.5))
     with pytest.raises(BadMap, match=r"within 0\.5 s"):
         tail.read(put(tmp_path, library, "import threading; threading.Event().wait()"))
 
 
+@pytest.mark.full
 def test_without_the_extra_it_says_so(tmp_path: Path, library: Path) -> None:
     assert not list(library.iterdir())
     with pytest.raises(BadMap, match=r"pip install 'polishd\[tail\]'"):

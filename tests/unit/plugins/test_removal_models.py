@@ -164,6 +164,7 @@ def test_a_measured_tif_that_is_none_is_refused() -> None:
         the_model("measured_tif").effect(request(tif=MeasuredTif(np.zeros((5, 5)), 0.1)))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("correction", ["none", "linear", "power", "exact", "pointwise"])
 def test_the_measured_spot_acts_as_the_model_that_it_was_made_with(correction: Correction) -> None:
     """Each correction is relative to the depth ratio of the measurement, 0.87, where the model's is to the rigid."""
@@ -230,6 +231,7 @@ def large(n: int = 800) -> RemovalRequest:
     return dataclasses.replace(base, program=program, process=process, grid=Grid(41, 41, 1.0))
 
 
+@pytest.mark.full
 def test_a_matrix_that_would_be_too_large_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
     small = the_model().effect(large())
     monkeypatch.setattr(along_path, "MATRIX_ENTRIES", 50_000)
@@ -250,6 +252,7 @@ def test_where_no_effect_without_a_matrix_is_near_enough_it_is_one_and_says_why(
     assert any(note.startswith("the effect is a matrix: without a matrix the removal is off") for note in answer.notes)
 
 
+@pytest.mark.full
 def test_a_matrix_that_no_memory_holds_is_not_made_either(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plan of 500 mm took 18 GB: without a matrix it was off by 1.2e-3, and not by the 1e-3 asked for."""
     monkeypatch.setattr(along_path, "MATRIX_ENTRIES", 0)

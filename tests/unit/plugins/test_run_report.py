@@ -145,6 +145,7 @@ def pictures_in(page: str) -> list[bytes]:
 
 
 class TestEvents:
+    @pytest.mark.full
     @pytest.mark.one_of_each
     @pytest.mark.parametrize("kind", [partial(JobFinished, outcome="in_tolerance"), PlanWritten])
     def test_what_is_complete_is_reported_by_another_process(
@@ -154,6 +155,7 @@ class TestEvents:
         run_report.polishd_on_event(kind(run_dir=str(tmp_path)))
         assert (tmp_path / "report.html").is_file()
 
+    @pytest.mark.full
     def test_a_report_that_fails_is_an_error_with_its_cause(self, tmp_path: Path) -> None:
         with pytest.raises(PolishdError, match="nowhere"):
             run_report.polishd_on_event(PlanWritten(run_dir=str(tmp_path / "nowhere")))
@@ -360,6 +362,7 @@ class TestWhatIsMissing:
         write_summary(run_dir, [], outcome=outcome)
         assert words in words_of(run_dir)
 
+    @pytest.mark.full
     def test_without_a_summary_the_run_is_called_unfinished(self, undrawn: None, run_dir: Path) -> None:
         (run_dir / "summary.json").unlink()
         page = page_of(run_dir)
@@ -395,6 +398,7 @@ class TestWhatIsMissing:
         assert (run_dir / "pictures" / "cycle-01-maps.png").is_file()
         assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
 
+    @pytest.mark.full
     def test_a_plan_that_lacks_an_array_loses_that_picture_only(self, undrawn: None, run_dir: Path) -> None:
         arrays = plan_arrays()
         del arrays["gamma"]
@@ -406,6 +410,7 @@ class TestWhatIsMissing:
         np.savez(run_dir / "cycle-00" / "plan.npz", **(plan_arrays() | {"residual_nm": np.zeros((5, 5))}))
         assert "picture cycle-00-prediction" in missing_in(page_of(run_dir))
 
+    @pytest.mark.full
     def test_a_map_without_data_in_the_clear_aperture(self, undrawn: None, run_dir: Path) -> None:
         path = run_dir / "cycle-01" / "surface.npz"
         arrays = dict(np.load(path))

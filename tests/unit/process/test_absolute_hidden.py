@@ -17,6 +17,7 @@ def test_equal_turns_leave_one_part_in_their_number(count: int) -> None:
     assert hidden_share(turns(count), 10, RADIUS_MM) == pytest.approx(1 / count, abs=0.06)
 
 
+@pytest.mark.full
 def test_turns_that_share_no_fold_leave_little() -> None:
     both = [*turns(4), *turns(3)[1:]]
     assert hidden_share(both, 10, RADIUS_MM) < 0.5 * hidden_share(turns(4), 10, RADIUS_MM)

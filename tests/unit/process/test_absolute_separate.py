@@ -138,6 +138,7 @@ def test_turns_that_were_not_as_said_are_within_their_uncertainty() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(off))) / np.mean(sigma) < 1.8
 
 
+@pytest.mark.full
 def test_a_shift_of_the_wrong_sign_shows() -> None:
     """In the middle of the data, and in terms that differ by more than samples do."""
     poses = [*turns(4), Pose(45), Pose(0, 4.0)]

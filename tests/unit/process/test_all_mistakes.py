@@ -136,6 +136,7 @@ PARTS = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", PARTS)
 def test_the_gate_knows_them_on_other_parts(name: str) -> None:

@@ -53,6 +53,7 @@ def hertz_mpa(wider: FloatArray, pitch_mm: float) -> FloatArray:
     return np.asarray(shape * contact.normal_force_n(TOOL) / (shape.sum() * pitch_mm**2))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("optic", [Optic(200.0), Optic(800.0), Optic(2000.0), Optic(-200.0), SADDLE])
 def test_the_pressure_is_that_of_the_true_gap(optic: Optic) -> None:
     pitch_mm = 2.6 * RADIUS_MM / SQUARES

@@ -135,6 +135,7 @@ def test_bounds_hold_and_a_chosen_piston_lifts_the_map() -> None:
     assert given.certificate.piston_nm == pytest.approx(25.0)
 
 
+@pytest.mark.full
 def test_goals() -> None:
     free = dwell_from_arrays(CASE).certificate
     budget = 0.9 * free.dwell_total_s

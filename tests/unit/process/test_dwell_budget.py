@@ -52,6 +52,7 @@ def test_no_dwell_within_the_budget_is_better() -> None:
     assert quadratic(PROBLEM).value(np.maximum(scaled, PROBLEM.lower_s)) > 1.5 * best
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("more", [1.0, 1.02, 1.3])
 def test_what_any_dwell_within_a_budget_can_be_better_by_is_proved(more: float) -> None:
     """Of a dwell that leaves some of it unused, too: beside the least within all of it."""

@@ -160,6 +160,7 @@ def test_the_gap_by_hand() -> None:
     assert largest_gap(problem, best + np.array([1.0, 0.0])) == pytest.approx(-5.0 * step - 0.5 * step**2)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("regularisation", [0.0, 1e-6, 1e-3, 1.0])
 def test_no_dwell_is_better_by_more_than_the_gap(regularisation: float) -> None:
     problem = replace(dwell_problem(radius_mm=8), regularisation=regularisation)

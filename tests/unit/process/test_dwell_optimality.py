@@ -156,6 +156,7 @@ def test_bounds_are_never_violated(solver: ModuleType, seed: int, within_s: floa
     assert found.certificate.bound_violation_s == 0
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @each
 @few

@@ -131,6 +131,7 @@ def test_without_any_bound_or_regularisation_something_is_proved() -> None:
     assert gap < 0.05
 
 
+@pytest.mark.full
 def test_a_dwell_that_is_far_off_is_said_to_be() -> None:
     """By no more than what it has: no objective is below 0, which the tangent at the dwell does not know."""
     problem = dwell_problem(radius_mm=10, rho=1e-6)

@@ -64,6 +64,7 @@ def test_it_finds_what_projected_newton_finds() -> None:
     assert (found.time_s <= asked.lower_s).mean() > 0.05, "no bound holds: this shows little"
 
 
+@pytest.mark.full
 def test_a_path_that_is_here_dense_and_there_thin_is_left_to_projected_newton() -> None:
     asked = problem("anywhere")
     agree(asked, newton_cg.NAME)
@@ -93,6 +94,7 @@ def test_little_regularisation_takes_longer_and_comes_there() -> None:
     agree(problem(rho=1e-4))
 
 
+@pytest.mark.full
 def test_steps_in_float32_come_closer_than_float32() -> None:
     """Where it stands is found in float64, and what steps were off by is put right."""
     found = spectral.solve(problem(), 120.0, 1e-9, 0.0).certificate
@@ -100,6 +102,7 @@ def test_steps_in_float32_come_closer_than_float32() -> None:
     assert found.kkt_residual <= 1e-9
 
 
+@pytest.mark.full
 def test_a_gap_that_is_proved_to_be_small_is_enough() -> None:
     asked = problem()
     soon, whole = (
@@ -146,6 +149,7 @@ def test_steps_on_a_coarser_grid_come_to_the_same_dwell() -> None:
     assert np.abs(found.removal_nm - plain.removal_nm)[DISC].max() < 1e-3 * plain.removal_nm.max()
 
 
+@pytest.mark.full
 def test_a_warm_start_is_soon_there() -> None:
     asked = problem()
     cold = spectral.solve(asked, 120.0, 1e-5, 0.0)
@@ -173,6 +177,7 @@ def test_traces_below_zero_are_nothing_and_more_stays_to_be_refused() -> None:
     assert without_traces(np.array([[-1.0]]), 1e-3).tolist() == [[-1.0]]
 
 
+@pytest.mark.full
 def test_another_effect_is_refused() -> None:
     asked = problem()
     assert isinstance(asked.effect, SpreadEffect)

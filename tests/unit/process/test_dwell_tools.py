@@ -60,6 +60,7 @@ def test_the_removals_of_the_passes_make_up_the_one_that_is_certified() -> None:
     assert found.total_s == pytest.approx(times.sum() + 120.0)
 
 
+@pytest.mark.full
 def test_in_the_same_time_both_leave_less_than_each_alone() -> None:
     budget_s = dwell_from_arrays(alone(SMALL), target_rms_nm=2.0, solve=QUICK).certificate.dwell_total_s
     joint = dwell_of_tools(

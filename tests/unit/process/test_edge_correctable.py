@@ -72,6 +72,7 @@ def test_below_the_share_of_its_null_the_null_is_the_cutoff() -> None:
     assert found.cutoff_period_mm == found.null_period_mm
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("sigma", [0.5, 0.8, 3.0])
 @pytest.mark.parametrize("share", [0.3, SHARE, 0.01])
 def test_a_gaussian_has_no_null_and_a_cutoff_in_closed_form(sigma: float, share: float) -> None:
@@ -127,6 +128,7 @@ def test_what_the_map_does_not_show_is_not_known() -> None:
     assert found.beyond_reach_rms_nm < 1e-9
 
 
+@pytest.mark.full
 def test_a_dwell_reaches_what_the_transfer_function_says() -> None:
     """Waves of two periods under a dwell held down such that, at the cut-off, half of a wave would stay."""
     found = transfer(HertzSpot(EVEN))

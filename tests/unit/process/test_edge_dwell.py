@@ -84,6 +84,7 @@ def left(target: FloatArray, plant: SparseEffect, time_s: FloatArray, inner: Boo
     return Left(float(residual[inner].std()), float(np.sqrt(np.mean(residual[rim] ** 2))))
 
 
+@pytest.mark.full
 def test_a_free_rim_must_be_known() -> None:
     target = surface(3)
     inner = GRID.radius_mm() <= RADIUS - BLANK
@@ -100,6 +101,7 @@ def test_the_sunk_spot_takes_less_time_at_the_rim() -> None:
     assert free < plain
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", [3, 4])
 def test_where_the_map_ends_before_the_part_the_extension_saves_the_rim(seed: int) -> None:

@@ -94,6 +94,7 @@ def test_a_rate_to_be_learned_goes_on(factor: float) -> None:
     assert judge(PREDICTED, factor * PREDICTED + noise(4), MASK, GRID.pitch_mm).stop == ""
 
 
+@pytest.mark.full
 def test_learning_may_be_given_less_but_never_so_much_that_half_is_a_rate() -> None:
     for factor, rates, stops in (
         (0.75, (0.8, 1.2), True), (0.85, (0.8, 1.2), False), (1.3, (0.8, 1.2), True), (0.5, (0.1, 1.9), True),
@@ -103,6 +104,7 @@ def test_learning_may_be_given_less_but_never_so_much_that_half_is_a_rate() -> N
         assert ("0.8 to 1.2 is what learning takes up (limits.max_rate_change)" in stop) == (stops and factor > 0.5)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("factor", [0.55, 1.6])
 def test_a_rate_that_may_as_well_be_allowed_goes_on_and_is_said(factor: float) -> None:
     """Only what is beyond the limits by more than its own error stops; "half" at 0.48 +- 0.10 did."""

@@ -71,6 +71,7 @@ def a_pass(seed: int) -> Pass:
     return Pass(grid, mask, predicted, rng.uniform(0.85, 1.15) * removed, before - after + bent + 300 - 2 * x)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("count", COUNTS)
 def test_good_passes_are_not_stopped(count: int) -> None:

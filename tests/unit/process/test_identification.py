@@ -64,6 +64,7 @@ def hour() -> Polished:
     return slower(one, 3600 / one.time.sum())
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("names", "truth"), ONE_WRONG)
 def test_what_is_wrong_is_found_within_its_error(names: str, truth: dict[str, float]) -> None:
@@ -215,6 +216,7 @@ def test_a_coarser_map_keeps_place_mean_and_noise() -> None:
         whole.coarser(2)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -32,6 +32,7 @@ def test_what_fits_begins_at_what_was_known() -> None:
     assert not begun("offset", rate=0.1, offset_x=0.1).any()
 
 
+@pytest.mark.full
 def test_where_the_noise_is_all_there_is_nothing_to_look_for() -> None:
     assert not begun("offset", rate=-6.0, offset_x=3.0).any()
 

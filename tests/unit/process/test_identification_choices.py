@@ -53,6 +53,7 @@ APART = [
 WRONG_ALONE = ["offset_x", "field_2", "wear", "turn", "width", "compliance", "shift_y", "rotation"]
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("one", "names", "name", "others"), CONFOUNDED)
 def test_what_a_pass_cannot_tell_apart_is_said(one: Polished, names: str, name: str, others: set[str]) -> None:
@@ -65,6 +66,7 @@ def test_what_a_pass_cannot_tell_apart_is_said(one: Polished, names: str, name: 
     assert "cannot tell it from" in said or "most of its error is that of" in said
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("one", "names", "name"), APART)
 def test_what_it_can_is_not(one: Polished, names: str, name: str) -> None:
@@ -81,6 +83,7 @@ def test_a_removal_even_along_x_shows_no_shift_along_it() -> None:
     assert result["shift_y"].told.decided
 
 
+@pytest.mark.full
 def test_a_weak_removal_shows_nothing() -> None:
     result = slower(polished(), 1e-4).identified({"rate": 0.2, "offset_x": 0.5}, "offset")
     for name in ("rate", "offset_x", "offset_y"):
@@ -257,6 +260,7 @@ def test_the_interval_of_the_next_pass_holds(jobs: int) -> None:
     assert 0.8 * jobs <= within + (jobs < 20)
 
 
+@pytest.mark.full
 def test_a_prediction_has_the_covariance_of_what_is_known() -> None:
     known = replace(knowing("offset"), mean=np.zeros(6))
     known = replace(known, covariance=1e-4 * known.covariance)

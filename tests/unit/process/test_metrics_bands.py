@@ -16,6 +16,7 @@ GRID = Grid(300, 300, 1.0)
 MASKS = shapes(GRID)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", sorted(MASKS))
 def test_band_rms_is_within_one_percent(name: str) -> None:
@@ -31,6 +32,7 @@ def test_band_rms_is_within_one_percent(name: str) -> None:
         assert found == pytest.approx([40, 8, 2], rel=0.01), seed
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("share", "off"), [(0.1, 0.01), (0.2, 0.015), (0.3, 0.025)])
 @pytest.mark.parametrize("name", ["annulus", "ellipse"])
 def test_drop_outs_do_not_make_short_periods(name: str, share: float, off: float) -> None:

@@ -59,6 +59,7 @@ def test_reachable_says_no_where_the_inverse_refuses() -> None:
         assert answer.tolist() == [True] * len(tips) + [False]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("robot", [ROBOT, CROOKED, SHORT])
 def test_reachable_and_inverse_never_differ(robot: HybridRobot) -> None:
     rng = np.random.default_rng(3)

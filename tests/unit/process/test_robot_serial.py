@@ -133,6 +133,7 @@ def test_one_arm_in_both_conventions_is_one_arm() -> None:
 turn = st.floats(-20.0, 20.0)
 
 
+@pytest.mark.full
 @given(st.tuples(turn, turn, turn, turn, turn, turn), st.sampled_from([UR5, UR5_MODIFIED, PUMA]))
 def test_inverse_finds_the_joints_again(turns: tuple[float, ...], robot: SerialRobot) -> None:
     joints = np.radians(np.add(robot.home_deg, turns))

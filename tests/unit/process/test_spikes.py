@@ -95,6 +95,7 @@ def test_a_map_is_conditioned_without_its_spikes() -> None:
     assert np.abs(clean.height_nm - plain.height_nm)[inside].max() < 5
 
 
+@pytest.mark.full
 def test_a_measured_map_keeps_nearly_all_of_itself(shared_data: Path) -> None:
     surface = METROPRO.read(shared_data / "zygo_metropro.dat")
     found, _ = without_spikes(surface.height_nm)

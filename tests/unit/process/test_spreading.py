@@ -89,6 +89,7 @@ class Gaussian:
         return np.asarray(depth_ratio[:, None, None] ** 1.5 * (1e3 * down[:, None] * across))
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("move_mm", [1.0, 0.0, 7.0])
 def test_the_removal_is_the_matrix_one_within_the_stated_error(move_mm: float) -> None:
@@ -97,6 +98,7 @@ def test_the_removal_is_the_matrix_one_within_the_stated_error(move_mm: float) -
     assert quick.error / 10 < off(quick, exact) < 1.5 * quick.error  # sampled at a few places, met at all
 
 
+@pytest.mark.full
 def test_a_finer_grid_brings_what_the_tolerance_asks_for() -> None:
     path = moves(500)
     coarse, fine = (both(path, tolerance=tolerance)[0] for tolerance in (2e-2, 2e-3))
@@ -143,6 +145,7 @@ def test_the_rank_follows_the_range_of_depths(ratios: tuple[float, float]) -> No
     assert off(quick, exact) < 3e-3
 
 
+@pytest.mark.full
 def test_blocks_over_a_free_rim_are_sunk_there_too() -> None:
     rim, path = Circle(22.0), moves()
     inside = rim.inside_mm(*path.end_mm[:, :2].T) > -3.0
@@ -214,6 +217,7 @@ def test_exact_rows_are_those_of_the_matrix_on_a_curved_part_too() -> None:
         np.testing.assert_allclose(effect_row(along.spot, blocks, here, 1.0), want, rtol=0, atol=1e-12 * matrix.max())
 
 
+@pytest.mark.full
 def test_the_adjoint_is_the_transpose() -> None:
     quick, exact = both(moves())
     rng = np.random.default_rng(2)
@@ -238,6 +242,7 @@ def test_in_float32_it_is_the_same_to_a_millionth() -> None:
         assert got.dtype == np.float64
 
 
+@pytest.mark.full
 def test_no_volume_is_lost() -> None:
     """Weights on the nodes add up to one; what is left is the family's."""
     path = moves(400)
@@ -323,6 +328,7 @@ def test_an_impossible_depth_or_factor_is_refused(gamma: float, factor: float) -
         spread_effect(GRID, SPOT, moves(1), np.full(1, gamma), np.full(1, factor))
 
 
+@pytest.mark.full
 def test_projected_newton_runs_on_it_and_finds_the_dwell_of_the_matrix() -> None:
     path = moves(1500)
     quick, exact = both(path)

@@ -95,6 +95,7 @@ def test_the_bound_is_calibrated(name: str) -> None:
     assert 0.93 <= np.mean(off_power) <= 0.97
 
 
+@pytest.mark.full
 def test_of_40_parts_few_are_above_their_bound() -> None:
     """Quick: of 40 at 95 %, 0 to 6 (0.4 % of the time more). A bound that forgot the power would miss most."""
     given = CASES["5 nm of power"]
@@ -214,6 +215,7 @@ def test_any_figure_has_a_bound() -> None:
     assert 0.85 <= np.mean(below) <= 1.0
 
 
+@pytest.mark.full
 def test_what_the_poses_told_is_taken_from_them() -> None:
     poses = [*turns(4), Pose(45)]
     found = separate(maps(poses), poses, PITCH_MM)

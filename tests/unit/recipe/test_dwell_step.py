@@ -149,6 +149,7 @@ def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
     assert dwell_step.solve(small_recipe(), small_program(), measured).curve == ()
 
 
+@pytest.mark.full
 def test_a_target_is_met_in_the_least_time() -> None:
     measured = steps.condition(small_recipe(), small_map())
     free = dwell_step.solve(small_recipe(), small_program(), measured).dwell.certificate

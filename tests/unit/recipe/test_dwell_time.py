@@ -52,6 +52,7 @@ def total_s() -> float:
     return solved(small_recipe()).dwell.certificate.dwell_total_s
 
 
+@pytest.mark.full
 def test_what_is_left_is_what_each_solve_gets(monkeypatch: pytest.MonkeyPatch) -> None:
     budget = 0.8 * total_s()
     costly = Costly(monkeypatch, 1.0)

@@ -52,6 +52,7 @@ def test_blocks_follow_each_other_without_a_gap() -> None:
     assert np.allclose(rows[1:, 1], rows[:-1, 2])
 
 
+@pytest.mark.full
 def test_time_in_rows_is_time_in_blocks() -> None:
     motion = loaded([f"G1 X{k % 7} Y{k / 3:.3f} F{300 + 40 * (k % 5)}" for k in range(200)], overhead_s=0.005)
     rows = run(motion)

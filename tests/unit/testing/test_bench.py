@@ -85,6 +85,7 @@ def test_a_motion_without_blocks_is_said_before(cell: Path, tmp_path: Path, text
         said(cell, motion=motion)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("mark", "least"),
     [("polishd_moves", Level.NO_CONTACT), ("polishd_presses", Level.CONTACT), ("polishd_cycles", Level.CYCLE)],

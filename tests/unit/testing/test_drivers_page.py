@@ -77,6 +77,7 @@ def test_it_has_a_driver_of_under_60_lines_with_simulator_and_test() -> None:
     assert len([line for line in FILES[DRIVER].splitlines() if line.strip()]) < 60
 
 
+@pytest.mark.full
 def test_its_driver_passes(tmp_path: Path) -> None:
     done = suite(written(tmp_path, FILES[DRIVER]), "-k", "says_who or nothing_works or impossible or lands")
     assert done.returncode == 0, done.stdout

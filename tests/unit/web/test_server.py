@@ -51,6 +51,7 @@ def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> 
         assert heard.count(b"event: state") >= 1
 
 
+@pytest.mark.full
 def test_with_a_certificate_it_speaks_tls_and_nothing_else(tmp_path: Path) -> None:
     openssl = shutil.which("openssl")
     if openssl is None:

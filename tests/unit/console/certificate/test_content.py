@@ -276,6 +276,7 @@ def turned(polishd: Polishd, folder: Path, files: DemoFiles) -> None:
     assert said.code == 0, said.err
 
 
+@pytest.mark.full
 def test_a_system_map_is_taken_off_as_it_was(polishd: Polishd, tmp_path: Path) -> None:
     made = begin(tmp_path / "cell", lambda files: turned(polishd, tmp_path, files), job={"accept": "figure"})
     with closing(made.journal):

@@ -128,6 +128,7 @@ def test_canonical_bytes_are_as_documented() -> None:
         seal.canonical({"a": float("nan")})
 
 
+@pytest.mark.full
 def test_a_twin_reads_back_as_it_was_written(certified: Made) -> None:
     content = certified.twin.read_bytes()
     assert seal.written(json.loads(content)) == content

@@ -81,6 +81,7 @@ def test_one_rms_of_each_surface(certified: Made) -> None:
     assert f"RMS {whole[0]} {whole[-1]}" in text
 
 
+@pytest.mark.full
 def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
     page = html(sheet(content_of(find_run(torn_files.run_dir, None), Asked(), AT), ""))
     assert "<h2>A pass that was interrupted at 32%; blocks 13 to 15 uncertain</h2>" in page
@@ -93,6 +94,7 @@ def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
     assert "Not signed." in page
 
 
+@pytest.mark.full
 def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
     asked = Asked(operator="<script>", customer="$x^2$", drawing="100 % {{ x }}")
     page = html(sheet(content_of(find_run(whole_files.run_dir, None), asked, AT), ""))
@@ -146,6 +148,7 @@ def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -
     assert [path.name for path in out.iterdir()] == ["c.json"]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -102,6 +102,7 @@ async def test_a_silent_computer_is_noticed_by_the_controller(tmp_path: Path) ->
         assert "watchdog" in fake.events
 
 
+@pytest.mark.full
 async def test_nothing_starts_when_the_link_is_opened_again(rig: tuple[FakePlc, Handover]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())

@@ -86,6 +86,7 @@ def client(
     return OpcUa(url, PROFILE.variables, silence_s, "polishd", password, papers=papers)
 
 
+@pytest.mark.full
 async def test_it_speaks_to_a_server_that_takes_nothing_in_the_clear(url: str, folder: Path) -> None:
     link = client(url, folder)
     await link.open()

@@ -110,6 +110,7 @@ def test_it_is_called_as_a_batch_with_no_input(fake: Path) -> None:
     assert (fake / "args").read_text() == "-t tool.tbl -v program.var -g program.ngc\n"
 
 
+@pytest.mark.full
 @needs_linuxcnc
 def test_many_at_once_do_not_tread_on_each_other() -> None:
     """They would meet in ~/.tool.mmap."""

@@ -82,6 +82,7 @@ def test_the_corpus(case: Case, monkeypatch: Patch) -> None:
     agree(case.dialect, case.text, monkeypatch)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", GRAMMARS)
 def test_in_pieces(name: str, monkeypatch: Patch) -> None:
@@ -119,6 +120,7 @@ def test_the_same_line_and_reason(body: str, line: int, monkeypatch: Patch) -> N
     assert found == outcome("rs274", text, monkeypatch, NEVER)
 
 
+@pytest.mark.full
 def test_a_numba_without_the_private_option_gives_the_same_numbers(monkeypatch: Patch) -> None:
     assert compiled._uncounted() == {"_nrt": False}, "numba has lost the option: compiled code is seven times slower"
     monkeypatch.setattr("numba.core.options.DefaultOptions", object())

@@ -158,6 +158,7 @@ def campaign(name: str, lines: int, seed: int, patch: pytest.MonkeyPatch) -> tup
     return counts[1], counts[0]
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DIALECTS)
 def test_small_share(name: str, monkeypatch: pytest.MonkeyPatch) -> None:

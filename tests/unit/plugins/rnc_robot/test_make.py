@@ -144,6 +144,7 @@ def test_a_modal_feed_is_written_where_it_changes() -> None:
     assert own.count(b"F600.000") == 4
 
 
+@pytest.mark.full
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 60))
 def test_anything_finite_reads_back(seed: int, n: int) -> None:

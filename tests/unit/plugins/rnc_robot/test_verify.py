@@ -234,6 +234,7 @@ def test_linuxcnc_sees_times_that_we_read_wrong(lie: dict[str, object], says: st
     assert says in (said.difference or "")
 
 
+@pytest.mark.full
 @needs_linuxcnc
 @pytest.mark.parametrize("text", [DWELL, FEED, INVERSE], ids=["dwell", "feed", "inverse"])
 def test_without_the_module_rs274_itself_is_asked(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,6 +272,7 @@ def test_files_are_read_and_named(tmp_path: Path) -> None:
         verify(tmp_path / "c.rnc", tmp_path / "b.rnc", RS274)
 
 
+@pytest.mark.full
 @settings(max_examples=150, deadline=None)
 @given(
     at=st.integers(0, len(DWELL) - 1),

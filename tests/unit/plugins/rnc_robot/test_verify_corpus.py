@@ -43,6 +43,7 @@ def wrong(profile: AnyDialect, text: bytes, encoding: Encoding | None) -> str | 
     return next((str(change) for change in found.other_changes if change.kind != "timing"), None)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DIALECTS)
 def test_whatever_the_rewriter_writes_is_proved(name: str) -> None:

@@ -97,6 +97,7 @@ def test_forty_tests_with_noise_do_better_than_the_papers_model(kind: str, ways:
     assert fit.held_out.mean_percent < unfitted / 2
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("kind", "ways"), [("hybrid", "down"), ("hybrid", "all ways"), ("serial", "all ways")])
 def test_the_uncertainty_covers_what_was_found(kind: str, ways: str) -> None:
@@ -206,6 +207,7 @@ def test_limbs_with_ea_have_their_ea_fitted() -> None:
     assert fit.robot.limb_stiffness_n_per_mm == start.limb_stiffness_n_per_mm
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("projection", ["linear", "quadratic"])
 def test_tests_that_measure_the_papers_projection(projection: Projection) -> None:

@@ -95,6 +95,7 @@ def test_the_way_in_lies_on_the_first_line() -> None:
     assert (np.diff(first[:-1, 0]) > 0).all()
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", APERTURES)
 @pytest.mark.parametrize("direction", [0.0, 30.0, 90.0, -137.0])

@@ -63,6 +63,7 @@ def test_from_maps_to_what_goes_off_each_map(polishd: Polishd, cell: Path, files
     assert profile.system.map_sha256 == found.surface.sha256 == answer["instrument"]["sha256"]
 
 
+@pytest.mark.full
 def test_a_record_is_replaced_and_no_map_is(polishd: Polishd, cell: Path, files: list[Path]) -> None:
     for name in ("one.x3p", "two.x3p"):
         out = cell.parent / name
@@ -73,6 +74,7 @@ def test_a_record_is_replaced_and_no_map_is(polishd: Polishd, cell: Path, files:
     assert "exists already" in again.err
 
 
+@pytest.mark.full
 def test_a_map_or_profile_that_was_changed_since_is_refused(polishd: Polishd, cell: Path, files: list[Path]) -> None:
     out, profile = cell.parent / "system.x3p", cell.parent / "instrument.toml"
     assert polishd("calibrate", "instrument", cell, *files, *QUARTERS, "--out", out).code == 0
@@ -114,6 +116,7 @@ def test_nothing_is_written_where_nothing_is_wanted(polishd: Polishd, cell: Path
     assert load_profile(cell.parent / "instrument.toml").system is None
 
 
+@pytest.mark.full
 def test_a_reference_tells_the_power_that_no_pose_does(polishd: Polishd, cell: Path, files: list[Path]) -> None:
     asked = [*files, *QUARTERS, "--out", cell.parent / "a.x3p"]
     assert polishd("calibrate", "instrument", cell, *asked).code == 0
@@ -182,6 +185,7 @@ def test_maps_are_taken_from_the_cells_own_folder(cell: Path) -> None:
         assert np.allclose(surface.height_nm, height, atol=0.05, equal_nan=True)
 
 
+@pytest.mark.full
 def test_told_is_no_part_of_what_people_are_shown(polishd: Polishd, cell: Path, files: list[Path]) -> None:
     out = cell.parent / "system.x3p"
     assert polishd("calibrate", "instrument", cell, *files, *QUARTERS, "--out", out).code == 0

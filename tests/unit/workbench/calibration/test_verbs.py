@@ -71,6 +71,7 @@ def made_up(path: Path, n: int, spread: float, seed: int) -> Path:
     return path
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("n", "spread"), [(12, 0.4), (40, 0.4), (40, 0.15)])

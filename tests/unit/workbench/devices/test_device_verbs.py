@@ -83,6 +83,7 @@ def test_check_warns_of_what_may_be_forgotten(polishd: Polishd, tmp_path: Path) 
         assert any(words in one for one in warnings), warnings
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("link", ["modbus", "lines"])
 @pytest.mark.parametrize("kind", ["actuator", "spindle", "force_sensor"])
 def test_templates_are_taken_and_say_what_to_do(polishd: Polishd, tmp_path: Path, kind: str, link: str) -> None:

@@ -66,6 +66,7 @@ def test_the_system_map_makes_another_map_true(polishd: Polishd, tmp_path: Path,
     assert rms_nm(MapSource.of().read(files[0]).height_nm - true_nm(part_nm)) > 4 * NOISE_NM
 
 
+@pytest.mark.full
 def test_people_are_told_what_is_unknown_and_the_file_keeps_how_it_came_about(
     polishd: Polishd, tmp_path: Path, files: list[Path]
 ) -> None:
@@ -91,6 +92,7 @@ def test_people_are_told_what_is_unknown_and_the_file_keeps_how_it_came_about(
     assert kept.uncertainty_nm is not None
 
 
+@pytest.mark.full
 def test_angles_may_stand_in_a_list(polishd: Polishd, tmp_path: Path, files: list[Path]) -> None:
     listed = tmp_path / "poses.csv"
     listed.write_text("file,angle_deg\n" + "".join(f"p{number}.dat,{90 * number}\n" for number in range(4)))
@@ -119,6 +121,7 @@ def test_a_wrong_sense_is_one_line(polishd: Polishd, files: list[Path]) -> None:
     assert said.err.count("\n") == 1
 
 
+@pytest.mark.full
 def test_what_cannot_be_told_apart_is_refused(polishd: Polishd, tmp_path: Path, files: list[Path]) -> None:
     for asked, code, told in (
         (["--angles", "0,90"], 2, "4 numbers with commas"),

@@ -58,6 +58,7 @@ def test_people_are_told_the_same(polishd: Polishd, tmp_path: Path, repeats: lis
     assert "written to" in written
 
 
+@pytest.mark.full
 def test_repeats_of_unknown_pitch_are_averaged_only_when_asked(
     polishd: Polishd, tmp_path: Path, repeats: list[Path]
 ) -> None:
@@ -114,6 +115,7 @@ def test_repeats_of_another_instrument_are_refused_by_name(polishd: Polishd, tmp
         average([*maps[:2], other])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("out", [".x3p", ".png"])
 def test_what_is_refused(polishd: Polishd, tmp_path: Path, repeats: list[Path], out: str) -> None:
     few = polishd("map", "average", *repeats[:2])

@@ -45,6 +45,7 @@ def test_options_alone_are_no_map(polishd: Polishd) -> None:
     assert "FILE" in said.err
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_file_that_is_called_like_a_verb(
     polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str
@@ -70,6 +71,7 @@ def test_options_that_are_none(polishd: Polishd, tmp_path: Path, words: tuple[st
 HEAVY = ("matplotlib", "h5py", "x3pio", "sdfio", "astropy", "numba", "pymodbus", "can", "clarabel")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("words", "never"),
     [((), ("numpy", "scipy", "pydantic", *HEAVY)), (("m.dat", "--json"), HEAVY)],
@@ -88,6 +90,7 @@ def test_what_is_not_needed_is_not_imported(tmp_path: Path, words: tuple[str, ..
     assert bool(ended.stdout) == bool(words)
 
 
+@pytest.mark.full
 def test_blas_is_held_to_one_thread_unless_asked(tmp_path: Path) -> None:
     """Before numpy looks; what the user set stays."""
     code = (
@@ -137,6 +140,7 @@ def test_extras_are_of_readers_that_there_are() -> None:
     assert set(EXTRAS) <= set(readers_for())
 
 
+@pytest.mark.full
 def test_a_full_disk_behind_stdout_is_one_line() -> None:
     """For tables as for JSON, and nothing more as Python ends."""
     for words in (("formats",), ("formats", "--json")):

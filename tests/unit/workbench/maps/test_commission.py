@@ -98,6 +98,7 @@ def test_for_people(polishd: Polishd, ours: Path, good: Path) -> None:
         assert words in said.out, words
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("change", "mend"),
@@ -123,6 +124,7 @@ def test_a_wrong_profile_is_refused_and_the_advice_mends_it(
     assert polishd("map", "commission", profile(ours, mend), wrong).code == 0
 
 
+@pytest.mark.full
 def test_what_does_not_show_the_artefact(polishd: Polishd, tmp_path: Path, ours: Path) -> None:
     """Another artefact; one of which two bumps are out of the map; a map without a scale."""
     before = ours.read_bytes()
@@ -138,6 +140,7 @@ def test_what_does_not_show_the_artefact(polishd: Polishd, tmp_path: Path, ours:
     assert ours.read_bytes() == before
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("ending", [".dat", ".x3p", ".datx"])
 def test_a_map_that_somebody_made_up_proves_nothing(polishd: Polishd, tmp_path: Path, ending: str) -> None:

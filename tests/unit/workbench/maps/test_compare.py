@@ -164,6 +164,7 @@ def test_for_people(polishd: Polishd, before: Path) -> None:
     assert "MSF RMS" in said.out
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("pitch_mm", [0.5, 0.0])
 def test_it_is_drawn(polishd: Polishd, tmp_path: Path, pitch_mm: float) -> None:

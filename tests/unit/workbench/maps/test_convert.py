@@ -167,6 +167,7 @@ def test_never_over_what_is_read(polishd: Polishd, source: Path, how: str) -> No
     assert source.read_bytes() == before
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", ["out.int", "out", "out.txt", "out.dat.gz"])
 def test_endings_that_nothing_writes(polishd: Polishd, source: Path, name: str) -> None:
     said = polishd("map", "convert", source, source.with_name(name))

@@ -27,6 +27,7 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("first", "second"), [(".x3p", ".datx"), (".datx", ".x3p")])
 def test_a_later_verb_adds_to_it(polishd: Polishd, tmp_path: Path, first: str, second: str) -> None:

@@ -40,6 +40,7 @@ HOLDS = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("mask", HOLDS)
 def test_only_what_a_mask_holds_counts(
     polishd: Polishd, shown: Path, monkeypatch: pytest.MonkeyPatch, mask: str
@@ -105,6 +106,7 @@ def test_a_mask_is_told_of_each_map_and_drawn(
         assert "circle:0,0,6 holds" in said.out
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("mask", "says"),
     [

@@ -22,6 +22,7 @@ def good(tmp_path: Path) -> Path:
     return dat(tmp_path / "good.dat", surface())
 
 
+@pytest.mark.full
 def test_it_is_drawn(polishd: Polishd, tmp_path: Path, good: Path) -> None:
     out = tmp_path / "maps.png"
     bare = dat(tmp_path / "bare.dat", surface(), pitch_mm=0.0)
@@ -78,6 +79,7 @@ def test_a_picture_does_not_take_a_maps_place(polishd: Polishd, good: Path) -> N
     assert good.read_bytes() == before
 
 
+@pytest.mark.full
 def test_a_picture_that_cannot_be_written(polishd: Polishd, good: Path) -> None:
     said = polishd("map", good, "--out", good.parent / "none" / "p.png")
     assert said.code == 3

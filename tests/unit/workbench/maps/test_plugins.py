@@ -82,6 +82,7 @@ def test_calibration_reads_as_the_cell_does(polishd: Polishd, cell: Path, tmp_pa
     assert said.answer["peak_nm_s"] == pytest.approx(20.0, rel=0.05)
 
 
+@pytest.mark.full
 def test_a_reader_that_fails_is_one_line_wherever_maps_are_read(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     (tmp_path / "odd.csv").write_text("heights in nm\n1,two,3\n")
     (tmp_path / "program.rnc").write_text("G21\n")

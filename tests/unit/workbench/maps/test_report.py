@@ -95,6 +95,7 @@ def drawing(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.full
 def test_each_number_of_the_page_is_the_json_s(polishd: Polishd, tmp_path: Path, good: Path, drawing: Path) -> None:
     out = tmp_path / "r.html"
     asked = ["--tolerance", drawing, "--mask", "circle:0,0,11", "--wavelength", "632.8", "--by", "A. <Optician>"]
@@ -120,6 +121,7 @@ def test_each_number_of_the_page_is_the_json_s(polishd: Polishd, tmp_path: Path,
     assert page.pictures == len(page.fetched) == 3
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("nm", [1000.0, 1.0])
 @pytest.mark.parametrize("form", ["short", "lines"])

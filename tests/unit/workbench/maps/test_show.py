@@ -56,6 +56,7 @@ def lines(text: str) -> list[Any]:
     return [json.loads(line, parse_constant=refuse) for line in text.splitlines()]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", REAL)
 def test_real_files_have_the_figures_of_the_page(polishd: Polishd, shared_data: Path, name: str) -> None:
     rows, columns, pitch_mm, missing, pv_nm, rms_nm = REAL[name]
@@ -145,6 +146,7 @@ def test_bands_part_the_map(polishd: Polishd, good: Path) -> None:
     assert [band["to_mm"] for band in default] == [33.0, 0.12, None]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("words", ["", "a", "1,2", "2,2", "5,-1", "inf,1", "nan", "5,0"])
 def test_bands_that_are_none(polishd: Polishd, good: Path, words: str) -> None:
     said = polishd("map", good, "--bands", words)
@@ -162,6 +164,7 @@ def bad_files(folder: Path) -> dict[str, Path]:
     return {"torn": torn, "empty": empty, "text": text, "folder": there, "missing": folder / "missing.dat"}
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("kind", ["torn", "empty", "text", "folder", "missing"])
 @pytest.mark.parametrize("json_too", [True, False])
 def test_a_file_that_is_no_map_is_one_message(polishd: Polishd, tmp_path: Path, kind: str, json_too: bool) -> None:
@@ -205,6 +208,7 @@ def points(path: Path) -> Path:
     return path
 
 
+@pytest.mark.full
 def test_a_list_under_another_name_is_read_as_what_it_is(polishd: Polishd, tmp_path: Path) -> None:
     named, other = points(tmp_path / "a.xyz"), points(tmp_path / "a.dat")
     said = polishd("map", other)
@@ -229,6 +233,7 @@ def test_what_is_like_no_format_gets_no_advice(polishd: Polishd, tmp_path: Path)
     assert "looks like" not in polishd("map", path).err
 
 
+@pytest.mark.full
 def test_where_a_date_comes_from(polishd: Polishd, tmp_path: Path, good: Path) -> None:
     """By the header; where that says nothing, by the file system; and one that cannot be is not used."""
     assert "2025-10-09T08:53:20+00:00 (header)" in polishd("map", good).out
@@ -307,6 +312,7 @@ def test_a_pipe_is_no_file_and_is_not_waited_for(polishd: Polishd, tmp_path: Pat
     assert "is no file" in said.err
 
 
+@pytest.mark.full
 def test_a_reader_who_leaves_is_no_traceback(good: Path) -> None:
     for words in ([], ["--json"]):
         reading, writing = os.pipe()

@@ -123,6 +123,7 @@ def test_where_one_map_is_it_is_less_sure_than_where_four_are(polishd: Polishd, 
     assert answer["power_growth"] == pytest.approx((1 + 120 / 47.5) ** 2, rel=0.05)
 
 
+@pytest.mark.full
 def test_the_result_says_how_it_came_about(polishd: Polishd, tmp_path: Path) -> None:
     given = mosaic(tmp_path, said=True)
     out, picture = tmp_path / "c.x3p", tmp_path / "c.png"

@@ -113,6 +113,7 @@ def test_what_cannot_be_laid_on_each_other_is_refused(polishd: Polishd, tmp_path
     assert one.read_bytes() == before
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("repeats", "system_repeats"), [(4, 4), (9, 3)])
 def test_a_mean_without_the_system_error_is_as_sure_as_it_says(

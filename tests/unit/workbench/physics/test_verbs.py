@@ -93,6 +93,7 @@ def test_the_compliance_of_the_shipped_robot_is_the_published_one(polishd: Polis
     assert "program" not in answer
 
 
+@pytest.mark.full
 def test_the_compliance_along_a_program(polishd: Polishd, tmp_path: Path) -> None:
     (tmp_path / "p.rnc").write_bytes(demo_program(load_config(EXAMPLE)))
     said = polishd("compliance", EXAMPLE, "--program", tmp_path / "p.rnc", "--out", tmp_path / "c.png", "--json")
@@ -112,6 +113,7 @@ def test_a_frenet_frame_on_a_raster_says_how_often_there_is_none(polishd: Polish
     assert along["fallbacks"] > 0.9 * along["points"]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("change", "code", "says"),
     [

@@ -38,6 +38,7 @@ def left(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.full
 def test_streamed_and_held_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     text = HEAD + b"".join(b"G1 X%d F60\nG4 P0.%d\n" % (i, 1 + i % 9) for i in range(1, 400)) + b"M2"
@@ -79,6 +80,7 @@ def test_what_does_not_fit_leaves_the_old_file(tmp_path: Path, times: list[float
     assert left(tmp_path) == ["d.csv", "new.rnc", "p.rnc"]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("name", "head", "before"),
     [

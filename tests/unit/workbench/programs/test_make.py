@@ -63,6 +63,7 @@ def refused(tmp_path: Path, *words: object) -> tuple[PolishdError, list[str]]:
     return said.exception, [file.name for file in tmp_path.iterdir()]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("shape", ["raster", "spiral"])
 @pytest.mark.parametrize("to", ["rs274", "fanuc", "siemens", "codesys"])
 def test_what_is_said_is_what_is_written(shape: str, to: str, tmp_path: Path) -> None:
@@ -162,6 +163,7 @@ def test_a_mask_out_of_a_map(tmp_path: Path) -> None:
     assert map_file.read_bytes() == measured
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("aperture", ["hexagon:30", "polygon:corners.csv", None])
 def test_a_part_that_is_not_round_is_covered_as_far_as_it_goes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, aperture: str | None
@@ -228,6 +230,7 @@ def cell_with(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("words", [("raster",), ("spiral",), ("spiral", "--inwards")])
 def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, words: tuple[str, ...]) -> None:
@@ -242,6 +245,7 @@ def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, w
     assert np.isfinite(answer.gamma).all()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("changes", "words", "says"),
     [
@@ -356,6 +360,7 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     assert "cannot be written" in str(said.exception)
 
 
+@pytest.mark.full
 def test_what_the_page_says_runs(polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (EXAMPLE.parents[1] / "docs" / "paths.md").read_text()
     commands = page.split("```")[1].replace("\\\n", " ").strip().split("\n")

@@ -74,6 +74,7 @@ def test_inspect_for_people(polishd: Polishd, program: Path) -> None:
     assert "warning: nobody said G94: assumed" in said.out
 
 
+@pytest.mark.full
 def test_inspect_draws(polishd: Polishd, tmp_path: Path) -> None:
     path = tmp_path / "$a_{1}$.rnc"
     path.write_bytes(DWELL)
@@ -132,6 +133,7 @@ def test_rewriting_with_its_own_times_is_the_same_bytes(polishd: Polishd, progra
     assert out.read_bytes() == DWELL
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
@@ -251,6 +253,7 @@ def test_many_changes_are_cut_for_people_only(polishd: Polishd, tmp_path: Path) 
     assert len(polishd("program", "verify", old, new, "--json").answer["other_changes"]) == 201
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -283,6 +286,7 @@ def test_a_program_that_cannot_be_read_is_one_message(
     assert not (tmp_path / "new.rnc").exists()
 
 
+@pytest.mark.full
 def test_files_that_are_none(polishd: Polishd, program: Path, tmp_path: Path) -> None:
     for path, says in ((tmp_path, "Is a directory"), (tmp_path / "none.rnc", "No such file")):
         for words in (("inspect", path), ("verify", program, path), ("verify", path, program)):

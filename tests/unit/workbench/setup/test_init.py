@@ -48,6 +48,7 @@ def init(folder: Path, answers: str, *options: str) -> dict[str, Any]:
     return told
 
 
+@pytest.mark.full
 def test_an_arm_and_a_part_become_a_cell_whose_program_its_plan_takes(tmp_path: Path) -> None:
     told = init(tmp_path, LENS)
     assert told["written"] == ["cell.toml", "instrument.toml", "program.rnc"]
@@ -62,6 +63,7 @@ def test_an_arm_and_a_part_become_a_cell_whose_program_its_plan_takes(tmp_path: 
     assert not load_profile(tmp_path / "cell" / "instrument.toml").instrument.commissioned
 
 
+@pytest.mark.full
 def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(tmp_path: Path) -> None:
     told = init(tmp_path, LENS)
     lines = (tmp_path / "cell" / "cell.toml").read_text().splitlines()
@@ -74,6 +76,7 @@ def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(t
     assert not {"part.id", "part.aperture_mm", "kinematics.tool_length_mm"} & set(told["look"])
 
 
+@pytest.mark.full
 def test_a_dry_run_writes_nothing_and_shows_the_same_text(tmp_path: Path) -> None:
     told = init(tmp_path, LENS, "--dry-run")
     assert not (tmp_path / "cell").exists()
@@ -81,6 +84,7 @@ def test_a_dry_run_writes_nothing_and_shows_the_same_text(tmp_path: Path) -> Non
     assert told["texts"]["cell.toml"] == (tmp_path / "cell" / "cell.toml").read_text()
 
 
+@pytest.mark.full
 def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
     init(tmp_path, LENS)
     cell = tmp_path / "cell" / "cell.toml"

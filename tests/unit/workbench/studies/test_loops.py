@@ -112,6 +112,7 @@ def test_a_loop_that_does_not_learn_makes_the_same_mistake_again(tmp_path: Path)
     assert learned.true_rms_nm[2] < not_learned.true_rms_nm[2]
 
 
+@pytest.mark.full
 def test_a_plant_that_died_is_no_end_of_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = study_file(tmp_path, near=-0.1)
     (case,) = cases_of(load_swept(path))
@@ -183,6 +184,7 @@ def test_limit_and_workers_go_with_many_cases_only() -> None:
         study_verb(TABLE_III, StudyOptions(limit=2), as_json=True)
 
 
+@pytest.mark.full
 def test_a_plant_that_refuses_and_one_that_dies(monkeypatch: pytest.MonkeyPatch) -> None:
     with PlantProcess() as plant:
         with pytest.raises(ComputeError, match=r"refuses 'new'.*colour"):

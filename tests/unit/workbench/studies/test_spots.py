@@ -66,6 +66,7 @@ def removed_mm3(row: SpotRow) -> float:
     return float(found[0]) * figures.peak_pressure_mpa * 1.49e-7 * 60
 
 
+@pytest.mark.full
 def test_a_minute_removes_what_preston_says(rows: tuple[SpotRow, ...]) -> None:
     for row in rows:
         assert row.volume_mm3 == pytest.approx(removed_mm3(row), rel=1e-4)

@@ -38,6 +38,7 @@ def rows() -> list[dict[str, Any]]:
     return [row(k, loop, k + extra, 1 + k // 10) for k in range(POINTS) for loop, extra in (("a", 0.0), ("b", 1.0))]
 
 
+@pytest.mark.full
 def test_medians_have_intervals_by_ranks() -> None:
     found = middle([float(k) for k in range(1, 101)])
     assert (found.median, found.low, found.high) == (50.5, 40.0, 61.0)

@@ -178,6 +178,7 @@ def test_the_shipped_study_has_two_thousand_jobs_on_the_same_draws() -> None:
     assert {json.dumps(dict(case.at)) for case in cases[:10]} == {json.dumps(dict(cases[0].at))}
 
 
+@pytest.mark.full
 def test_people_are_told_what_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

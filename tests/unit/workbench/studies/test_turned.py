@@ -76,6 +76,7 @@ def test_the_truth_is_judged_by_what_the_certificate_says(plant: PlantProcess) -
         calibrated(small_recipe(), plant, ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("poses", "read"),
     [("[[0.0], [90.0, 2.5, 0.0]]", ((0.0, 0.0, 0.0), (90.0, 2.5, 0.0))), ("[0.0]", None), ("[[0.0, 1.0]]", None)],

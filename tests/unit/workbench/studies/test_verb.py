@@ -71,6 +71,7 @@ def test_out_gets_pictures_and_the_same_table(tmp_path: Path, capsys: pytest.Cap
     assert json.loads((out / "table.json").read_text()) == json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.full
 def test_spots_as_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study_verb(TABLE_III, StudyOptions(out=tmp_path), as_json=True)
     rows = json.loads(capsys.readouterr().out)
@@ -89,6 +90,7 @@ def test_spots_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert "0.206" in row
 
 
+@pytest.mark.full
 def test_passes_as_json_and_for_people(few_passes: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study_verb(few_passes, StudyOptions(), as_json=True)
     (row,) = json.loads(capsys.readouterr().out)

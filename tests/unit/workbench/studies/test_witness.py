@@ -49,6 +49,7 @@ def study(folder: Path, loops: str) -> LoopStudy:
     return found
 
 
+@pytest.mark.full
 def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
     of = study(tmp_path, '[loops.exact]\nwitness = "rate"\n[loops.static]\nwitness = "spot"\n')
     sections, _ = parse_toml(EXAMPLES / "sim.toml")
