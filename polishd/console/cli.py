@@ -22,6 +22,10 @@ Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the jo
 JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
 Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)]
 Queued = Annotated[bool, Option("--queue", help="They work their queues, as with polishd run --queue.")]
+Beside = Annotated[
+    Literal["web", "opcua", "shop-link", "shop-serve"] | None,
+    Option(help="Not of the daemon, but of what runs beside it; of shop-serve the file is SHOP.toml."),
+]
 Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
 
 
@@ -94,19 +98,19 @@ def calibrate_instrument(
 
 
 @services.command("install")
-def service_install(cells: Served, *, system: Scope, queue: Queued = False) -> None:
+def service_install(files: Served, *, system: Scope, queue: Queued = False, of: Beside = None) -> None:
     """Write a unit that runs these cells in one process, supervised; says how to start it."""
     from polishd.console.service import install_verb
 
-    install_verb(cells, system=system, queue=queue)
+    install_verb(files, system=system, queue=queue, of=of)
 
 
 @services.command("show")
-def service_show(cells: Served, *, system: Scope, queue: Queued = False) -> None:
+def service_show(files: Served, *, system: Scope, queue: Queued = False, of: Beside = None) -> None:
     """Print that unit; nothing is written."""
     from polishd.console.service import show_verb
 
-    show_verb(cells, system=system, queue=queue)
+    show_verb(files, system=system, queue=queue, of=of)
 
 
 @recordings.command("show")

@@ -1,16 +1,17 @@
-"""``polishd service``: a unit of systemd that runs a cell, or several, unattended."""
+"""``polishd service``: a unit of systemd that runs a cell, or several, unattended, or what runs beside their daemon."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import typer
 
+from polishd.console.service_beside import Beside, unit_beside
+from polishd.console.systemd import NETWORK, command_line, target
 from polishd.console.who import account
 from polishd.daemon.assembly import build_cell
 from polishd.daemon.events import DRAIN_S
@@ -55,10 +56,6 @@ SystemCallArchitectures=native
 WantedBy={target}
 """
 
-NETWORK = """\
-After=network-online.target
-Wants=network-online.target
-"""
 SYSTEM = """\
 LimitNICE=-10
 LimitMEMLOCK=infinity
@@ -71,14 +68,14 @@ ProtectKernelTunables=yes
 """What only the system's own systemd may give."""
 
 
-def show_verb(cells: Sequence[Path], *, system: bool, queue: bool) -> None:
+def show_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> None:
     """Print the unit; nothing is written."""
-    typer.echo(_unit(cells, system=system, queue=queue)[1], nl=False)
+    typer.echo(_asked(files, system=system, queue=queue, of=of)[1], nl=False)
 
 
-def install_verb(cells: Sequence[Path], *, system: bool, queue: bool) -> None:
+def install_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> None:
     """Write the unit where systemd finds it, and say how to start it."""
-    name, text = _unit(cells, system=system, queue=queue)
+    name, text = _asked(files, system=system, queue=queue, of=of)
     folder = Path("/etc/systemd/system") if system else _user_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -94,6 +91,17 @@ def install_verb(cells: Sequence[Path], *, system: bool, queue: bool) -> None:
         typer.echo("to run while nobody is logged in: loginctl enable-linger")
 
 
+def _asked(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> tuple[str, str]:
+    """Name of the unit's file, and its text."""
+    if of is None:
+        name, text = _unit(files, system=system, queue=queue)
+    else:
+        if queue or len(files) > 1:
+            raise typer.BadParameter(f"--of {of} takes one file, and no --queue: each is a process of its own")
+        name, text = unit_beside(of, files[0], system=system)
+    return f"polishd-{re.sub(r'[^A-Za-z0-9_.]+', '-', name).strip('-')}.service", text
+
+
 def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str]:
     """Name and text of the unit; whatever ``load_cell`` raises of a cell that cannot run."""
     configs, end_s = [], 0.0
@@ -102,11 +110,11 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
         configs.append(config)
         end_s = max(end_s, build_cell(config, hooks).end_s)
     names = [config.cell.name for config in configs]
-    words = [sys.executable, "-m", "polishd", "run", *(str(path.absolute()) for path in cells), *["--queue"] * queue]
+    words = ["run", *(str(path.absolute()) for path in cells), *["--queue"] * queue]
     owner = cells[0].stat().st_uid
     text = UNIT.format(
         names=", ".join(names).replace("%", "%%"),
-        command=" ".join([quoted(words[0], executable=True), *map(quoted, words[1:])]),
+        command=command_line(words),
         account=f"User={account(owner)}\n" if system and owner else "",
         watchdog=WATCHDOG_S,
         start=START_S,
@@ -114,21 +122,9 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
         device=DeviceError.exit_code,
         network=NETWORK if system else "",
         system=SYSTEM if system else "",
-        target="multi-user.target" if system else "default.target",
+        target=target(system=system),
     )
-    return f"polishd-{'-'.join(re.sub(r'[^A-Za-z0-9_.]+', '-', name).strip('-') for name in names)}.service", text
-
-
-def quoted(word: str, *, executable: bool = False) -> str:
-    """One word of ``ExecStart``: systemd reads escapes, ``%`` and, but in the program's own path, ``$`` in it.
-
-    ConfigError for a line break or another control character, which no unit can hold.
-    """
-    if re.search(r"[\x00-\x1f\x7f]", word):
-        raise ConfigError(f"{word!r}: a unit of systemd cannot name it; rename the file")
-    text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
-    text = text if executable else text.replace("$", "$$")
-    return text if re.fullmatch(r"[\w./+=:@,-]+", text, re.ASCII) else f'"{text}"'
+    return "-".join(names), text
 
 
 def _user_folder() -> Path:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.service import quoted
+from polishd.console.systemd import quoted
 from polishd.model.errors import ConfigError, DeviceError
 from tests.unit.conftest import EXAMPLE
 from tests.unit.said import Polishd
@@ -58,9 +58,8 @@ def test_the_systems_unit_has_the_rights_of_the_host_page(polishd: Polishd) -> N
 
 
 def test_install_writes_it_and_says_how_to_start_it(polishd: Polishd, home: Path, odd: Path) -> None:
-    for _ in range(2):
-        said = polishd("service", "install", odd, "--user")
-        assert said.code == 0, said.err
+    first, said = (polishd("service", "install", odd, "--user") for _ in range(2))
+    assert (first.code, said.code) == (0, 0), first.err + said.err
     (unit,) = home.iterdir()
     assert f"systemctl --user enable --now {unit.name}" in said.out
     assert unit.read_text() == polishd("service", "show", odd, "--user").out
@@ -81,13 +80,72 @@ def test_words_are_quoted_as_systemd_reads_them() -> None:
         quoted("a\nb")
 
 
+BESIDE = {"web": "web", "opcua": "opcua", "shop-link": "shop link", "shop-serve": "shop serve"}
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> dict[str, Path]:
+    """By process, its file: a cell that has all sections, and a shop."""
+    cell = tmp_path / "a cell" / "cell.toml"
+    shutil.copytree(EXAMPLE.parent, cell.parent)
+    more = """
+[opcua]
+manufacturer = "Lathe & Sons"
+serial_number = "7"
+product_instance_uri = "urn:lathe:7"
+
+[shop]
+url = "http://127.0.0.1:8760/"
+token = "file:shop.token"
+"""
+    cell.write_text(cell.read_text() + more)
+    (cell.parent / "shop.token").write_text("t" * 43)
+    (tmp_path / "shop.toml").write_text('[shop]\nname = "hall"\nstate_dir = "shop"\n')
+    return {**dict.fromkeys(("web", "opcua", "shop-link"), cell), "shop-serve": tmp_path / "shop.toml"}
+
+
+@pytest.mark.parametrize("of", BESIDE)
+def test_what_runs_beside_a_daemon_has_a_unit_of_its_own(
+    polishd: Polishd, served: dict[str, Path], home: Path, of: str
+) -> None:
+    said = polishd("service", "install", served[of], "--user", "--of", of)
+    assert said.code == 0, said.err
+    (unit,) = home.iterdir()
+    assert unit.name.startswith(f"polishd-{of}-")
+    text = unit.read_text()
+    path = quoted(str(served[of]))
+    assert values(text, "ExecStart") == [f"{sys.executable} -m polishd {BESIDE[of]} {path}"]
+    assert values(text, "Restart") == ["always"]
+    assert values(text, "RestartPreventExitStatus") == [f"2 {ConfigError.exit_code}"], "or it would end so for ever"
+    assert int(values(text, "CPUWeight")[0]) < 100, "the daemon goes first"
+    if ANALYZE is not None:
+        require_readable(unit, "--user", home)
+
+
+@pytest.mark.parametrize("of", ["opcua", "shop-link"])
+def test_a_cell_without_the_section_has_no_such_unit(polishd: Polishd, of: str) -> None:
+    said = polishd("service", "show", EXAMPLE, "--user", "--of", of)
+    assert said.code == ConfigError.exit_code
+    assert "is missing" in said.err
+
+
+def test_each_of_what_runs_beside_is_a_process_of_its_own(polishd: Polishd) -> None:
+    for more in ([EXAMPLE], ["--queue"]):
+        said = polishd("service", "show", EXAMPLE, *more, "--user", "--of", "web")
+        assert (said.code, "takes one file" in said.err) == (2, True)
+
+
 @pytest.mark.skipif(ANALYZE is None, reason="needs systemd-analyze (Debian: systemd)")
 @pytest.mark.parametrize("scope", ["--user", "--system"])
 def test_systemd_reads_it_without_a_word(polishd: Polishd, odd: Path, tmp_path: Path, scope: str) -> None:
     unit = tmp_path / "polishd-test.service"
     unit.write_text(polishd("service", "show", odd, scope).out)
+    require_readable(unit, scope, tmp_path)
+
+
+def require_readable(unit: Path, scope: str, runtime: Path) -> None:
     command = [str(ANALYZE), "verify", "--recursive-errors=no", "--man=no", scope, str(unit)]
-    environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(runtime)}
     found = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    own = [line for line in found.stderr.splitlines() if "polishd-test" in line]
+    own = [line for line in found.stderr.splitlines() if unit.stem in line]
     assert (found.returncode, own) == (0, []), found.stderr
