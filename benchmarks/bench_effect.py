@@ -37,12 +37,16 @@ class Case:
     tolerance: float
 
     @property
-    def spot(self) -> HertzSpot:
-        """The paper's process, bonnet and force grown to this contact."""
+    def process(self) -> ToolProcess:
+        """The paper's, bonnet and force grown to this contact."""
         process = ToolProcess()
         grown = self.radius_mm / float(contact.contact_radius_mm(process, contact.hertz_depth_mm(process)))
-        larger = replace(process, tool_radius_mm=grown * process.tool_radius_mm, force_n=grown**2 * process.force_n)
-        return hertz_spot(larger, self.pitch_mm)
+        return replace(process, tool_radius_mm=grown * process.tool_radius_mm, force_n=grown**2 * process.force_n)
+
+    @property
+    def spot(self) -> HertzSpot:
+        """Of that process, on a flat."""
+        return hertz_spot(self.process, self.pitch_mm)
 
 
 # the demo's spot is a few cells wide: an effect without a matrix is no better there, and is not near 1e-3

@@ -19,7 +19,9 @@ from benchmarks.bench_dwell import FEED_MM_S, path, surface
 from benchmarks.bench_effect import Case
 from benchmarks.harness import Progress, Row
 from polishd.model.outline import Polygon
+from polishd.model.process import FLAT, Optic
 from polishd.model.surface import Grid
+from polishd.process.curved import on_curved
 from polishd.process.dwell import spectral
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
@@ -31,10 +33,12 @@ DISCS = tuple(Case(diameter_mm, 1.0, 1.0, 10.0, 1e-3) for diameter_mm in (110.0,
 """10^4 to 4 * 10^6 blocks."""
 SEGMENT = Case(1400.0, 1.0, 0.8, 30.0, 1e-3)
 """Of an extremely large telescope, over the corners of its hexagon; two million blocks."""
+OFF_AXIS = Optic(69_000.0, -1.0, (), (15_000.0, 6_000.0))
+"""Where that segment lies on its paraboloid."""
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """CPU seconds and memory of discs of a spot of 10 mm, and of a hexagon of one of 30 mm."""
+    """CPU seconds and memory of flat discs of a spot of 10 mm, and of an off-axis hexagon of one of 30 mm."""
     for case in (*DISCS, SEGMENT):
         shape = "hexagon" if case is SEGMENT else "phi"
         progress(f"size: {shape} {case.diameter_mm:g} mm")
@@ -57,7 +61,11 @@ def measured(case: Case, *, hexagon: bool) -> dict[str, float]:
     grid = Grid(side, side, case.pitch_mm)
     gamma = np.asarray(0.875 + 0.035 * np.sin(program.end_mm[:, 0] / 30))
     begun_s = time.process_time()
-    effect = spread_effect(grid, case.spot, program, gamma, np.ones(program.n), tolerance=case.tolerance)
+    factor, bent = np.ones(program.n), None
+    curved = on_curved(case.process, OFF_AXIS if hexagon else FLAT, program.end_mm)
+    if curved is not None:
+        gamma, factor, bent = gamma * curved.deeper, curved.seen, np.column_stack([curved.wider, curved.askew])
+    effect = spread_effect(grid, case.spot, program, gamma, factor, tolerance=case.tolerance, bent=bent)
     solve = outline.contains(*grid.axes_mm) if hexagon else grid.radius_mm() <= case.diameter_mm / 2
     height, lower = surface(grid, solve), program.length_mm / FEED_MM_S
     target = height + choose_piston_nm(height, solve, effect.removal_nm(lower))
