@@ -10,6 +10,7 @@ import json
 import os
 import pkgutil
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -49,6 +50,7 @@ def run(
     rows: list[Row] = []
     complete = True
     for name in names:
+        begun_s = time.monotonic()
         try:
             module = importlib.import_module(f"{package}.{PREFIX}{name}")
             for row in module.rows(lambda message: console.print(f"[dim]{message}[/]")):
@@ -58,6 +60,7 @@ def run(
             complete = False
             console.print(f"[red]{name} failed[/]")
             console.print(traceback.format_exc(), markup=False, highlight=False)
+        console.print(f"[dim]{name}: {time.monotonic() - begun_s:.0f} s in all[/]")
     return rows, complete
 
 
