@@ -23,8 +23,10 @@ JOB_MANAGEMENT, RESULT_MANAGEMENT, RESULT_TYPE, RESPONSE = 1003, 1004, 2001, 301
 """Nodes of them: types."""
 MOST_RESULTS = 10
 """Results that stand there; ``Result01`` is the latest."""
-NO_SUCH_JOB = 1
-"""ReturnStatus of OPC 10031-4: no job has that id."""
+NO_ERROR, UNKNOWN_JOB, UNKNOWN_STATE, INVALID = 1 << 0, 1 << 1, 1 << 3, 1 << 32
+"""Bits of a ReturnStatus (OPC 10031-4, B.2)."""
+STATES = ("NotAllowedToStart", "AllowedToStart", "Running", "Interrupted", "Ended", "Aborted")
+"""Of a job order; the first one's number is 1 (OPC 10031-4, 6.2.1.2)."""
 UNITS = "http://www.opcfoundation.org/UA/units/un/cefact"
 NANOMETRE = 4404277
 """Its code there, C45."""
@@ -144,13 +146,10 @@ class Jobs:
         return "Interrupted" if order.state == "Running" and not self._going else order.state
 
     def _states(self, order: Order) -> list[Any]:
+        """The state on top alone, whose path is null: there are no substates."""
         name = self._said(order)
-        step = TYPES.RelativePathElement(
-            ReferenceTypeId=node_id(ua.ObjectIds.HasComponent, 0),
-            IncludeSubtypes=True,
-            TargetName=ua.QualifiedName(name, self._isa95),
-        )
-        return [TYPES.ISA95StateDataType(BrowsePath=ua.RelativePath([step]), StateText=ua.LocalizedText(name, "en"))]
+        text, number = ua.LocalizedText(name, "en"), STATES.index(name) + 1
+        return [TYPES.ISA95StateDataType(BrowsePath=ua.RelativePath(), StateText=text, StateNumber=number)]
 
     def _and_state(self, order: Order) -> Any:
         part = TYPES.ISA95MaterialDataType(MaterialLotID=order.part_id, MaterialUse="Produced")
@@ -175,15 +174,18 @@ class Jobs:
             return _unreadable()
         found = next((one for one in reversed(known) if one.name == job.Value), None)
         answer = TYPES.ISA95JobResponseDataType() if found is None else self._response(found)
-        return [ua.Variant(answer), ua.Variant(NO_SUCH_JOB if found is None else 0, ua.VariantType.UInt64)]
+        return [ua.Variant(answer), _status(UNKNOWN_JOB if found is None else NO_ERROR)]
 
     async def _by_state(self, _: Any, states: ua.Variant) -> Any:
-        """RequestJobResponseByJobOrderState: of all that are in that state."""
+        """RequestJobResponseByJobOrderState: of all that are in that state; it has no substates."""
         if (known := self._known()) is None:
             return _unreadable()
-        asked = {one.StateText.Text for one in states.Value or ()}
-        found = [self._response(one) for one in known if self._said(one) in asked]
-        return [_several(found), ua.Variant(0, ua.VariantType.UInt64)]
+        top = next((one for one in states.Value or () if not one.BrowsePath.Elements), None)
+        if top is None:
+            return [_several([]), _status(INVALID)]
+        if (asked := _name(top)) is None or len(states.Value) > 1:
+            return [_several([]), _status(UNKNOWN_STATE)]
+        return [_several([self._response(one) for one in known if self._said(one) == asked]), _status(NO_ERROR)]
 
     def _known(self) -> list[Order] | None:
         """Those that have a response."""
@@ -230,6 +232,17 @@ def _parameter(figure: Figure) -> Any:
     described = None if unit or not figure.unit else [ua.LocalizedText(f"in {figure.unit}", "en")]
     value = ua.Variant(figure.value)
     return TYPES.ISA95ParameterDataType(ID=figure.name, Value=value, Description=described, EngineeringUnits=unit)
+
+
+def _name(state: Any) -> str | None:
+    """Of a state that was asked for by number, or by text alone; None: there is no such state."""
+    if state.StateNumber:
+        return STATES[state.StateNumber - 1] if state.StateNumber <= len(STATES) else None
+    return state.StateText.Text if state.StateText.Text in STATES else None
+
+
+def _status(bits: int) -> ua.Variant:
+    return ua.Variant(bits, ua.VariantType.UInt64)
 
 
 def _several(values: list[Any]) -> ua.Variant:

@@ -10,17 +10,19 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from polishd.config.cell import load_config
-from polishd.console.demo_files import DemoFiles
+from polishd.console.demo_files import DemoFiles, write_demo
 from polishd.door.users import Role, Users, users_path
 from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys
+from tests.system.sim_rig import wait_for
+from tests.unit.web.served import answering
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
@@ -31,10 +33,17 @@ PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
 """Where the picture for the README goes."""
 
 
+WEB = ("-m", "polishd.cli", "web")
+OFTEN = ("-c", "from polishd import cli\nfrom polishd.web import watcher\nwatcher.LOOK_S = 0.01\ncli.main()", "web")
+"""It tells its pages in a minute what they hear in an hour."""
+HOUR = 7200
+"""Looks."""
+
+
 @contextlib.contextmanager
-def web_of(files: DemoFiles) -> Iterator[str]:
+def web_of(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[str]:
     """`polishd web` as a process; its address."""
-    command = [sys.executable, "-m", "polishd.cli", "web", str(files.cell)]
+    command = [sys.executable, *program, str(files.cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -115,6 +124,39 @@ def test_a_link_that_is_pulled_in_contact_is_seen_and_explained_at_once(tmp_path
                 idle = os.getloadavg()[0] < (os.cpu_count() or 1) / 2
                 assert took_s < lost_s + 0.5 or not idle, took_s
             assert page.problems == []
+
+
+def memory(page: Page) -> tuple[int, int]:
+    """Bytes that its scripts hold, and its nodes, once what is garbage is gone."""
+    page.call("HeapProfiler.collectGarbage")
+    return page.call("Runtime.getHeapUsage")["usedSize"], page.call("Memory.getDOMCounters")["nodes"]
+
+
+@pytest.mark.slow
+def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -> None:
+    files = write_demo(tmp_path / "cell", None, 2.0, 4, None)
+    files.cell.write_text(with_keys(files.cell.read_text(), FREE))
+    config = load_config(files.cell)
+    token = Users(users_path(config)).add("anna", Role.WATCH)
+    force = {"force_n": 12.0, "setpoint_n": 12.0, "in_contact": True, "retracted": False, "fault": 0, "age_s": 0.01}
+    with (
+        answering(config.state_dir) as daemon,
+        web_of(files, OFTEN) as url,
+        browsing(tmp_path / "browser") as page,
+    ):
+        daemon.live |= {"told": {"force": force, "speed": {"rpm": 800.0, "age_s": 0.01}}, "pressing": True}
+        signed_in(page, url, token)
+        page.until(FRESH)
+        wait_for(lambda: daemon.looks > HOUR / 10, "the first minutes")
+        begun, upto = memory(page), daemon.looks + HOUR
+        while daemon.looks < upto:
+            daemon.tell({"name": "measured", "run_dir": "run"})
+            part = daemon.looks + HOUR // 60
+            wait_for(lambda part=part: daemon.looks >= part, "a minute")
+        ended = memory(page)
+        page.until(FRESH)
+    assert ended[0] < begun[0] + 500_000, (begun, ended)
+    assert ended[1] < begun[1] + 200, (begun, ended)
 
 
 def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:

@@ -67,7 +67,8 @@ async def test_the_jobs_are_told_with_their_states(tmp_path: Path, daemon: Answe
         assert status == "Good"
         assert [one.JobOrder.JobOrderID for one in jobs] == ["lens", "mirror", "flat", "wedge", "prism"]
         assert jobs[0].JobOrder.MaterialRequirements[0].MaterialLotID == "A-1"
-        assert jobs[3].State[0].BrowsePath.Elements[0].TargetName.Name == "Running"
+        (top,) = jobs[3].State
+        assert (top.BrowsePath.Elements or [], top.StateText.Text, top.StateNumber) == ([], "Running", 3)
         control = ("JobManagement", "JobOrderControl")
         assert await seen(machine, *control, "CurrentState") == ("Running", "Good")
         assert await seen(machine, *control, "MaxDownloadableJobOrders") == (0, "Good")
@@ -136,13 +137,28 @@ async def test_a_response_is_asked_for_by_job_and_by_state(tmp_path: Path, daemo
         space = await _space(machine, ISA95)
         by_id = ua.QualifiedName("RequestJobResponseByJobOrderID", space)
         answer, status = await answers.call_method(by_id, "mirror")
-        assert (answer.JobResponseID, answer.Description.Text, status) == ("mirror.2", "rejected: all used", 0)
-        assert (await answers.call_method(by_id, "nobody"))[1] == 1
+        assert (answer.JobResponseID, answer.Description.Text, status) == ("mirror.2", "rejected: all used", 1)
+        assert (await answers.call_method(by_id, "nobody"))[1] == 0b10
         known, _ = await listed(machine)
         by_state = ua.QualifiedName("RequestJobResponseByJobOrderState", space)
-        asked = ua.Variant(known[0].State, ua.VariantType.ExtensionObject, is_array=True)
-        ended, status = await answers.call_method(by_state, asked)
-        assert ([one.JobOrderID for one in ended], status) == (["lens", "mirror"], 0)
+
+        async def in_state(*states: Any) -> tuple[list[str], int]:
+            asked = ua.Variant(list(states), ua.VariantType.ExtensionObject, is_array=True)
+            found, status = await answers.call_method(by_state, asked)
+            return [one.JobOrderID for one in found], status
+
+        (top,) = known[0].State
+        text, kind = ua.LocalizedText, type(top)
+        assert await in_state(top) == (["lens", "mirror"], 1)
+        assert await in_state(kind(StateText=text("Ended"))) == (["lens", "mirror"], 1)
+        assert await in_state(kind(StateNumber=5)) == (["lens", "mirror"], 1)
+        for none in (kind(StateText=text("Lost")), kind(StateNumber=7)):
+            assert await in_state(none) == ([], 0b1000)
+        step = ua.RelativePathElement(TargetName=ua.QualifiedName("Ended", space))
+        below = kind(BrowsePath=ua.RelativePath([step]), StateText=text("Completed"), StateNumber=1)
+        assert await in_state(top, below) == ([], 0b1000), "no state has substates here"
+        for invalid in ((), (below,)):
+            assert await in_state(*invalid) == ([], 1 << 32)
 
 
 @pytest.mark.full

@@ -1,0 +1,209 @@
+"""How late the daemon's loop is in contact while 50 pages watch and 200 requests a second come, and beside that load.
+
+The peer has the same load made by something else: processes that use as much CPU, and ask the daemon nothing. Wall
+time, of the loop itself: a task of it that sleeps 5 ms notes by how much later it wakes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import MIN_REPEATS, Progress, Row
+from polishd.config.cell import load_config
+from polishd.console.demo import commission_demo
+from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
+from polishd.console.simulator import simulated_cell
+from polishd.daemon import client
+from polishd.door.users import Role, Users, users_path
+from polishd.model.errors import PolishdError
+from polishd.model.surface import FloatArray
+
+WATCHERS, ASKED_PER_S = 50, 200.0
+USERS = 8
+"""Each may ask 50 times a second."""
+PATHS = ("/api/state", "/api/health", "/api/jobs", "/api/queue")
+TURN_S, SETTLE_S = 12.0, 1.0
+CONTACT_S = 180.0
+"""By then the tool is on the part, or something is wrong."""
+
+
+def rows(progress: Progress) -> Iterator[Row]:
+    """Lateness in ms, of turns in which the load is ours and of those in between."""
+    with tempfile.TemporaryDirectory() as scratch:
+        late = asyncio.run(measured(Path(scratch), progress))
+    for name, share in (("99th percentile", 99.0), ("99.9th percentile", 99.9)):
+        ours, other = (np.percentile(late[who], share) for who in ("watched", "beside"))
+        title = f"loop in contact, {WATCHERS} watchers and {ASKED_PER_S:g} requests/s: late, {name}"
+        yield Row(title, float(ours), {"the same CPU used by others": float(other)}, "ms")
+
+
+async def measured(folder: Path, progress: Progress) -> dict[str, FloatArray]:
+    """Lateness of each wake, ms, by whose the load was."""
+    found: dict[str, list[FloatArray]] = {"watched": [], "beside": []}
+    files, note = small(folder / "cell"), folder / "late.txt"
+    users = Users(users_path(load_config(files.cell)))
+    tokens = [users.add(f"user{k}", Role.WATCH) for k in range(USERS)]
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir)], folder / "sim.stderr"):
+        command = ["benchmarks.probed_daemon", str(note), "run", str(files.cell)]
+        with process(*command) as daemon, process("polishd", "web", str(files.cell)) as web:
+            assert web.stdout is not None
+            port = int((await asyncio.to_thread(web.stdout.readline)).rsplit(":", 1)[1].strip(" /\n"))
+            progress("watchers: until the tool is on the part")
+            await in_contact(files, daemon)
+            for turn in range(1, MIN_REPEATS + 1):
+                progress(f"watchers: watched {turn}/{MIN_REPEATS}")
+                used_s, begun_s = cpu_s(web) + time.process_time(), time.monotonic()
+                async with watching(port, tokens):
+                    await asyncio.sleep(SETTLE_S)
+                    settled_s = time.monotonic()
+                    await ask(port, tokens)
+                    found["watched"].append(noted(note, settled_s))
+                share = (cpu_s(web) + time.process_time() - used_s) / (time.monotonic() - begun_s)
+                progress(f"watchers: beside {share:.2f} of a core {turn}/{MIN_REPEATS}")
+                with burning(share):
+                    await asyncio.sleep(SETTLE_S)
+                    settled_s = time.monotonic()
+                    await asyncio.sleep(TURN_S)
+                    found["beside"].append(noted(note, settled_s))
+            if not pressing(files):
+                raise RuntimeError("the pass was over before its loop was measured")
+    return {who: np.concatenate(late) for who, late in found.items()}
+
+
+def small(out: Path) -> DemoFiles:
+    """The demo's cell with a part of which a pass takes minutes, and a page at any port."""
+    files = write_demo(out, None, 0.1, 1, None)
+    part = {"part": {"aperture_mm": 30.0}}
+    files.cell.write_text(with_values(files.cell.read_text(), part) + "\n[web]\nport = 0\n")
+    files.sim.write_text(with_values(files.sim.read_text(), {"plant": {"aperture_mm": 30.0, "pv_nm": 400.0}}))
+    commission_demo(files)
+    config = load_config(files.cell)
+    config.program_path.write_bytes(demo_program(config))
+    return files
+
+
+@contextlib.contextmanager
+def process(module: str, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """A module of Python, for the time of the block."""
+    command = [sys.executable, "-m", module, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+        try:
+            yield running
+        finally:
+            running.kill()
+
+
+def pressing(files: DemoFiles) -> bool:
+    """By the daemon's own word."""
+    try:
+        return bool(client.request(files.state_dir, "live", 5.0)["pressing"])
+    except PolishdError:
+        return False
+
+
+async def in_contact(files: DemoFiles, daemon: subprocess.Popen[str]) -> None:
+    """TimeoutError where the tool does not come down."""
+    async with asyncio.timeout(CONTACT_S):
+        while not await asyncio.to_thread(pressing, files):
+            if daemon.poll() is not None:
+                raise RuntimeError(f"the daemon ended with {daemon.returncode}")
+            await asyncio.sleep(0.5)
+
+
+@contextlib.asynccontextmanager
+async def watching(port: int, tokens: list[str]) -> AsyncIterator[None]:
+    """Streams of events, read as they come."""
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(watch(port, tokens[k % len(tokens)])) for k in range(WATCHERS)]
+        yield
+        for task in tasks:
+            task.cancel()
+
+
+async def watch(port: int, token: str) -> None:
+    """One of them, until it is cancelled."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        writer.write(request("/api/events", token, port))
+        if b" 200 " not in await reader.readline():
+            raise RuntimeError("a watcher was refused")
+        while await reader.read(1 << 16):
+            pass
+        raise RuntimeError("a watcher was let go")
+    finally:
+        writer.close()
+
+
+async def ask(port: int, tokens: list[str]) -> None:
+    """Requests, evenly for a turn; each user has a connection."""
+    end_s = time.monotonic() + TURN_S
+
+    async def of_user(token: str) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        try:
+            asked = 0
+            due_s = time.monotonic()
+            while (due_s := due_s + USERS / ASKED_PER_S) < end_s:
+                await asyncio.sleep(due_s - time.monotonic())
+                writer.write(request(PATHS[asked % len(PATHS)], token, port))
+                asked += 1
+                head = await reader.readuntil(b"\r\n\r\n")
+                if b" 200 " not in head.partition(b"\r\n")[0]:
+                    raise RuntimeError(f"a request was refused: {head!r}")
+                length = next(line for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
+                await reader.readexactly(int(length.partition(b":")[2]))
+        finally:
+            writer.close()
+
+    async with asyncio.TaskGroup() as group:
+        for token in tokens:
+            group.create_task(of_user(token))
+
+
+def request(path: str, token: str, port: int) -> bytes:
+    """A GET of HTTP/1.1."""
+    return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {token}\r\n\r\n".encode()
+
+
+BURN = """
+import sys, time
+share = float(sys.argv[1])
+while True:
+    begun = time.monotonic()
+    while time.monotonic() - begun < 0.01 * share: pass
+    time.sleep(0.01 * (1 - share))
+"""
+
+
+@contextlib.contextmanager
+def burning(share: float) -> Iterator[None]:
+    """Two processes that use that many cores between them, as a server and its clients would."""
+    command = [sys.executable, "-c", BURN, str(min(share / 2, 1.0))]
+    running = [subprocess.Popen(command) for _ in range(2)]
+    try:
+        yield
+    finally:
+        for one in running:
+            one.kill()
+            one.wait()
+
+
+def cpu_s(of: subprocess.Popen[str]) -> float:
+    """That a process has used so far."""
+    fields = Path(f"/proc/{of.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / 100
+
+
+def noted(note: Path, since_s: float) -> FloatArray:
+    """ms, of each wake since then."""
+    rows = [line.split() for line in note.read_text().splitlines()[:-1]]
+    return np.array([float(late_ms) for due_s, late_ms in rows if float(due_s) >= since_s])
