@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 import subprocess
 import sys
 import tempfile
@@ -30,7 +31,7 @@ from polishd.model.surface import FloatArray
 WATCHERS, ASKED_PER_S = 50, 200.0
 USERS = 8
 """Each may ask 50 times a second."""
-PATHS = ("/api/state", "/api/health", "/api/jobs", "/api/queue")
+PATHS = ("/api/state", "/api/health", "/api/jobs", "/api/alarms")
 TURN_S, SETTLE_S = 12.0, 1.0
 CONTACT_S = 180.0
 """By then the tool is on the part, or something is wrong."""
@@ -52,11 +53,11 @@ async def measured(folder: Path, progress: Progress) -> dict[str, FloatArray]:
     files, note = small(folder / "cell"), folder / "late.txt"
     users = Users(users_path(load_config(files.cell)))
     tokens = [users.add(f"user{k}", Role.WATCH) for k in range(USERS)]
-    with simulated_cell(files.sim, ["--state", str(files.sim_dir)], folder / "sim.stderr"):
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--speed", "1"], folder / "sim.stderr"):
         command = ["benchmarks.probed_daemon", str(note), "run", str(files.cell)]
-        with process(*command) as daemon, process("polishd", "web", str(files.cell)) as web:
-            assert web.stdout is not None
-            port = int((await asyncio.to_thread(web.stdout.readline)).rsplit(":", 1)[1].strip(" /\n"))
+        page = ["polishd", "web", str(files.cell)]
+        with process(files.daemon_log, *command) as daemon, process(folder / "web.log", *page) as web:
+            port = await asyncio.to_thread(port_of, folder / "web.log")
             progress("watchers: until the tool is on the part")
             await in_contact(files, daemon)
             for turn in range(1, MIN_REPEATS + 1):
@@ -75,16 +76,18 @@ async def measured(folder: Path, progress: Progress) -> dict[str, FloatArray]:
                     await asyncio.sleep(TURN_S)
                     found["beside"].append(noted(note, settled_s))
             if not pressing(files):
-                raise RuntimeError("the pass was over before its loop was measured")
+                raise RuntimeError(
+                    f"the pass ended before its loop was measured: {files.daemon_log.read_text()[-999:]}"
+                )
     return {who: np.concatenate(late) for who, late in found.items()}
 
 
 def small(out: Path) -> DemoFiles:
     """The demo's cell with a part of which a pass takes minutes, and a page at any port."""
     files = write_demo(out, None, 0.1, 1, None)
-    part = {"part": {"aperture_mm": 30.0}}
-    files.cell.write_text(with_values(files.cell.read_text(), part) + "\n[web]\nport = 0\n")
-    files.sim.write_text(with_values(files.sim.read_text(), {"plant": {"aperture_mm": 30.0, "pv_nm": 400.0}}))
+    part = {"part": {"aperture_mm": 60.0}}
+    files.cell.write_text(with_values(files.cell.read_text(), {**part, "web": {"port": 0}}))
+    files.sim.write_text(with_values(files.sim.read_text(), {"plant": {"aperture_mm": 60.0, "pv_nm": 400.0}}))
     commission_demo(files)
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
@@ -92,14 +95,24 @@ def small(out: Path) -> DemoFiles:
 
 
 @contextlib.contextmanager
-def process(module: str, *words: str) -> Iterator[subprocess.Popen[str]]:
+def process(log: Path, module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
     """A module of Python, for the time of the block."""
     command = [sys.executable, "-m", module, *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+    with log.open("wb") as out, subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT) as running:
         try:
             yield running
         finally:
             running.kill()
+
+
+def port_of(log: Path) -> int:
+    """Of the page, by what it says at its start."""
+    end_s = time.monotonic() + CONTACT_S
+    while (found := re.search(r"://[\d.]+:(\d+)/", log.read_text())) is None:
+        if time.monotonic() > end_s:
+            raise TimeoutError(f"{log}: the page does not say where it is")
+        time.sleep(0.1)
+    return int(found[1])
 
 
 def pressing(files: DemoFiles) -> bool:
@@ -110,7 +123,7 @@ def pressing(files: DemoFiles) -> bool:
         return False
 
 
-async def in_contact(files: DemoFiles, daemon: subprocess.Popen[str]) -> None:
+async def in_contact(files: DemoFiles, daemon: subprocess.Popen[bytes]) -> None:
     """TimeoutError where the tool does not come down."""
     async with asyncio.timeout(CONTACT_S):
         while not await asyncio.to_thread(pressing, files):
@@ -161,6 +174,8 @@ async def ask(port: int, tokens: list[str]) -> None:
                     raise RuntimeError(f"a request was refused: {head!r}")
                 length = next(line for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
                 await reader.readexactly(int(length.partition(b":")[2]))
+            if asked < 0.9 * TURN_S * ASKED_PER_S / USERS:
+                raise RuntimeError(f"only {asked} requests of a user were answered in {TURN_S:g} s")
         finally:
             writer.close()
 
@@ -197,7 +212,7 @@ def burning(share: float) -> Iterator[None]:
             one.wait()
 
 
-def cpu_s(of: subprocess.Popen[str]) -> float:
+def cpu_s(of: subprocess.Popen[bytes]) -> float:
     """That a process has used so far."""
     fields = Path(f"/proc/{of.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / 100

@@ -11,6 +11,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys
 from tests.system.sim_rig import wait_for
-from tests.unit.web.served import answering
+from tests.unit.web.served import Answers, answering
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
@@ -36,8 +37,8 @@ PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
 WEB = ("-m", "polishd.cli", "web")
 OFTEN = ("-c", "from polishd import cli\nfrom polishd.web import watcher\nwatcher.LOOK_S = 0.01\ncli.main()", "web")
 """It tells its pages in a minute what they hear in an hour."""
-HOUR = 7200
-"""Looks."""
+LOOKS = 120
+"""Of a minute."""
 
 
 @contextlib.contextmanager
@@ -110,7 +111,7 @@ def test_a_link_that_is_pulled_in_contact_is_seen_and_explained_at_once(tmp_path
         with web_of(files) as url, browsing(tmp_path / "browser") as page:
             signed_in(page, url, token)
             with Daemon(files) as daemon:
-                daemon.wait_in_contact(SOON_S)
+                daemon.wait_in_contact(20)
                 page.until(FRESH)
                 actuator = json.loads((files.sim_dir / "pids.json").read_text())["actuator"]
                 os.kill(actuator, signal.SIGSTOP)
@@ -132,6 +133,18 @@ def memory(page: Page) -> tuple[int, int]:
     return page.call("Runtime.getHeapUsage")["usedSize"], page.call("Memory.getDOMCounters")["nodes"]
 
 
+def reached(daemon: Answers, looks: int) -> bool:
+    return daemon.looks >= looks
+
+
+def minutes(daemon: Answers, count: int) -> None:
+    """In each of them something happens."""
+    for _ in range(count):
+        daemon.tell({"name": "measured", "run_dir": "run"})
+        upto = daemon.looks + LOOKS
+        wait_for(partial(reached, daemon, upto), "a minute")
+
+
 @pytest.mark.slow
 def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -> None:
     files = write_demo(tmp_path / "cell", None, 2.0, 4, None)
@@ -147,16 +160,13 @@ def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -
         daemon.live |= {"told": {"force": force, "speed": {"rpm": 800.0, "age_s": 0.01}}, "pressing": True}
         signed_in(page, url, token)
         page.until(FRESH)
-        wait_for(lambda: daemon.looks > HOUR / 10, "the first minutes")
-        begun, upto = memory(page), daemon.looks + HOUR
-        while daemon.looks < upto:
-            daemon.tell({"name": "measured", "run_dir": "run"})
-            part = daemon.looks + HOUR // 60
-            wait_for(lambda part=part: daemon.looks >= part, "a minute")
+        minutes(daemon, 6)
+        begun = memory(page)
+        minutes(daemon, 60)
         ended = memory(page)
         page.until(FRESH)
     assert ended[0] < begun[0] + 500_000, (begun, ended)
-    assert ended[1] < begun[1] + 200, (begun, ended)
+    assert ended[1] < begun[1] + 1000, (begun, ended)  # some wait to be collected; a leak is one or more a look
 
 
 def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:

@@ -33,14 +33,15 @@ class Answers:
     subscribers: list[Any] = field(default_factory=list)
     looks: int = 0
     """How often it was asked for what is shown live."""
-    live: dict[str, Any] = field(default_factory=lambda: dict(LIVE))
+    live: dict[str, Any] = field(default_factory=dict)
+    """That differs from ``LIVE``."""
 
     def answer(self, verb: str, args: dict[str, Any]) -> dict[str, Any]:
         if verb not in {"live", "subscribe"}:
             self.asked.append((verb, args))
         if verb in {"live", "subscribe"}:
             self.looks += verb == "live"
-            return {"ok": True, **self.live}
+            return {"ok": True, **LIVE, **self.live}
         if self.hang is not None and verb not in {"hold", "stop"}:
             self.hang.wait(60)
         return {"ok": False, "error": self.refuse} if self.refuse else {"ok": True, "state": "held", "jobs": []}
@@ -48,7 +49,7 @@ class Answers:
     def tell(self, event: dict[str, Any]) -> None:
         """Those who listen hear of it."""
         for subscriber in self.subscribers:
-            subscriber.write(json.dumps(event).encode() + b"\n")
+            subscriber.write(json.dumps({"event": event}).encode() + b"\n")
             subscriber.flush()
 
 
