@@ -552,6 +552,7 @@ async def test_the_spindle_runs_changes_and_stops(spindle: SpindleRig) -> None:
     assert spindle.safe()
 
 
+@pytest.mark.full
 async def test_the_spindle_refuses_what_its_drive_says_it_cannot(spindle: SpindleRig) -> None:
     with pytest.raises(DeviceRefused):
         await spindle.device.set_speed(3001.0)

@@ -68,9 +68,8 @@ def write_map(files: DemoFiles) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "name", ["rectangle", *(pytest.param(name, marks=pytest.mark.full) for name in ("hexagon", "ring", "file"))]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["rectangle", "hexagon", "ring", "file"])
 def test_it_is_planned_by_its_outline(tmp_path: Path, name: str) -> None:
     files = write_files(tmp_path / "cell", name)
     run("check", files.cell)

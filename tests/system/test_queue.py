@@ -84,6 +84,7 @@ def queue_cell(out: Path, **faults: list[str]) -> Iterator[DemoFiles]:
         yield files
 
 
+@pytest.mark.full
 def test_parts_without_a_person_and_one_that_comes_while_it_runs(tmp_path: Path) -> None:
     with queue_cell(tmp_path / "cell") as files:
         add(files, ("one", "P-1"))

@@ -83,6 +83,7 @@ def test_the_line_is_as_slow_as_its_baud_rate(shared: Cell) -> None:
         coil.close()
 
 
+@pytest.mark.full
 def test_the_spindle_runs_while_it_is_told_to(shared: Cell) -> None:
     spindle = shared.spindle()
     try:
@@ -119,6 +120,7 @@ def test_a_client_library_talks_to_the_spindle(shared: Cell) -> None:
         bus.shutdown()
 
 
+@pytest.mark.full
 def test_a_pass_in_contact_is_booked_block_by_block_and_measured(shared: Cell) -> None:
     robot = shared.robot()
     coil = shared.coil()
@@ -221,6 +223,7 @@ def check_log(shared: Cell) -> None:
     assert process == sorted(process)
 
 
+@pytest.mark.full
 def test_silence_of_the_writer_holds_the_robot(shared: Cell) -> None:
     robot = shared.robot()
     try:

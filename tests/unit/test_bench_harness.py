@@ -58,6 +58,7 @@ class TestCpuSeconds:
         assert cost is not None
         assert cost < 0.1
 
+    @pytest.mark.full
     def test_the_work_of_a_child_that_it_waits_for_is_counted(self) -> None:
         code = "import time\nwhile time.process_time() < 0.3: pass"
         cost = cpu_seconds(lambda: subprocess.run([sys.executable, "-c", code], check=True), 10)

@@ -64,7 +64,7 @@ def test_from_what_the_robot_tells_to_the_report(tmp_path: Path) -> None:
     assert (run / "cycle-00" / "executed.csv").stat().st_size < CSV_BYTES * TOLD
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("language", WRITING)
 def test_a_robot_language(language: str) -> None:
     assert over(language_stages(language, language_program(language, LINES)), LINES) == {}

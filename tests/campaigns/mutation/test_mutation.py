@@ -68,6 +68,7 @@ def test_faults(source: str, found: list[str] | int) -> None:
     assert (len(said) if isinstance(found, int) else said) == found
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", MODULES)
 def test_every_fault_of_what_is_proved_is_another_program_and_has_a_name_of_its_own(name: str) -> None:
     module = Module(name, (ROOT / name).read_text())

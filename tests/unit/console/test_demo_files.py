@@ -149,6 +149,7 @@ def test_a_port_that_is_free() -> None:
 # the program
 
 
+@pytest.mark.full
 def test_the_program_reads_back(program: Program, config: CellConfig) -> None:
     assert program.encoding == "feed"
     assert program.warnings == ()

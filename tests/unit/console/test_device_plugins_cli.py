@@ -84,6 +84,7 @@ def test_an_actuator_that_cannot_lift(polishd: Polishd, cell: Path, install: Cal
     assert not (cell.parent / "opened").exists()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("build", "key", "says"),
     [

@@ -96,6 +96,7 @@ OWN = ("notifications",)
 MAIL = '[notify.mail]\ntype = "email"\nhost = "here"\nsender = "a@b.c"\nto = ["a@b.c"]\n'
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("text", "plugins", "says"),

@@ -283,6 +283,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("said", REFUSED)
 def test_what_nothing_can_stand_in_for_is_refused_with_its_place(tmp_path: Path, said: str) -> None:

@@ -29,6 +29,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
     return write_demo(tmp_path_factory.mktemp("cell") / "out", None, 2.0, 4, None)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("outcome", "code"), [("in_tolerance", 0), ("cycles_used", 1), ("stopped", 1), ("diverged", 6)]
 )
@@ -111,6 +112,7 @@ def two(files: DemoFiles) -> list[str]:
     return [str(files.cell), str(other)]
 
 
+@pytest.mark.full
 def test_each_cell_is_named_and_the_worst_code_counts(
     polishd: Polishd, two: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -104,6 +104,7 @@ token = "file:shop.token"
     return {**dict.fromkeys(("web", "opcua", "shop-link"), cell), "shop-serve": tmp_path / "shop.toml"}
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("of", BESIDE)
 def test_what_runs_beside_a_daemon_has_a_unit_of_its_own(
     polishd: Polishd, served: dict[str, Path], home: Path, of: str

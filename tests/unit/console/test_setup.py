@@ -48,6 +48,7 @@ def test_a_new_cell_passes_its_check_and_has_all_else_to_do(cell: Path) -> None:
     assert found["plan"][2] == f"polishd plan {cell} MAP --out {cell.parent / 'plan'}"
 
 
+@pytest.mark.full
 def test_steps_are_done_as_their_files_appear_and_undone_as_they_go(cell: Path) -> None:
     text = cell.read_text()
     kept = "\n".join(line for line in text.splitlines() if not line.startswith("# LOOK: "))

@@ -45,6 +45,7 @@ def test_version(polishd: Polishd) -> None:
     assert polishd("version") == Said(0, f"{__version__}\n", "")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("words", [["polsih"], ["check"], ["run", "cell.toml", "--correction", "some"], ["--jsn"]])
 def test_usage(polishd: Polishd, words: list[str]) -> None:
     assert polishd(*words).code == 2
@@ -165,6 +166,7 @@ def test_a_byte_order_mark_is_no_fault(tmp_path: Path, kind: str) -> None:
         loaded(marked)
 
 
+@pytest.mark.full
 def test_a_config_that_is_not_there(polishd: Polishd, tmp_path: Path) -> None:
     for verb in ("check", "run", "probe", "status", "hold", "resume", "stop", "plugins"):
         said = polishd(verb, tmp_path / "gone.toml")
@@ -231,6 +233,7 @@ def test_plan_refuses_a_map_that_is_none(polishd: Polishd, files: DemoFiles, tmp
 # the daemon's verbs
 
 
+@pytest.mark.full
 def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
     for verb in ("status", "hold", "resume", "stop"):
         assert polishd(verb, files.cell).code == 5, verb
@@ -288,6 +291,7 @@ def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, conte
     record.unlink(missing_ok=True)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("verb", ["hold", "resume", "stop", "estop"])
 def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[Path, str, dict[str, str]]] = []
@@ -400,6 +404,7 @@ def test_a_simulator_that_does_not_start_is_told(
     assert (said.code, "did not start" in said.err) == (5, True)
 
 
+@pytest.mark.full
 def test_load_cell_overrides_the_correction(files: DemoFiles) -> None:
     config, hooks = verbs.load_cell(files.cell, "none")
     assert config.process.correction == "none"

@@ -282,6 +282,7 @@ async def test_a_lost_journal_ends_contact(bench: Bench, monkeypatch: pytest.Mon
 # orders
 
 
+@pytest.mark.full
 async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> None:
     async with Running(bench) as running:
         verbs = running.daemon.handlers
@@ -303,6 +304,7 @@ async def test_hold_leaves_contact_and_resume_measures_first(bench: Bench) -> No
     assert running.states() == ["polishing", "held", "polishing"]
 
 
+@pytest.mark.full
 async def test_an_emergency_stop_by_order_stops_motion_before_the_tool_is_up(bench: Bench) -> None:
     async with Running(bench) as running:
         verbs = running.daemon.handlers
@@ -583,6 +585,7 @@ async def test_a_signal_stops_safely(site: Site, number: int) -> None:
     assert site.bench.fake.events[-7:] == [*SAFE, *CLOSED]
 
 
+@pytest.mark.full
 async def test_stop_over_the_socket_is_answered(site: Site) -> None:
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 from polishd.daemon.compute_limit import process_cpu_s
 
 NAMED = """
@@ -23,6 +25,7 @@ def test_all_threads_count() -> None:
     assert abs(process_cpu_s(os.getpid()) - time.process_time()) < 0.1
 
 
+@pytest.mark.full
 def test_a_name_with_brackets_is_read_past() -> None:
     command = [sys.executable, "-c", NAMED]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

@@ -99,6 +99,7 @@ async def test_the_robot_stands_at_the_place_while_the_tool_is_down(bench: Bench
     assert bench.fake.of("robot.resume")[1] == "robot.resume None"
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("sign", [1, -1])
 async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int) -> None:
@@ -269,6 +270,7 @@ async def test_after_a_hold_it_is_proved_again(bench: Bench) -> None:
     assert bench.fake.events.count(LANDED) == 6
 
 
+@pytest.mark.full
 async def test_the_place_of_the_actuator_may_be_said(bench: Bench) -> None:
     sits(bench, 4.0, 4.0, 4.0)
     assert await bench.polish(proving(bench, replace(ASKED, position_mm=4.0))) is Outcome.CYCLES_USED
@@ -307,6 +309,7 @@ async def test_a_step_of_a_person_is_asked_for_once(bench: Bench) -> None:
     assert ended(bench, "clean") == ["1 clean failed"]
 
 
+@pytest.mark.full
 async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) -> None:
     code = f"sys.exit(len(open({str(tmp_path / 'said')!r}).readlines()) == 1 and 'no water')"
     step = Step(command=said(tmp_path / "said", code), folder=tmp_path)
@@ -334,6 +337,7 @@ def warming(bench: Bench, *swellings_nm: float) -> Callable[[], SurfaceMap]:
     return seen
 
 
+@pytest.mark.full
 async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 0.0, 0.0, 9.0, 3.0, 1.0, 0.9)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
@@ -415,6 +419,7 @@ async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, s
     assert ended(bench, "learn") == ["0 learn done", *(["1 learn done"] * (1 if settle else 2))]
 
 
+@pytest.mark.full
 async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(bench: Bench) -> None:
     measure, trefoils = bench.measure, iter([0.0, 9.0, -7.0, 4.0])
     grid = small_map().grid

@@ -282,6 +282,7 @@ async def test_the_first_cycle_learns_nothing(job: Job) -> None:
     assert [event.name for event in job.told] == ["measured"]  # type: ignore[attr-defined]
 
 
+@pytest.mark.full
 async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path: Path) -> None:
     surface = await whole_cycle(job, 0, small_map(), rate=0.8)
     await whole_cycle(job, 1, surface, rate=0.8)

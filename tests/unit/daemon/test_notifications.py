@@ -150,6 +150,7 @@ async def test_what_could_not_be_sent_at_the_end_is_sent_at_the_next_start(site:
     assert waiting(site, "email") == []
 
 
+@pytest.mark.full
 async def test_a_mail_server_that_hangs_does_not_hold_up_the_end(
     site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

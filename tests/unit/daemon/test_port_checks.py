@@ -28,6 +28,7 @@ def test_the_fakes_have_all_that_their_ports_ask(section: Any) -> None:
     assert lacking(getattr(FakeCell(), section), PORTS[section]) == []
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("section", "name"), MEMBERS)
 def test_whatever_is_missing_is_named(section: Any, name: str) -> None:
     fake = getattr(FakeCell(), section)

@@ -100,6 +100,7 @@ async def first_pass_nm(state_dir: Path) -> float:
         return (await job.measured(1, await whole_cycle(job, 0, small_map(seed=5), rate=RATE))).stats.rms_nm
 
 
+@pytest.mark.full
 async def test_the_last_lesson_counts(tmp_path: Path) -> None:
     await taught(tmp_path)
     last = await taught(tmp_path, "next", 0.95)

@@ -68,6 +68,7 @@ def test_what_may_change(cell: Path, section: str, values: dict[str, Any]) -> No
     go_on(cell)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("section", "values", "says"),
     [

@@ -110,6 +110,7 @@ async def test_a_journal_that_is_lost_at_the_end_is_its_own_cells_affair(
     assert (type(first), second["outcome"]) == (SafetyStop, "in_tolerance")
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("broken", [no_spindle, no_run_folder])
 async def test_one_that_ends_does_not_end_the_other(sites: Sites, broken: Any) -> None:
@@ -132,6 +133,7 @@ async def test_a_cell_that_cannot_begin_refuses_all_before_anything_is_opened(si
         pass
 
 
+@pytest.mark.full
 async def test_an_ended_cell_is_given_back_while_the_other_goes_on(sites: Sites) -> None:
     sites.breaks[0] = no_spindle
     first, second = sites.all

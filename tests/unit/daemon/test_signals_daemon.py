@@ -47,6 +47,7 @@ async def ready(bench: Bench) -> None:
         await asyncio.sleep(0)
 
 
+@pytest.mark.full
 async def test_hold_leaves_contact_in_order_and_a_person_goes_on(bench: Bench) -> None:
     monitor = monitored(bench, "hold")
     async with Running(bench) as running:
@@ -134,6 +135,7 @@ async def test_notify_tells_and_goes_on(bench: Bench) -> None:
     assert concern.what == WRONG
 
 
+@pytest.mark.full
 async def test_nothing_moves_before_it_is_ready_and_the_cell_is_held_in_the_end(bench: Bench) -> None:
     monitor = monitored(bench, "hold")
     monitor.values["flow"] = 0.9

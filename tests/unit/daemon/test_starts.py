@@ -89,6 +89,7 @@ def test_a_journal_is_moved_aside_only_where_it_is_none(tmp_path: Path, code: st
         Journal.open(tmp_path, job="small", part_id="P-1", connect=lambda _: Broken())  # type: ignore[arg-type,return-value]
 
 
+@pytest.mark.full
 async def test_a_clock_that_jumps_by_a_year_while_it_runs_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,6 +50,7 @@ def test_identity() -> None:
         numbered.identity("ID,Acme")
 
 
+@pytest.mark.full
 @given(st.text(max_size=40))
 def test_any_name_of_a_part_comes_through(part: str) -> None:
     sent = codec.load(part).removeprefix("LD,")

@@ -48,6 +48,7 @@ def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
     assert int(surface.part_id) != os.getpid()
 
 
+@pytest.mark.full
 def test_a_file_is_called_as_it_was_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(BadMap, match=r"^map\.bin: .*torn"):
@@ -74,12 +75,14 @@ def test_what_a_parser_does_is_a_bad_map(tmp_path: Path, what: str, reason: str)
     assert read(tmp_path, "map").pitch_mm == 0.5
 
 
+@pytest.mark.full
 def test_one_that_only_waits_is_ended(tmp_path: Path) -> None:
     with pytest.raises(BadMap, match=r"within 0\.1 s"):
         read(tmp_path, "wait", wall_s=0.1)
     assert read(tmp_path, "map").pitch_mm == 0.5
 
 
+@pytest.mark.full
 def test_the_worker_is_kept_and_replaced_when_it_has_gone(tmp_path: Path) -> None:
     first = int(read(tmp_path, "map").part_id)
     with pytest.raises(BadMap, match="torn"):
@@ -112,6 +115,7 @@ def test_room_is_made_only_where_there_is_a_bound() -> None:
     assert getrlimit(RLIMIT_AS) == before
 
 
+@pytest.mark.full
 def test_a_worker_that_is_not_kept_ends_with_its_file(tmp_path: Path) -> None:
     kept = int(read(tmp_path, "map").part_id)
     own = int(read(tmp_path, "map", is_kept=False).part_id)
@@ -127,6 +131,7 @@ def test_what_ends_the_daemon_does_not_make_a_bad_map(tmp_path: Path) -> None:
     assert int(read(tmp_path, "map").part_id) == worker
 
 
+@pytest.mark.full
 def test_it_ends_when_nobody_is_left_to_read_for(tmp_path: Path) -> None:
     (tmp_path / "map.bin").write_text("map")
     script = (
@@ -161,6 +166,7 @@ def test_a_path_is_of_the_folder_where_it_was_asked_for(tmp_path: Path, monkeypa
     assert apart.read(parsers_apart.__name__, Path("map.bin")).pitch_mm == 0.5
 
 
+@pytest.mark.full
 def test_an_interrupted_read_is_not_the_next_ones_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = int(read(tmp_path, "map").part_id)
 

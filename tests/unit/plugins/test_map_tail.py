@@ -65,6 +65,7 @@ def put(
     return path
 
 
+@pytest.mark.full
 def test_what_the_worker_says_is_the_map(tmp_path: Path, library: Path) -> None:
     path = put(tmp_path, library)
     surface = tail.read(path)
@@ -113,6 +114,7 @@ def test_a_file_without_units_leaves_them_open(tmp_path: Path, library: Path) ->
     assert surface.pitch_mm is None
 
 
+@pytest.mark.full
 def test_pixels_that_are_not_square_have_no_pitch(tmp_path: Path, library: Path) -> None:
     assert "square pixels" in tail.read(put(tmp_path, library, y_nm=3e3)).unsaid
 

@@ -274,6 +274,7 @@ def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path)
     assert names == {"psd", "plan-maps", "plan-compliance", "plan-dwell"}
 
 
+@pytest.mark.full
 def test_what_was_said_of_a_map_and_of_a_pass_is_on_the_page(undrawn: None, run_dir: Path) -> None:
     rows = json.loads((run_dir / "summary.json").read_text())["cycles"]
     write_summary(run_dir, [{**rows[0], "notes": ["a tilt of 150 nm"], "found": ["the rate fell"]}, *rows[1:]])
@@ -391,6 +392,7 @@ class TestWhatIsMissing:
         assert [entry.partition(":")[0] for entry in folder.missing] == [f"cycle-00/{name}"]
         assert folder.cycles[1].surface is not None
 
+    @pytest.mark.full
     def test_a_broken_map_does_not_take_the_page_down(self, undrawn: None, run_dir: Path) -> None:
         (run_dir / "cycle-00" / "surface.npz").write_bytes(b"PK\x03\x04")
         page = page_of(run_dir)
@@ -406,6 +408,7 @@ class TestWhatIsMissing:
         assert "picture cycle-00-compliance: KeyError" in missing_in(page_of(run_dir))
         assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
 
+    @pytest.mark.full
     def test_a_prediction_on_another_grid_is_not_drawn(self, undrawn: None, run_dir: Path) -> None:
         np.savez(run_dir / "cycle-00" / "plan.npz", **(plan_arrays() | {"residual_nm": np.zeros((5, 5))}))
         assert "picture cycle-00-prediction" in missing_in(page_of(run_dir))
@@ -417,6 +420,7 @@ class TestWhatIsMissing:
         np.savez(path, **(arrays | {"height_nm": np.full((N, N), np.nan)}))
         assert "picture psd" in missing_in(page_of(run_dir))
 
+    @pytest.mark.full
     def test_a_summary_of_wrong_shape_is_no_obstacle(self, undrawn: None, run_dir: Path) -> None:
         (run_dir / "summary.json").write_text(
             '{"cycles": [null, {"rms_nm": "high"}], "notes": null, "tolerance_nm": "x"}'

@@ -90,6 +90,7 @@ def test_the_message_gives_the_profile_that_is_right(way: Orientation, was: Orie
     assert prove(as_profiled(raw, mended), BUMPS).correlation > 0.99
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("pitch", [0.25, 0.4, 0.485, 0.515, 1.0])
 def test_a_wrong_pitch_is_measured(pitch: float) -> None:
     with pytest.raises(BadMap, match=r"times as large: set pitch_mm") as refused:
@@ -111,6 +112,7 @@ def test_small_errors_are_within_tolerance() -> None:
         prove(SurfaceMap(1.07 * artefact(), 0.5), BUMPS)
 
 
+@pytest.mark.full
 def test_another_artefact_is_refused() -> None:
     other = np.random.default_rng(3).normal(0, 30, GRID.shape)
     with pytest.raises(BadMap, match="does not show the artefact"):

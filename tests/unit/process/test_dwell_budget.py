@@ -23,6 +23,7 @@ FREE = solve(PROBLEM).certificate
 FLOOR_S = float(PROBLEM.lower_s.sum())
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.99])
 def test_the_budget_is_used_and_kept(share: float) -> None:
     budget = FLOOR_S + share * (FREE.dwell_total_s - FLOOR_S)
@@ -68,6 +69,7 @@ def test_what_any_dwell_within_a_budget_can_be_better_by_is_proved(more: float) 
     assert any("no dwell within it leaves" in note for note in found.solution.certificate.notes)
 
 
+@pytest.mark.full
 def test_more_budget_never_hurts() -> None:
     found = [within_budget(PROBLEM, share * FREE.dwell_total_s, solve) for share in (0.5, 0.7, 0.9, 1.0, 1.5)]
     misses = [quadratic(PROBLEM).value(point.solution.time_s) for point in found]
@@ -113,6 +115,7 @@ def test_a_general_solver_keeps_a_budget_too() -> None:
     assert found.rms_nm == pytest.approx(exact.rms_nm, rel=2e-2)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("factor", [1.2, 3.0])
 def test_a_target_is_met_and_not_overdone(factor: float) -> None:
     target = factor * FREE.predicted_rms_nm

@@ -48,6 +48,7 @@ def test_it_comes_to_the_same_minimum(problem: DwellProblem, best: DwellSolution
     assert c.predicted_rms_nm == pytest.approx(best.certificate.predicted_rms_nm, rel=1e-4)
 
 
+@pytest.mark.full
 def test_float64_takes_over_where_float32_has_no_digits(problem: DwellProblem, best: DwellSolution) -> None:
     found = solve(problem, 60.0, 1e-11)
     assert found.certificate.kkt_residual <= 1e-11
@@ -101,6 +102,7 @@ def test_the_plant_is_met_as_well_as_the_truncation_allows(problem: DwellProblem
     assert residual.std() == pytest.approx(found.certificate.predicted_rms_nm, rel=0.02)
 
 
+@pytest.mark.full
 def test_a_warm_start_takes_a_fifth_of_the_iterations(problem: DwellProblem) -> None:
     """From the splitting's state, after gamma moved by 1 %."""
     assert isinstance(problem.effect, ConvolutionEffect)

@@ -49,6 +49,7 @@ def by_bvls(problem: DwellProblem) -> float:
     return quadratic(problem).value(at)
 
 
+@pytest.mark.full
 @settings(max_examples=60)
 @given(st.integers(0, 10**6), st.sampled_from([1e-7, 1e-4, 0.1]))
 def test_agrees_with_bvls_on_any_small_problem(seed: int, p: float) -> None:

@@ -90,6 +90,7 @@ def constrained(seed: int = 0) -> DwellProblem:
 # against others
 
 
+@pytest.mark.full
 @each
 def test_nnls_finds_the_same_objective(solve: Solve) -> None:
     problem = lattice_problem(radius_mm=8)
@@ -173,6 +174,7 @@ def test_more_time_never_hurts(solve: Solve, seed: int, prices: list[float]) -> 
     assert free.value(cheap) <= free.value(dear) + 1e-8 * scale
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @each
 @few
@@ -185,6 +187,7 @@ def test_wider_bounds_never_hurt(solve: Solve, seed: int, raised: float) -> None
     assert more <= less * (1 + 1e-8)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @each
 @few
@@ -228,6 +231,7 @@ def laid(row: int, column: int, seed: int) -> DwellProblem:
     return replace(part, effect=effect, target_nm=target, solve_mask=mask, metric_mask=clear)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @each
 @few

@@ -128,6 +128,7 @@ def test_a_sharper_proof_is_found_by_the_coarser_effect_and_holds() -> None:
     assert found.certificate.objective - best <= sharper.gap * found.certificate.objective
 
 
+@pytest.mark.full
 def test_what_the_effect_is_off_by_is_said_in_nm_too() -> None:
     asked = problem()
     found = spectral.solve(asked, 120.0)

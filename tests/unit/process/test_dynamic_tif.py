@@ -73,6 +73,7 @@ def test_a_column_is_what_brute_force_says(
     assert np.abs(got - want).max() < (3e-3 if pitch >= 0.5 else 2e-2) * want.max()
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("pitch", "largest", "half"), [(0.5, 0.012, 0.006), (1.0, 0.006, 0.003)])
 def test_how_right_a_cell_is_is_what_the_docstring_says(pitch: float, largest: float, half: float) -> None:

@@ -33,6 +33,7 @@ def figure(rng: np.random.Generator) -> FloatArray:
     return np.asarray(left / left.std())
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(("rate_sigma", "share"), [(0.05, 0.0), (0.0, 0.02), (0.1, 0.02), (0.01, 0.005)])
 def test_nine_of_ten_come_between(rate_sigma: float, share: float) -> None:

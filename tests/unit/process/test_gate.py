@@ -161,6 +161,7 @@ def test_a_turn_that_noise_brings_about_is_not_claimed() -> None:
             assert len(verdict.undecidable) > 10
 
 
+@pytest.mark.full
 def test_drift_of_the_set_up_is_no_mistake() -> None:
     """Power and astigmatism that come and go with temperature, as high as what was removed."""
     bowl = PREDICTED / 10 + 4 * (X**2 + Y**2) / 2500

@@ -216,6 +216,7 @@ def test_a_coarser_map_keeps_place_mean_and_noise() -> None:
         whole.coarser(2)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("change", "said"),

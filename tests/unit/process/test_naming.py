@@ -48,6 +48,7 @@ def test_a_pass_names_what_is_wrong_with_it(measured: np.ndarray, cause: str | N
     assert all(one.size > one.limit for one in found)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("bent", "cause"), [(-3.0 * POWER, "settling"), (3.0 * TREFOIL, "mount")])
 def test_low_orders_are_suspected_until_another_map_tells(bent: np.ndarray, cause: str) -> None:
     measured = removal() + bent + noise(0.2)

@@ -106,6 +106,7 @@ def stored_energy(robot: HybridRobot, pose: Pose, k: int, force: np.ndarray) -> 
     return energy + (torque @ hinge) ** 2 / (hinge @ hinge) / robot.a_stiffness_n_mm_per_rad
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("robot", EXACT)
 def test_the_tip_gives_way_as_the_strain_energy_says(robot: HybridRobot) -> None:
     pose = poses(robot=robot)

@@ -22,6 +22,7 @@ DISC = GRID.radius_mm() <= 28
 SMOOTH = np.where(DISC, rough(GRID, seed=2, cut_mm=8), np.nan)
 
 
+@pytest.mark.full
 @settings(max_examples=20)
 @given(st.integers(0, 10**6), st.integers(1, 30), st.floats(1.5, 4.0), st.booleans())
 def test_spikes_are_found_and_nothing_else(seed: int, n: int, decades: float, negative: bool) -> None:

@@ -95,6 +95,7 @@ def test_a_measurement_of_an_earlier_job_knows_where_the_part_lay(measured: Meas
     assert Measured.load(arrays, facts, "none").map_grid is None
 
 
+@pytest.mark.full
 def test_a_plan(planned: Planned) -> None:
     files = planned.files()
     start = stored(npz(planned.start()))
@@ -160,6 +161,7 @@ def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
     assert taught.believed.facts()["removal"]["wear"]["value"] == pytest.approx(solved.expected_s.sum())
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("then", "alike"),
     [

@@ -313,6 +313,7 @@ def test_without_a_token_it_does_not_begin(rig: Rig) -> None:
         rig.again()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("url", "wrong"),
     [

@@ -80,6 +80,7 @@ def straight(chain: list[tuple[float, float]]) -> Path:
     return path_of(*(b"G1 X%.6f F%.4f" % (x, feed) for x, (_, feed) in zip(at, chain, strict=True)))
 
 
+@pytest.mark.full
 @given(LENGTHS, st.floats(0.0, 0.01))
 def test_legs_follow_each_other_and_cover_the_path(chain: list[tuple[float, float]], overhead_s: float) -> None:
     path = straight(chain)

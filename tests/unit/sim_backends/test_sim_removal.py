@@ -79,6 +79,7 @@ SHEARED = np.array([[1.08, 0.11], [-0.04, 1.02]])
 """Along a steep, twisted surface."""
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("stretch", [np.eye(2), SHEARED], ids=["flat", "sheared"])
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.13, -0.21)])

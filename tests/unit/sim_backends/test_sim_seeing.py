@@ -65,6 +65,7 @@ def test_a_mount_turns_with_the_part_or_does_not(turns: bool) -> None:
     assert rms(np.rot90(still) - still) > 2.0
 
 
+@pytest.mark.full
 def test_a_mount_that_presses_anew_is_a_trefoil_of_another_size_and_direction_in_each_map() -> None:
     section = Interferometer(errors=InstrumentErrors(mount_nm=2.0, mount_anew=True))
     config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)

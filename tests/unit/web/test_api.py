@@ -96,6 +96,7 @@ def test_405_says_what_can_be_done(web: Served) -> None:
     assert (said.status_code, set(said.headers["allow"].split(", "))) == (405, {"GET", "HEAD"})
 
 
+@pytest.mark.full
 def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
     web: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:

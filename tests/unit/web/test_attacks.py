@@ -34,6 +34,7 @@ def web(tmp_path: Path) -> Iterator[Served]:
         yield found
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "path",
     [

@@ -298,6 +298,7 @@ def bowl(depth_nm: float) -> FloatArray:
     return depth_nm * (1.0 + x**2 + y**2)
 
 
+@pytest.mark.full
 def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
     def form(files: DemoFiles) -> None:
         dat(files.out / "form.dat", bowl(3.0), part="form")

@@ -145,6 +145,7 @@ def public(made: Made) -> Ed25519PublicKey:
     return seal.public_key(made.public)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("named", ["pdf", "twin"])
 def test_unchanged(signed: Made, named: str) -> None:
     found = verify(getattr(signed, named), public(signed))

@@ -216,6 +216,7 @@ def test_the_command_line_has_it() -> None:
     assert names == {"certificate", "verify", "key", "schema"}
 
 
+@pytest.mark.full
 def test_ten_lines_of_python_verify_it_without_polishd(signed: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """As docs/certificate.md has them."""
     (example,) = re.findall(r"^```python\n(.*?)^```", DOCS.read_text(), re.DOTALL | re.MULTILINE)

@@ -90,6 +90,7 @@ def test_when_a_stretch_began_is_settled_by_the_end_of_its_first_block() -> None
     assert watch[0].end_s - watch[0].start_s == pytest.approx(0.1)
 
 
+@pytest.mark.full
 @given(
     st.lists(st.floats(0.02, 1.0), min_size=5, max_size=40),
     st.floats(0.7, 1.4),

@@ -98,6 +98,7 @@ SPOILT = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("with_rs274", WITH)
 @pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
 def test_anything_else_that_changed_is_not_proved(spoil: tuple[str, str], with_rs274: bool) -> None:

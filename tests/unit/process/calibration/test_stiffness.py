@@ -179,6 +179,7 @@ def test_a_given_stiffness_that_the_tests_speak_against_is_not_kept() -> None:
     assert fit.held_out.mean_percent < PAPER_MEAN
 
 
+@pytest.mark.full
 def test_two_of_which_the_tests_see_but_the_sum_do_not_run_apart() -> None:
     """Stiff limbs on a soft wrist: limbs without end on a beam 30 times softer would fit as well."""
     rng = np.random.default_rng(0)
@@ -188,6 +189,7 @@ def test_two_of_which_the_tests_see_but_the_sum_do_not_run_apart() -> None:
     assert value_of(fit, "a_stiffness_n_mm_per_rad") == pytest.approx(8.7e6, rel=0.05)
 
 
+@pytest.mark.full
 def test_a_start_that_is_off_by_far_gets_there() -> None:
     rng = np.random.default_rng(8)
     truth = with_elastic(UR5, np.array(UR5.joint_stiffness_n_mm_per_rad) * [5, 0.2, 6, 0.3, 4, 1])

@@ -84,6 +84,7 @@ def test_it_runs_counterclockwise_from_the_centre() -> None:
     assert angle[-1] - angle[0] == pytest.approx(2 * np.pi * 26, rel=0.05)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", APERTURES)
 @pytest.mark.parametrize("optic", [FLAT, Optic(120.0, -0.5, (1e-8,), (30.0, 10.0))])

@@ -49,6 +49,7 @@ def system(cell: Path) -> Any:
     return system_of(*load_cell(cell))
 
 
+@pytest.mark.full
 def test_from_maps_to_what_goes_off_each_map(polishd: Polishd, cell: Path, files: list[Path]) -> None:
     assert system(cell) is None
     answer = polishd("calibrate", "instrument", cell, *files, *QUARTERS, "--json").answer
@@ -149,6 +150,7 @@ def test_the_poses_tell_all_but_power() -> None:
     assert set(needs) == {"power"}
 
 
+@pytest.mark.full
 def test_a_person_is_asked_for_each_pose_and_its_map_is_taken(
     polishd: Polishd, cell: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -200,6 +200,7 @@ def test_the_fragment_names_the_tif_as_the_cell_sees_it(
     assert load_config(cell_with(tmp_path, "fits/tif.toml")).measured_tif() is not None
 
 
+@pytest.mark.full
 def test_maps_that_do_not_fit_or_show_no_spot_are_refused(
     polishd: Polishd, tmp_path: Path, spot_maps: tuple[Path, Path]
 ) -> None:

@@ -38,6 +38,7 @@ def test_check_shows_each_request_as_the_manual_prints_it(polishd: Polishd) -> N
     assert orders["look"].startswith("01 01 00 0E 00 02")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("profile", "raw", "reads"),
     [

@@ -56,6 +56,7 @@ def test_instrument_and_part_come_back(polishd: Polishd, tmp_path: Path, files: 
     assert answer["instrument"]["out"] == str(system)
 
 
+@pytest.mark.full
 def test_the_system_map_makes_another_map_true(polishd: Polishd, tmp_path: Path, files: list[Path]) -> None:
     """What it is for: the first map less the instrument's, by ``map subtract``, is the part."""
     system, less = tmp_path / "system.x3p", tmp_path / "less.x3p"

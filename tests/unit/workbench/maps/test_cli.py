@@ -31,6 +31,7 @@ def test_without_a_word_it_helps(polishd: Polishd) -> None:
     assert polishd("map", "--help").code == 0
 
 
+@pytest.mark.full
 def test_files_come_without_a_verb(polishd: Polishd, tmp_path: Path) -> None:
     path = dat(tmp_path / "m.dat", surface())
     direct = polishd("map", path, "--json").answer

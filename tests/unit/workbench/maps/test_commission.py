@@ -194,6 +194,7 @@ def test_no_artefact_and_a_symmetric_one(polishd: Polishd, tmp_path: Path, good:
     assert "looks like itself" in said.err
 
 
+@pytest.mark.full
 def test_files_that_are_none(polishd: Polishd, tmp_path: Path, ours: Path, good: Path) -> None:
     for words, code in (
         ((tmp_path / "none.toml", good), 3),
@@ -208,6 +209,7 @@ def test_files_that_are_none(polishd: Polishd, tmp_path: Path, ours: Path, good:
     assert "commissioned" not in ours.read_text()
 
 
+@pytest.mark.full
 def test_a_picture_that_cannot_be_written_proves_nothing(polishd: Polishd, ours: Path, good: Path) -> None:
     said = polishd("map", "commission", ours, good, "--out", ours.parent / "none" / "p.png")
     assert said.code == 3

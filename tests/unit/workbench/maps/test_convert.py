@@ -64,6 +64,7 @@ def test_each_pair_comes_back(polishd: Polishd, tmp_path: Path, source: Path, fi
     assert polishd("map", two, "--json").answer["missing"] == np.count_nonzero(np.isnan(surface()))
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", ["zygo_metropro.dat", "zygo_mx.datx", "profilometer.x3p", "mountainsmap.sdf"])
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -204,6 +205,7 @@ def holed(height_nm: Any) -> Any:
     return height_nm
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("fields", "words"),
     [

@@ -75,6 +75,7 @@ def test_another_map_is_a_mask_where_it_has_data(polishd: Polishd, shown: Path, 
     assert held[""]["samples"] + held["not:"]["samples"] == DATA.sum()
 
 
+@pytest.mark.full
 def test_every_verb_takes_it(polishd: Polishd, shown: Path, tmp_path: Path) -> None:
     again = dat(tmp_path / "again.dat", HEIGHT + 0.1 * X)
     third = dat(tmp_path / "third.dat", HEIGHT - 0.1 * X)

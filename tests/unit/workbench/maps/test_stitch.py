@@ -159,6 +159,7 @@ def test_a_smooth_part_tells_no_shift(polishd: Polishd, tmp_path: Path) -> None:
     assert polishd("map", "stitch", *given.files, "--at", given.at, "--json").code == 0
 
 
+@pytest.mark.full
 def test_what_is_no_list_of_places_is_told_with_its_line(polishd: Polishd, tmp_path: Path) -> None:
     given = mosaic(tmp_path, said=True)
     two = given.files[:2]

@@ -61,6 +61,7 @@ def test_a_resolved_force_goes_deeper(polishd: Polishd, tmp_path: Path) -> None:
     assert polishd("tif", cell, "--json").answer["depth_mm"] == pytest.approx(0.1518, abs=5e-5)
 
 
+@pytest.mark.full
 def test_a_measured_tif_shows_what_was_measured(polishd: Polishd, tmp_path: Path) -> None:
     x = np.arange(-20, 21) * 0.1
     write_tif(tmp_path / "spot.npz", MeasuredTif(30 * np.exp(-(x[:, None] ** 2) - x[None, :] ** 2), 0.1, 90.0, 0.9))
@@ -78,6 +79,7 @@ def test_a_depth_ratio_that_is_none_is_refused(polishd: Polishd, ratio: str) -> 
     assert "depth ratio" in said.err
 
 
+@pytest.mark.full
 def test_a_picture_that_cannot_be_written_is_one_clear_error(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("tif", EXAMPLE, "--out", tmp_path / "none" / "spot.png")
     assert said.code == 3
@@ -106,6 +108,7 @@ def test_the_compliance_along_a_program(polishd: Polishd, tmp_path: Path) -> Non
     assert "along p.rnc" in polishd("compliance", EXAMPLE, "--program", tmp_path / "p.rnc").out
 
 
+@pytest.mark.full
 def test_a_frenet_frame_on_a_raster_says_how_often_there_is_none(polishd: Polishd, tmp_path: Path) -> None:
     cell = changed(tmp_path, ('frame = "surface"', 'frame = "frenet"'))
     (tmp_path / "p.rnc").write_bytes(demo_program(load_config(EXAMPLE)))

@@ -159,6 +159,7 @@ def test_a_table_that_does_not_fit_writes_nothing(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.csv", "p.rnc"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("way", ["itself", "a link", "the table"])
 def test_what_is_read_is_not_overwritten(polishd: Polishd, program: Path, tmp_path: Path, way: str) -> None:
     rows = table(tmp_path / "d.csv", 1, 2, 3)
@@ -349,6 +350,7 @@ def test_a_pipe_that_breaks_is_no_traceback(program: Path, tmp_path: Path) -> No
         assert ended.returncode != 0
 
 
+@pytest.mark.full
 def test_a_large_program_comes_back_as_asked(polishd: Polishd, tmp_path: Path) -> None:
     """Large enough for the compiled reader and writer."""
     n = 6000

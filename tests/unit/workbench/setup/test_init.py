@@ -137,6 +137,7 @@ def test_an_arm_without_rows_is_left_to_be_filled_in_and_says_where(tmp_path: Pa
     assert isinstance(load_config(tmp_path / "filled.toml").robot_model(), SerialRobot)
 
 
+@pytest.mark.full
 def test_a_measured_spot_becomes_the_cells_removal(tmp_path: Path) -> None:
     """An array as a file: its samples are the TIF's, and the Preston constant is fitted to its volume."""
     at = np.linspace(-4.0, 4.0, 33)

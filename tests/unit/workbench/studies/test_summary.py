@@ -96,6 +96,7 @@ def test_jobs_of_which_none_came_so_far_as_a_figure_are_jobs_still() -> None:
     assert all(draw() for draw in summary_pictures(found).values())
 
 
+@pytest.mark.full
 def test_tables_and_pictures_are_of_all_of_it(rows: list[dict[str, Any]]) -> None:
     found = summed_up(rows)
     titles = [str(table.title) for table in summary_tables("t", found)]

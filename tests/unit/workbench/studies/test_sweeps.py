@@ -170,6 +170,7 @@ def test_rows_that_are_not_taken_are_told(tmp_path: Path, capsys: pytest.Capture
     assert f"{out}: 1 cases there are of other files, keys or versions than now" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_the_shipped_study_has_two_thousand_jobs_on_the_same_draws() -> None:
     cases = cases_of(load_swept(EXAMPLES / "robustness.toml"))
     assert len(cases) == 2200

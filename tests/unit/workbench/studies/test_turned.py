@@ -37,6 +37,7 @@ def rms_nm(height_nm: FloatArray) -> float:
     return float(np.nanstd(height_nm))
 
 
+@pytest.mark.full
 def test_the_instruments_astigmatism_is_told_and_comes_off(plant: PlantProcess) -> None:
     drawn(plant, astigmatism_nm=3.0)
     recipe = calibrated(small_recipe(), plant, POSES)
@@ -67,6 +68,7 @@ def test_what_turns_with_the_part_is_the_parts_as_its_mount_holds_it(plant: Plan
     assert np.array_equal(plant.truth()[1], plant.truth(held=True)[1], equal_nan=True), "it stays: the instrument's"
 
 
+@pytest.mark.full
 def test_the_truth_is_judged_by_what_the_certificate_says(plant: PlantProcess) -> None:
     whole, without = (certified(small_recipe(accept=accept)) for accept in ("bound", "bound_without_power"))
     assert (whole.part.alignment, without.part.alignment) == ("tilt", "power")

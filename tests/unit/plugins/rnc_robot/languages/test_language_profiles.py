@@ -232,6 +232,7 @@ def outcome(language: Profile, text: bytes) -> tuple[Program | None, str]:
         return None, str(refused)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", LANGUAGES)
 @given(data=st.data())
