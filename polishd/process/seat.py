@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.handling import Seat, TouchOff
@@ -32,7 +32,7 @@ def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
 
     tried = np.linspace(0.0, outline.radius_mm, TRIED)
     inner = max((reach for reach in tried if deeper(reach) > 0), default=0.0)
-    return float(optimize.brentq(deeper, inner, outline.radius_mm, xtol=1e-12))
+    return float(scipy.optimize.brentq(deeper, inner, outline.radius_mm, xtol=1e-12))
 
 
 def seat_of(asked: TouchOff, early_mm: FloatArray) -> Seat:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from polishd.model.surface import FloatArray
 from polishd.process.absolute.design import Design
@@ -98,7 +98,7 @@ def solve_noise(
     if noise_nm is None and excess(LEAST_SHARE * found) <= 0:
         found *= LEAST_SHARE
     elif noise_nm is None:
-        found = float(brentq(excess, LEAST_SHARE * found, found, rtol=1e-3))
+        found = float(scipy.optimize.brentq(excess, LEAST_SHARE * found, found, rtol=1e-3))
     return solve(design, seen_nm, found**2 * per_noise + own), found
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import Projection
@@ -202,7 +202,7 @@ def _optimum(relative: Relative, log: FloatArray, sigma: FloatArray, free: BoolA
     if not free.any():
         return _Found(log, sigma, free, float(relative(log) @ relative(log)), 0.0)
     edge = np.log(BOUND)
-    result = least_squares(residual, log[free], bounds=(-edge, edge), xtol=1e-9, ftol=1e-9)
+    result = scipy.optimize.least_squares(residual, log[free], bounds=(-edge, edge), xtol=1e-9, ftol=1e-9)
     tests = len(result.fun) - len(result.x)
     chi2 = float(result.fun[:tests] @ result.fun[:tests])
     variance = max(chi2 / (tests - len(result.x)), BEST_TEST**2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 from scipy.spatial import cKDTree
 
 from polishd.model.errors import BadMap
@@ -65,7 +65,7 @@ def fit_polygon(height_nm: FloatArray, pitch_mm: float, part: Polygon, tolerance
 
 def _fitted(guess: FloatArray, rim: FloatArray, part: Polygon, within_mm: float) -> Any:
     """What scipy finds; a few samples far off, of a clamp or a chip, draw little."""
-    return least_squares(_gap_mm, guess, args=(rim, part), loss="soft_l1", f_scale=within_mm / 2)
+    return scipy.optimize.least_squares(_gap_mm, guess, args=(rim, part), loss="soft_l1", f_scale=within_mm / 2)
 
 
 def _gap_mm(place: FloatArray, rim: FloatArray, part: Polygon) -> FloatArray:
