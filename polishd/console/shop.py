@@ -87,11 +87,12 @@ def list_verb(path: Path, *, as_json: bool) -> None:
 
 def status_verb(path: Path, *, as_json: bool) -> None:
     """Cells, and how many parts are where."""
-    found = _in(path, views.status)
+    cells = cells_of(load_shop(path))
+    found = _in(path, lambda sql: views.status(sql, cells))
     columns = ("cell", "heard, s ago", "state", "job", "why", "its parts", "passes")
     rows = [
-        (one["cell"], f"{one['heard_s']:.0f}{' (away)' if one['away'] else ''}", one["state"], one.get("job") or "",
-         one.get("reason") or "", one["claims"], one["passes"])
+        (one["cell"], _heard(one), one.get("state", ""), one.get("job") or "", one.get("reason") or "", one["claims"],
+         one["passes"])
         for one in found["cells"]
     ]  # fmt: skip
     title = "; ".join(f"{count} {state}" for state, count in found["parts"].items()) or "no parts"
@@ -151,6 +152,12 @@ def _why(one: Mapping[str, Any]) -> str:
         f"{one['cell']} is asked to give it back, by {one['back']}" if one["back"] and one["state"] == "claimed" else ""
     )
     return "; ".join(filter(None, (one["reason"], asked, one["not_for"])))
+
+
+def _heard(cell: Mapping[str, Any]) -> str:
+    if cell["heard_s"] is None:
+        return "never: polishd shop link CELL.toml runs there?"
+    return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"
 
 
 def _when(at_s: float) -> str:

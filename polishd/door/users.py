@@ -7,7 +7,7 @@ import hmac
 import json
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -55,6 +55,10 @@ class Users:
     def __bool__(self) -> bool:
         """Whether there are any."""
         return bool(self._read())
+
+    def __iter__(self) -> Iterator[str]:
+        """Their names."""
+        return iter(sorted(self._read()))
 
     def of_token(self, token: str) -> User | None:
         """Whose token it is; all hashes are compared, in constant time each."""

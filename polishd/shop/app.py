@@ -60,7 +60,7 @@ def application(shop: ShopFile, database: Database) -> Guard:
         of_cell("claim", lambda sql, cell, said: parts.claim(sql, cell, _text(said, "request"))),
         of_cell("refuse", _refuse),
         of_cell("file", _file),
-        of_people("status", lambda sql, _who, _said: {"shop": shop.shop.name, **views.status(sql)}),
+        of_people("status", lambda sql, _who, _said: {"shop": shop.shop.name, **views.status(sql, cells_of(shop))}),
         of_people("parts", lambda sql, _who, _said: {**views.parts(sql), "words": views.words(sql)}),
         of_people("history", lambda sql, _who, _said: views.history(sql)),
         of_people("lessons", lambda sql, _who, _said: views.lessons(sql)),

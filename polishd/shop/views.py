@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterable
+from operator import itemgetter
 from typing import Any
 
 from polishd.shop.database import Transaction
@@ -12,8 +14,11 @@ UNHEARD_S = 60.0
 """A cell that has said nothing for so long is told to be away."""
 
 
-def status(sql: Transaction) -> dict[str, Any]:
-    """Its cells, what each does and for how long it has said nothing, and how many parts are where."""
+def status(sql: Transaction, names: Iterable[str]) -> dict[str, Any]:
+    """Its cells, what each does and for how long it has said nothing, and how many parts are where.
+
+    ``names``: of cells that have a token; one that has never reported has None in the place of ``heard_s``.
+    """
     now_s = time.time()
     cells = [
         {
@@ -26,8 +31,10 @@ def status(sql: Transaction) -> dict[str, Any]:
         }
         for row in sql.rows("SELECT name, heard, now FROM cell ORDER BY name")
     ]
+    silent = set(names) - {cell["cell"] for cell in cells}
+    cells += [{"cell": name, "heard_s": None, "away": True, "claims": 0, "passes": 0} for name in silent]
     parts = {row["state"]: row["n"] for row in sql.rows("SELECT state, count(*) AS n FROM part GROUP BY state")}
-    return {"cells": cells, "parts": parts}
+    return {"cells": sorted(cells, key=itemgetter("cell")), "parts": parts}
 
 
 def parts(sql: Transaction) -> dict[str, Any]:

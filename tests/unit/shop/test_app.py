@@ -17,6 +17,7 @@ from polishd.door.users import Role
 from polishd.model.errors import ConfigError
 from polishd.shop.app import application, cells_of, people_of, serve
 from polishd.shop.database import Database
+from tests.unit.said import Polishd
 
 REPORT = {
     "journal": "J", "first": 1, "last": 1, "before": "", "tail": "h1", "now": {"state": "idle"},
@@ -89,6 +90,16 @@ def test_a_part_from_the_office_to_a_cell_with_its_program(shop: Asked) -> None:
         ("ada", "cell is gone"),
         ("ada", "gone"),
     ]
+
+
+def test_a_cell_that_has_a_token_and_was_never_heard_is_told(shop: Asked, tmp_path: Path, polishd: Polishd) -> None:
+    """Its link may have been forgotten, and it waits for parts in vain."""
+    shop.cell("north", "report", REPORT)
+    north, south = shop.ask("bob", "GET", "status").json()["cells"]
+    assert (north["cell"], north["state"], north["away"]) == ("north", "idle", False)
+    assert south == {"cell": "south", "heard_s": None, "away": True, "claims": 0, "passes": 0}
+    said = polishd("shop", "status", tmp_path / "shop.toml")
+    assert (said.code, "never: polishd shop link" in said.out) == (0, True), said.out
 
 
 def test_a_token_is_for_its_own_side_alone(shop: Asked) -> None:
