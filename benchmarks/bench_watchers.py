@@ -1,4 +1,4 @@
-"""How late the daemon's loop is in contact while 50 pages watch and 200 requests a second come, and beside that load.
+"""The daemon's loop in contact while 50 pages watch and 200 requests a second come: how late it is, and a lost link.
 
 The peer has the same load made by something else: processes that use as much CPU, and ask the daemon nothing. Wall
 time, of the loop itself: a task of it that sleeps 5 ms notes by how much later it wakes.
@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
+import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,18 +42,90 @@ CONTACT_S = 180.0
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Lateness in ms, of turns in which the load is ours and of those in between."""
+    """Of turns in which the load is ours and of those in between; and of a link that is lost under each."""
     with tempfile.TemporaryDirectory() as scratch:
-        late = asyncio.run(measured(Path(scratch), progress))
-    for name, share in (("99th percentile", 99.0), ("99.9th percentile", 99.9)):
-        ours, other = (np.percentile(late[who], share) for who in ("watched", "beside"))
-        title = f"loop in contact, {WATCHERS} watchers and {ASKED_PER_S:g} requests/s: late, {name}"
-        yield Row(title, float(ours), {"the same CPU used by others": float(other)}, "ms")
+        late, lost, share = asyncio.run(watched(Path(scratch) / "watched", progress))
+        lost_beside = asyncio.run(beside(Path(scratch) / "beside", share, progress))
+    load, peer = f"{WATCHERS} watchers and {ASKED_PER_S:g} requests/s", "the same CPU used by others"
+    for name, part in (("99th percentile", 99.0), ("99.9th percentile", 99.9)):
+        ours, other = (float(np.percentile(late[who], part)) for who in ("watched", "beside"))
+        yield Row(f"loop in contact, {load}: late, {name}", ours, {peer: other}, "ms")
+    yield Row(f"actuator silent in contact, {load}: until it is told", lost, {peer: lost_beside}, "ms")
 
 
-async def measured(folder: Path, progress: Progress) -> dict[str, FloatArray]:
-    """Lateness of each wake, ms, by whose the load was."""
+async def watched(folder: Path, progress: Progress) -> tuple[dict[str, FloatArray], float, float]:
+    """Lateness of each wake, ms, by whose the load was; ms until a lost link is told; and the cores that ours used."""
     found: dict[str, list[FloatArray]] = {"watched": [], "beside": []}
+    share = 0.0
+    async with running(folder, progress) as cell:
+        for turn in range(1, MIN_REPEATS + 1):
+            progress(f"watchers: watched {turn}/{MIN_REPEATS}")
+            used_s, begun_s = cell.cpu_s(), time.monotonic()
+            async with watching(cell.port, cell.tokens):
+                await asyncio.sleep(SETTLE_S)
+                settled_s = time.monotonic()
+                await ask(cell.port, cell.tokens)
+                found["watched"].append(cell.late_ms(settled_s))
+            share = (cell.cpu_s() - used_s) / (time.monotonic() - begun_s)
+            progress(f"watchers: beside {share:.2f} of a core {turn}/{MIN_REPEATS}")
+            with burning(share):
+                await asyncio.sleep(SETTLE_S)
+                settled_s = time.monotonic()
+                await asyncio.sleep(TURN_S)
+                found["beside"].append(cell.late_ms(settled_s))
+        progress("watchers: a link is lost")
+        async with watching(cell.port, cell.tokens), asyncio.TaskGroup() as group:
+            asking = group.create_task(ask(cell.port, cell.tokens))
+            await asyncio.sleep(SETTLE_S)
+            lost_ms = await cell.silenced_ms()
+            asking.cancel()
+    return {who: np.concatenate(late) for who, late in found.items()}, lost_ms, share
+
+
+async def beside(folder: Path, share: float, progress: Progress) -> float:
+    """ms until a lost link is told, under a load that is not ours."""
+    async with running(folder, progress) as cell:
+        with burning(share):
+            await asyncio.sleep(SETTLE_S)
+            return await cell.silenced_ms()
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A cell in contact, and its page."""
+
+    files: DemoFiles
+    note: Path
+    """Of its daemon's loop."""
+    web: subprocess.Popen[bytes]
+    port: int
+    tokens: list[str]
+
+    def cpu_s(self) -> float:
+        """Seconds that the page's server and we, who ask it, have used so far."""
+        fields = Path(f"/proc/{self.web.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / 100 + time.process_time()
+
+    def late_ms(self, since_s: float) -> FloatArray:
+        """Of each wake of the daemon's loop since then, all of them in contact."""
+        if not pressing(self.files):
+            said = self.files.daemon_log.read_text()
+            raise RuntimeError(f"the pass ended before its loop was measured: {said[-999:]}")
+        rows = [line.split() for line in self.note.read_text().splitlines()[:-1]]
+        return np.array([float(late_ms) for due_s, late_ms in rows if float(due_s) >= since_s])
+
+    async def silenced_ms(self) -> float:
+        """From the actuator's last word until the daemon tells that it is lost."""
+        heard = client.subscribe(self.files.state_dir, CONTACT_S)
+        os.kill(json.loads((self.files.sim_dir / "pids.json").read_text())["actuator"], signal.SIGSTOP)
+        begun_s = time.monotonic()
+        await asyncio.to_thread(lambda: next(one for one in heard if one["name"] == "contact_broken"))
+        return 1e3 * (time.monotonic() - begun_s)
+
+
+@contextlib.asynccontextmanager
+async def running(folder: Path, progress: Progress) -> AsyncIterator[Running]:
+    """It, for the time of the block."""
     files, note = small(folder / "cell"), folder / "late.txt"
     users = Users(users_path(load_config(files.cell)))
     tokens = [users.add(f"user{k}", Role.WATCH) for k in range(USERS)]
@@ -60,26 +136,7 @@ async def measured(folder: Path, progress: Progress) -> dict[str, FloatArray]:
             port = await asyncio.to_thread(port_of, folder / "web.log")
             progress("watchers: until the tool is on the part")
             await in_contact(files, daemon)
-            for turn in range(1, MIN_REPEATS + 1):
-                progress(f"watchers: watched {turn}/{MIN_REPEATS}")
-                used_s, begun_s = cpu_s(web) + time.process_time(), time.monotonic()
-                async with watching(port, tokens):
-                    await asyncio.sleep(SETTLE_S)
-                    settled_s = time.monotonic()
-                    await ask(port, tokens)
-                    found["watched"].append(noted(note, settled_s))
-                share = (cpu_s(web) + time.process_time() - used_s) / (time.monotonic() - begun_s)
-                progress(f"watchers: beside {share:.2f} of a core {turn}/{MIN_REPEATS}")
-                with burning(share):
-                    await asyncio.sleep(SETTLE_S)
-                    settled_s = time.monotonic()
-                    await asyncio.sleep(TURN_S)
-                    found["beside"].append(noted(note, settled_s))
-            if not pressing(files):
-                raise RuntimeError(
-                    f"the pass ended before its loop was measured: {files.daemon_log.read_text()[-999:]}"
-                )
-    return {who: np.concatenate(late) for who, late in found.items()}
+            yield Running(files, note, web, port, tokens)
 
 
 def small(out: Path) -> DemoFiles:
@@ -210,15 +267,3 @@ def burning(share: float) -> Iterator[None]:
         for one in running:
             one.kill()
             one.wait()
-
-
-def cpu_s(of: subprocess.Popen[bytes]) -> float:
-    """That a process has used so far."""
-    fields = Path(f"/proc/{of.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / 100
-
-
-def noted(note: Path, since_s: float) -> FloatArray:
-    """ms, of each wake since then."""
-    rows = [line.split() for line in note.read_text().splitlines()[:-1]]
-    return np.array([float(late_ms) for due_s, late_ms in rows if float(due_s) >= since_s])
