@@ -107,9 +107,11 @@ def _modulus(patch: FloatArray, side: float, frequency: FloatArray, angle: float
     """(k,) modulus of a patch's spectrum along one direction."""
     at = (np.arange(len(patch)) - (len(patch) - 1) / 2) * side
     x, y = frequency * np.cos(angle), frequency * np.sin(angle)
-    across, down = np.exp(-2j * np.pi * x[:, None] * at), np.exp(2j * np.pi * y[:, None] * at)
-    spectrum = np.einsum("fi,fi->f", down, across @ patch.T)
-    return np.asarray(np.abs(spectrum / (np.sinc(x * side) * np.sinc(y * side))), dtype=np.float64)
+    across, down = 2 * np.pi * x[:, None] * at, 2 * np.pi * y[:, None] * at
+    even, odd = np.split(np.concatenate([np.cos(across), np.sin(across)]) @ patch.T, 2)
+    cos, sin = np.cos(down), np.sin(down)
+    real, imaginary = (cos * even + sin * odd).sum(axis=1), (sin * even - cos * odd).sum(axis=1)
+    return np.asarray(np.hypot(real, imaginary) / np.abs(np.sinc(x * side) * np.sinc(y * side)), dtype=np.float64)
 
 
 def _cutoff_period_mm(frequency: FloatArray, modulus: FloatArray, share: float) -> float:
