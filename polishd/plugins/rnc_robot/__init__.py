@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from polishd.api import DeviceType, ProgramFormat, hookimpl
-from polishd.plugins.rnc_robot.dialect import DIALECTS, dialect
-from polishd.plugins.rnc_robot.formats import format_of
+from polishd.plugins.rnc_robot.dialect import dialect
+from polishd.plugins.rnc_robot.formats import format_of, shipped_formats
 
 POLISHD_API = 1
 
@@ -15,7 +15,7 @@ POLISHD_API = 1
 @hookimpl
 def polishd_program_formats(profiles: Sequence[Path]) -> Sequence[ProgramFormat]:
     """One a shipped dialect, and one a profile of the user's."""
-    return [*map(format_of, map(dialect, DIALECTS)), *map(format_of, map(dialect, profiles))]
+    return [*shipped_formats(), *map(format_of, map(dialect, profiles))]
 
 
 @hookimpl

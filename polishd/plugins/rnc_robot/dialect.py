@@ -15,13 +15,15 @@ from polishd.plugins.rnc_robot.languages.profile import Profile, parse
 from polishd.plugins.rnc_robot.nc.dialect import Dialect, DwellWord
 from polishd.plugins.rnc_robot.nc.tables import tables
 
-__all__ = ["DEFAULT", "DIALECTS", "AnyDialect", "Dialect", "DwellWord", "dialect"]
+__all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "Dialect", "DwellWord", "dialect"]
 
 FOLDER = Path(__file__).with_name("dialects")
 DIALECTS = (
     "rs274", "fanuc", "haas", "siemens", "siemens-iso", "twincat-nci", "twincat-cnc", "grbl", "weihong", "codesys",
     "rapid", "krl", "fanuc-tp", "urscript",
 )  # fmt: skip
+LANGUAGES = frozenset({"rapid", "krl", "fanuc-tp", "urscript"})
+"""Of those, the robots' own: profiles of templates."""
 DEFAULT = "rs274"
 AnyDialect = Dialect | Profile
 

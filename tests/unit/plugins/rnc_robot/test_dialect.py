@@ -17,7 +17,7 @@ from polishd.console.demo_files import with_values
 from polishd.hooks.loader import load_plugins
 from polishd.model.errors import PluginError
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, FOLDER, Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, FOLDER, LANGUAGES, Dialect, dialect
 from polishd.plugins.rnc_robot.nc.tables import tables
 
 NC = tuple(name for name in DIALECTS if isinstance(dialect(name), Dialect))
@@ -51,6 +51,19 @@ def read(profile: Dialect, body: str, head: str = HEAD, end: str = "M2\n") -> Pr
 def test_every_shipped_profile_is_named_and_there() -> None:
     assert sorted(path.stem for path in FOLDER.glob("*.toml")) == sorted(DIALECTS)
     assert DEFAULT in DIALECTS
+
+
+def test_a_shipped_dialect_is_read_when_a_program_is_and_what_is_said_of_it_before_is_so() -> None:
+    """The expressions of all of them took half of a check."""
+    told = {one.name: one for one in formats.shipped_formats()}
+    assert tuple(told) == DIALECTS
+    formats.shipped.cache_clear()
+    told["rs274"].read(HEAD.encode() + b"G1 X1. F60.\nG1 X2.\nM2\n", "p.rnc")
+    assert formats.shipped.cache_info().currsize == 1
+    for name in DIALECTS:
+        known = formats.format_of(dialect(name))
+        assert (known.name, known.make is None) == (name, told[name].make is None)
+    assert {name for name in DIALECTS if name not in NC} == LANGUAGES
     assert len(NC) == 10
 
 
