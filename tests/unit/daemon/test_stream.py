@@ -206,3 +206,26 @@ async def test_cancelled_amid_a_pass_nothing_more_is_sent(fake: FakeCell) -> Non
     fake.clock.advance(100.0)
     await asyncio.sleep(0)
     assert len(fake.events) == count
+
+
+async def test_why_it_ends_is_told_before_the_block_has_ended(fake: FakeCell) -> None:
+    """Contact is left inside the block, and takes its time."""
+    order: list[str] = []
+
+    def ended(task: asyncio.Task[None]) -> None:
+        if not task.cancelled():
+            order.append(str(task.exception()))
+
+    async def lifting() -> None:
+        async with streaming(small_plan(), fake.robot, fake.clock, 1.0, least_s=0.25, ended=ended):
+            try:
+                fake.robot.acts.fails["progress"] = LinkError("unplugged")
+                await asyncio.Event().wait()
+            finally:
+                order.append("lifted")
+
+    task = asyncio.ensure_future(lifting())
+    await time_passes(fake, 5.0, task)
+    with pytest.raises(LinkError, match="unplugged"):
+        await task
+    assert order == ["unplugged", "lifted"]
