@@ -11,7 +11,7 @@ from pathlib import Path
 import typer
 
 from polishd.console.service_beside import Beside, unit_beside
-from polishd.console.systemd import NETWORK, command_line, target
+from polishd.console.systemd import HARDENED, NETWORK, PROTECTED, command_line, target
 from polishd.console.who import account
 from polishd.daemon.assembly import build_cell
 from polishd.daemon.events import DRAIN_S
@@ -45,11 +45,7 @@ Restart=on-abnormal
 RestartForceExitStatus={device}
 RestartSec=10
 CPUWeight=1000
-NoNewPrivileges=yes
-LockPersonality=yes
-RestrictRealtime=yes
-RestrictSUIDSGID=yes
-SystemCallArchitectures=native
+{hardened}\
 {system}\
 
 [Install]
@@ -60,10 +56,6 @@ SYSTEM = """\
 LimitNICE=-10
 LimitMEMLOCK=infinity
 OOMScoreAdjust=-500
-ProtectSystem=full
-ProtectControlGroups=yes
-ProtectKernelModules=yes
-ProtectKernelTunables=yes
 """
 """What only the system's own systemd may give."""
 
@@ -121,7 +113,8 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
         stop=math.ceil(end_s + DRAIN_S + WATCHDOG_S),
         device=DeviceError.exit_code,
         network=NETWORK if system else "",
-        system=SYSTEM if system else "",
+        hardened=HARDENED,
+        system=SYSTEM + PROTECTED if system else "",
         target=target(system=system),
     )
     return "-".join(names), text

@@ -9,7 +9,7 @@ from typing import Literal
 
 from polishd.config.cell import load_config
 from polishd.config.shop import load_shop
-from polishd.console.systemd import NETWORK, command_line, target
+from polishd.console.systemd import HARDENED, NETWORK, PROTECTED, command_line, target
 from polishd.console.who import account
 from polishd.model.errors import ConfigError
 
@@ -33,11 +33,7 @@ RestartPreventExitStatus={wrong_use} {wrong_file}
 RestartSec=10
 # The daemon has 1000.
 CPUWeight=20
-NoNewPrivileges=yes
-LockPersonality=yes
-RestrictRealtime=yes
-RestrictSUIDSGID=yes
-SystemCallArchitectures=native
+{hardened}\
 {system}\
 
 [Install]
@@ -46,10 +42,6 @@ WantedBy={target}
 
 SYSTEM = """\
 OOMScoreAdjust=500
-ProtectSystem=full
-ProtectControlGroups=yes
-ProtectKernelModules=yes
-ProtectKernelTunables=yes
 """
 """What only the system's own systemd may give. Should memory run out, the daemon is the last to go."""
 
@@ -96,7 +88,8 @@ def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]
         wrong_use=WRONG_USE,
         wrong_file=ConfigError.exit_code,
         network=NETWORK if system else "",
-        system=SYSTEM if system else "",
+        hardened=HARDENED,
+        system=SYSTEM + PROTECTED if system else "",
         target=target(system=system),
     )
     return f"{process}-{name}", text

@@ -12,6 +12,20 @@ NETWORK = """\
 After=network-online.target
 Wants=network-online.target
 """
+HARDENED = """\
+NoNewPrivileges=yes
+LockPersonality=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+SystemCallArchitectures=native
+"""
+PROTECTED = """\
+ProtectSystem=full
+ProtectControlGroups=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+"""
+"""What only the system's own systemd may give."""
 
 
 def command_line(words: Iterable[str]) -> str:
