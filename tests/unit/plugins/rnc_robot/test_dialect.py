@@ -54,7 +54,7 @@ def test_every_shipped_profile_is_named_and_there() -> None:
 
 
 def test_a_shipped_dialect_is_read_when_a_program_is_and_what_is_said_of_it_before_is_so() -> None:
-    """The expressions of all of them took half of a check."""
+    """The expressions of all of them took a tenth of a check."""
     told = {one.name: one for one in formats.shipped_formats()}
     assert tuple(told) == DIALECTS
     formats.shipped.cache_clear()
