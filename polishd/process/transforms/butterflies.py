@@ -1,0 +1,202 @@
+"""Transforms along one axis of COUNT columns at once, in place.
+
+Mixed radices, forth by decimation in frequency and back by decimation in time (Cooley and Tukey, Math. Comput. 19
+(1965) 297). Frequencies come out in the order of the `Length`, and the way back takes them so: nothing is ever sorted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numba import njit
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from polishd.compiled import uncounted
+from polishd.process.transforms.lanes import loads, splats, stores, turned
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def inline(function: F) -> F:
+    """Compiled where compiled code calls it."""
+    made: F = njit(error_model="numpy", nogil=True, **uncounted())(function)
+    return made
+
+
+RADICES = (8, 5, 3, 4, 2)
+"""In the order in which they are taken: large ones first, as they read and write least often."""
+_TWO, _THREE, _FOUR, _FIVE, _EIGHT = ((0,) * radix for radix in (2, 3, 4, 5, 8))
+
+_HALF, _SIN_60, _SIN_45 = (np.float32(value) for value in (0.5, math.sqrt(0.75), math.sqrt(0.5)))
+_COS_72, _COS_144 = (np.float32(math.cos(times * math.tau / 5)) for times in (1, 2))
+_SIN_72, _SIN_144 = (np.float32(math.sin(times * math.tau / 5)) for times in (1, 2))
+
+Lanes = Any
+"""A tuple of lanes."""
+
+
+class Length(NamedTuple):
+    """What a transform of so many values needs; made by `length`."""
+
+    n: int
+    radices: NDArray[np.int64]
+    at: NDArray[np.int64]
+    """Where each radix' turns begin."""
+    cos: NDArray[np.float32]
+    sin: NDArray[np.float32]
+
+
+def length(n: int) -> tuple[Length, NDArray[np.int64]]:
+    """A transform of n values, n a product of 2, 3 and 5 only, and (n,) the frequencies in their order."""
+    radices: list[int] = []
+    rest = n
+    for radix in RADICES:
+        while rest % radix == 0:
+            radices.append(radix)
+            rest //= radix
+    if rest > 1:
+        raise ValueError(f"{n} has a factor that is none of 2, 3, 5")
+    at, turns, whole = [], [np.zeros(0)], n
+    for radix in radices:
+        at.append(sum(part.size for part in turns))
+        step = whole // radix
+        turns.append((np.outer(np.arange(step), np.arange(1, radix)) / whole).ravel())
+        whole = step
+    frequency = np.zeros(1, dtype=np.int64)
+    for radix in reversed(radices):
+        frequency = (np.arange(radix)[:, None] + radix * frequency).ravel()
+    angle = -math.tau * np.concatenate(turns)
+    cos, sin = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
+    return Length(n, np.array(radices, np.int64), np.array(at, np.int64), cos, sin), frequency
+
+
+@inline
+def forth(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> None:
+    """Transform the first ``plan.n`` rows of (rows, COUNT), each column for itself."""
+    whole = plan.n
+    for k in range(plan.radices.size):
+        radix = plan.radices[k]
+        if radix == 8:
+            _stage_forth(re, im, plan, whole, plan.at[k], _EIGHT)
+        elif radix == 5:
+            _stage_forth(re, im, plan, whole, plan.at[k], _FIVE)
+        elif radix == 4:
+            _stage_forth(re, im, plan, whole, plan.at[k], _FOUR)
+        elif radix == 3:
+            _stage_forth(re, im, plan, whole, plan.at[k], _THREE)
+        else:
+            _stage_forth(re, im, plan, whole, plan.at[k], _TWO)
+        whole //= radix
+
+
+@inline
+def back(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> None:
+    """Undo `forth`, but for a factor of n: its stages in reverse, real and imaginary parts in each other's place."""
+    whole = 1
+    for k in range(plan.radices.size - 1, -1, -1):
+        radix = plan.radices[k]
+        whole *= radix
+        if radix == 8:
+            _stage_back(im, re, plan, whole, plan.at[k], _EIGHT)
+        elif radix == 5:
+            _stage_back(im, re, plan, whole, plan.at[k], _FIVE)
+        elif radix == 4:
+            _stage_back(im, re, plan, whole, plan.at[k], _FOUR)
+        elif radix == 3:
+            _stage_back(im, re, plan, whole, plan.at[k], _THREE)
+        else:
+            _stage_back(im, re, plan, whole, plan.at[k], _TWO)
+
+
+@inline
+def _stage_forth(
+    re: NDArray[np.float32], im: NDArray[np.float32], plan: Length, whole: int, at: int, like: tuple[int, ...]
+) -> None:
+    radix = len(like)
+    step = whole // radix
+    for q in range(step):
+        cos, sin = (
+            splats(plan.cos, at + q * (radix - 1), like),
+            splats(plan.sin, at + q * (radix - 1), like),
+        )
+        for row in range(q, plan.n, whole):
+            x, y = butterfly(loads(re, row, step, like), loads(im, row, step, like))
+            x, y = turned(x, y, cos, sin)
+            stores(re, row, step, x)
+            stores(im, row, step, y)
+
+
+@inline
+def _stage_back(
+    re: NDArray[np.float32], im: NDArray[np.float32], plan: Length, whole: int, at: int, like: tuple[int, ...]
+) -> None:
+    radix = len(like)
+    step = whole // radix
+    for q in range(step):
+        cos, sin = (
+            splats(plan.cos, at + q * (radix - 1), like),
+            splats(plan.sin, at + q * (radix - 1), like),
+        )
+        for row in range(q, plan.n, whole):
+            x, y = turned(loads(re, row, step, like), loads(im, row, step, like), cos, sin)
+            x, y = butterfly(x, y)
+            stores(re, row, step, x)
+            stores(im, row, step, y)
+
+
+def butterfly(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
+    """The transform of as many complex values as the tuples are long; compiled code only."""
+    raise NotImplementedError
+
+
+@overload(butterfly, strict=False)
+def _butterfly(x: Lanes, _y: Lanes) -> Any:
+    of = {2: _of_two, 3: _of_three, 4: _of_four, 5: _of_five, 8: _of_eight}[len(x)]
+    return lambda x, y: of(x, y)
+
+
+@inline
+def _of_two(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
+    return (x[0] + x[1], x[0] - x[1]), (y[0] + y[1], y[0] - y[1])
+
+
+@inline
+def _of_three(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
+    a, b = x[1] + x[2], y[1] + y[2]
+    c, d = x[0] - _HALF * a, y[0] - _HALF * b
+    e, f = _SIN_60 * (y[1] - y[2]), _SIN_60 * (x[2] - x[1])
+    return (x[0] + a, c + e, c - e), (y[0] + b, d + f, d - f)
+
+
+@inline
+def _of_four(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
+    a, b, c, d = x[0] + x[2], y[0] + y[2], x[0] - x[2], y[0] - y[2]
+    e, f, g, h = x[1] + x[3], y[1] + y[3], x[1] - x[3], y[1] - y[3]
+    return (a + e, c + h, a - e, c - h), (b + f, d - g, b - f, d + g)
+
+
+@inline
+def _of_five(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
+    a, b, c, d = x[1] + x[4], y[1] + y[4], x[1] - x[4], y[1] - y[4]
+    e, f, g, h = x[2] + x[3], y[2] + y[3], x[2] - x[3], y[2] - y[3]
+    p, q = x[0] + _COS_72 * a + _COS_144 * e, y[0] + _COS_72 * b + _COS_144 * f
+    r, s = x[0] + _COS_144 * a + _COS_72 * e, y[0] + _COS_144 * b + _COS_72 * f
+    t, u = _SIN_72 * d + _SIN_144 * h, _SIN_72 * c + _SIN_144 * g
+    v, w = _SIN_144 * d - _SIN_72 * h, _SIN_144 * c - _SIN_72 * g
+    return (x[0] + a + e, p + t, r + v, r - v, p - t), (y[0] + b + f, q - u, s - w, s + w, q + u)
+
+
+@inline
+def _of_eight(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
+    a, b = _of_four((x[0], x[2], x[4], x[6]), (y[0], y[2], y[4], y[6]))
+    c, d = _of_four((x[1], x[3], x[5], x[7]), (y[1], y[3], y[5], y[7]))
+    e, f = _SIN_45 * (c[1] + d[1]), _SIN_45 * (d[1] - c[1])
+    g, h = _SIN_45 * (d[3] - c[3]), _SIN_45 * (c[3] + d[3])
+    return (
+        (a[0] + c[0], a[1] + e, a[2] + d[2], a[3] + g, a[0] - c[0], a[1] - e, a[2] - d[2], a[3] - g),
+        (b[0] + d[0], b[1] + f, b[2] - c[2], b[3] - h, b[0] - d[0], b[1] - f, b[2] + c[2], b[3] + h),
+    )
