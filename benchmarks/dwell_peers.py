@@ -19,6 +19,17 @@ from polishd.process.dwell import douglas_rachford, newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic
 from polishd.process.dwell.splitting import Splitting, splitting
+from polishd.process.transforms.kernel import kernel
+from polishd.process.transforms.plane import (
+    Columns,
+    Field,
+    Order,
+    columns_back,
+    columns_forth,
+    plane,
+    rows_back,
+    rows_forth,
+)
 
 Indices = NDArray[np.int64]
 Spectrum = NDArray[np.complex128]
@@ -46,8 +57,8 @@ def lean(problem: DwellProblem) -> Quadratic:
     def forward(t: FloatArray) -> FloatArray:
         total = transform(factors[0] * t, point)
         total *= kernels[0]
-        for factor, kernel in zip(factors[1:], kernels[1:], strict=True):
-            total += kernel * transform(factor * t, point)
+        for factor, spectrum in zip(factors[1:], kernels[1:], strict=True):
+            total += spectrum * transform(factor * t, point)
         return restore(total, sample)
 
     def backward(w: FloatArray) -> FloatArray:
@@ -87,11 +98,22 @@ def transforms(problem: DwellProblem, times: int) -> None:
     """What so many iterations of ours transform: forth and back, one for the removal and one for each convolution."""
     effect = problem.effect
     assert isinstance(effect, ConvolutionEffect)
-    work = splitting(problem, effect)
-    spectrum = fft.rfft2(work.y)
-    for _ in range(times * (1 + work.rank)):
-        fft.rfft2(work.y)
-        fft.irfft2(spectrum, work.size)
+    on = plane(effect.size)
+    fields = np.stack([on.packed(np.ones(on.size))] * (1 + effect.rank))
+    kernel(_alone)(times, fields, on.columns(1)[0], on.order)
+
+
+def _alone(times: int, fields: Field, columns: Columns, order: Order) -> None:
+    for _ in range(times):
+        for f in range(len(fields)):
+            for slab in range(order.slabs):
+                rows_forth(fields[f], slab, order)
+            for block in range(order.blocks):
+                columns_forth(fields[f], block, columns, order)
+                columns_back(fields[f], block, columns, order)
+            for slab in range(order.slabs):
+                rows_back(fields[f], slab, order)
+                fields[f, :, slab] *= np.float32(1 / (2 * order.row.n * order.column.n))
 
 
 def newton(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:

@@ -6,26 +6,27 @@ the k-th convolution of the effect sees it:
 - sample by sample and point by point: the misfit of ``y``, and regularisation, price and bounds of ``t``;
 - frequency by frequency: ``y = sum_k K_k w_k``.
 
-An iteration takes 2 (rank + 1) transforms, in float32. Nothing here is trusted: the certificate is computed anew.
+An iteration takes 2 (rank + 1) transforms, in float32; on large domains in compiled code. Nothing here is trusted: the
+certificate is computed anew.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from polishd.model.dwell import Start
 from polishd.model.surface import FloatArray
 from polishd.process.convolution import ConvolutionEffect
+from polishd.process.dwell.iteration import Array, Iteration, Plain, Split
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic, warm_start_s
 
-RELAXATION = 1.9
+COMPILED_NODES = 60_000
+"""Nodes of a domain from which on compiled code, loaded in half a second, is the quicker way."""
 MISFIT_STEP = 0.06
 """Step parameter of y over the misfit's curvature; flat between 0.05 and 0.1."""
 LEAST_REGULARISATION = 1e-5
@@ -35,124 +36,56 @@ ADAPT_AT = (20, 40)
 ADAPT_POWER = 0.25
 """How strongly; measured on spots of 1.7 to 20 mm, where the best step varies by 2 and the ratio by 60."""
 
-Array = NDArray[Any]
-
 
 @dataclass(slots=True)
 class Splitting:
-    """The iteration's fixed arrays and its state; made by `splitting`."""
+    """The iteration's state, and what it is to know beside it; made by `splitting`."""
 
     effect: ConvolutionEffect
-    size: tuple[int, int]
-    spectra: Array
-    """(k, ...) K_k, times the balance."""
+    iteration: Iteration
+    split: Split
     balance: FloatArray
     """(k,) by which the effect's kernels are multiplied, and its coefficients divided."""
-    strength: Array
-    """(...) sum_k |K_k|^2."""
-    coefficient: Array
-    """(k, ny, nx) c_k on the domain; 0 where no dwell point lies."""
-    pull: Array
-    """(ny, nx) misfit's curvature of a sample, ``2 weight / N_r``; 0 where none counts."""
-    target: Array
-    """(ny, nx) removal wanted; 0 where no sample counts."""
-    bounds: tuple[Array, Array]
-    """(ny, nx) least and most dwell."""
-    regularisation: float
-    price: float
-    rho: float
-    """Step parameter of y."""
-    mu: float
-    """Step parameter of w."""
-    y: Array
-    """(ny, nx) the iterate; with w it is what a warm start needs."""
-    w: Array
-    """(k, ny, nx)."""
-    dwell: Array
-    """(ny, nx) t of the last iteration: within the bounds, whenever one stops."""
     iterations: int = 0
-    _fixed: dict[str, Array] = field(default_factory=dict)
+    changed: bool = True
+    """Whether arrays or step parameters are others than the last iteration left."""
     _seen: tuple[Array, Array] | None = None
 
     @property
     def time_s(self) -> FloatArray:
         """(n,) dwell of each point, float64, within the bounds."""
-        return np.asarray(self.dwell[self._where()], dtype=np.float64)
+        return np.asarray(self.iteration.shown(self.split.dwell)[self.where()], dtype=np.float64)
 
     @property
     def state(self) -> Mapping[str, Array]:
         """What a later problem on the same domain can start from."""
-        return {"y": self.y, "w": self.w, "balance": self.balance, "steps": np.array([self.rho, self.mu])}
+        y, w = (self.iteration.shown(each) for each in (self.split.y, self.split.w))
+        return {"y": y, "w": w, "balance": self.balance, "steps": np.array([self.split.rho, self.split.mu])}
 
-    def _where(self) -> tuple[Array, Array]:
+    def go_on_from(self, y: Array, w: Array, rho: float, mu: float) -> None:
+        """The iterate, (ny, nx) and (k, ny, nx), and step parameters."""
+        split = self.split
+        split.y, split.w = (self.iteration.kept(each.astype(split.y.dtype)) for each in (y, w))
+        split.rho, split.mu, self.changed = rho, mu, True
+
+    def where(self) -> tuple[Array, Array]:
+        """Row and column of each point."""
         return np.divmod(self.effect.node, self.effect.lattice[1])
 
     def iterate(self) -> None:
         """One iteration."""
-        fixed = self._fixed or self._prepare()
+        if self.changed:
+            self.iteration.begin(self.split)
+            self.changed = False
         self.iterations += 1
-        spectrum = fft.rfft2(self.y)
-        for kernel, w in zip(self.spectra, self.w, strict=True):
-            part = fft.rfft2(w)
-            part *= kernel
-            spectrum -= part
-        spectrum *= fixed["gain"]
-        moved = [fft.irfft2(kernel * spectrum, self.size, overwrite_x=True) for kernel in fixed["back"]]
-        met = [w + change for w, change in zip(self.w, moved, strict=True)]  # with y they fulfil y = sum K w
-        for k in range(self.rank):
-            moved[k] += met[k]  # the reflection
-        self._dwell_nearest_to(moved)
-        for k in range(self.rank):
-            np.multiply(self.dwell, self.coefficient[k], out=moved[k])
-            moved[k] -= met[k]
-            moved[k] *= RELAXATION
-            self.w[k] += moved[k]
-        change = fft.irfft2(spectrum, self.size, overwrite_x=True)
-        change *= fixed["y_change"]
-        self.y *= fixed["y_keep"]
-        self.y += change
-        self.y += fixed["y_add"]
+        self.iteration.advance(self.split)
         if self.iterations in ADAPT_AT:
             self._adapt()
 
-    @property
-    def rank(self) -> int:
-        """Number of convolutions."""
-        return len(self.spectra)
-
-    def _dwell_nearest_to(self, wanted: list[Array]) -> None:
-        """The dwell within its bounds, point by point, where each w's (ny, nx), regularisation and price agree."""
-        gain, scratch = self._fixed["t_gain"], self._fixed["scratch"]
-        np.multiply(wanted[0], gain[0], out=self.dwell)
-        for k in range(1, self.rank):
-            np.multiply(wanted[k], gain[k], out=scratch)
-            self.dwell += scratch
-        if self.price:
-            self.dwell -= self._fixed["t_price"]
-        np.clip(self.dwell, *self.bounds, out=self.dwell)
-
-    def _prepare(self) -> dict[str, Array]:
-        """What the iteration multiplies by; anew whenever a step parameter changes."""
-        real = self.y.dtype.type
-        kept = self.pull / (self.pull + self.rho)
-        square = (self.coefficient.astype(np.float64) ** 2).sum(axis=0)
-        firm = 1 / np.where(square > 0, 2 * self.regularisation + self.mu * square, np.inf)
-        self._fixed = {
-            "gain": (1 / (1 + self.strength * (self.rho / self.mu))).astype(real),
-            "back": (self.spectra.conj() * (self.rho / self.mu)).astype(self.spectra.dtype),
-            "y_keep": (1 - RELAXATION * kept).astype(real),
-            "y_change": (RELAXATION * (2 * kept - 1)).astype(real),
-            "y_add": (RELAXATION * kept * self.target).astype(real),
-            "t_gain": (self.mu * firm * self.coefficient).astype(real),
-            "scratch": np.empty_like(self.dwell),
-            "t_price": (self.price * firm).astype(real),
-        }
-        return self._fixed
-
     def _adapt(self) -> None:
         """Mend w's step by how much the dual variable moved for what the primal moved."""
-        primal = self.coefficient * self.dwell
-        dual = self.w - primal
+        primal = self.split.coefficient * self.split.dwell
+        dual = self.split.w - primal
         if self._seen is not None:
             moved = float(np.linalg.norm(primal - self._seen[0]))
             ratio = float(np.linalg.norm(dual - self._seen[1])) / moved if moved > 0 else 1.0
@@ -161,10 +94,11 @@ class Splitting:
 
     def _rescale(self, factor: float) -> None:
         """Another step parameter of w; the scaled dual variable goes with it."""
-        primal = self.coefficient * self.dwell
-        self.w = (primal + (self.w - primal) / factor).astype(self.w.dtype)
-        self.mu *= factor
-        self._fixed = {}
+        split = self.split
+        primal = split.coefficient * split.dwell
+        split.w = (primal + (split.w - primal) / factor).astype(split.w.dtype)
+        split.mu *= factor
+        self.changed = True
 
 
 def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.float32) -> Splitting:
@@ -188,34 +122,44 @@ def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.
     held = max(2 * problem.regularisation, LEAST_REGULARISATION * scale * float(strength.max()) * square)
     rho, mu = MISFIT_STEP * scale, float(np.sqrt(held / square * scale * strength.max()))
     complex_type = np.complex64 if real is np.float32 else np.complex128
-    found = Splitting(
-        effect=effect,
-        size=size,
+    iteration = _iteration(size, real)
+
+    def kept(field: Array) -> Array:
+        return iteration.kept(field.astype(real))
+
+    split = Split(
         spectra=spectra.astype(complex_type),
-        balance=balance,
-        strength=strength,
-        coefficient=coefficient.astype(real),
-        pull=pull,
-        target=target,
-        bounds=(lower.astype(real), upper.astype(real)),
+        coefficient=kept(coefficient),
+        pull=kept(pull),
+        target=kept(target),
+        bounds=(kept(lower), kept(upper)),
         regularisation=problem.regularisation,
         price=problem.price_nm2_per_s,
         rho=rho,
         mu=mu,
-        y=target.astype(real),
-        w=np.zeros((effect.rank, *size), dtype=real),
-        dwell=np.zeros(size, dtype=real),
+        y=kept(target),
+        w=kept(np.zeros((effect.rank, *size))),
+        dwell=kept(np.zeros(size)),
     )
+    found = Splitting(effect, iteration, split, balance)
     start = warm_start_s(problem, quadratic(problem))
     if problem.warm is not None and start is not None:
         _start_warm(found, problem.warm, start)
     return found
 
 
+def _iteration(size: tuple[int, int], real: type) -> Iteration:
+    if real is np.float32 and size[0] * size[1] >= COMPILED_NODES:
+        from polishd.process.dwell.compiled_iteration import compiled_iteration
+
+        return compiled_iteration(size)
+    return Plain(size)
+
+
 def continued(last: Splitting, anew: Splitting) -> Splitting:
     """``anew``, which has the same domain, from where ``last`` has come to: how float64 takes over from float32."""
-    anew.y, anew.w = last.y.astype(anew.y.dtype), last.w.astype(anew.w.dtype)
-    anew.rho, anew.mu, anew.iterations = last.rho, last.mu, last.iterations
+    anew.go_on_from(last.state["y"], last.state["w"], last.split.rho, last.split.mu)
+    anew.iterations = last.iterations
     return anew
 
 
@@ -231,14 +175,13 @@ def _balance(effect: ConvolutionEffect) -> FloatArray:
 
 def _start_warm(found: Splitting, warm: Start, time_s: FloatArray) -> None:
     """From the state of a solution where it fits; else from its dwell, (n,) within the bounds."""
-    state = warm.state
-    if "w" in state and state["w"].shape == found.w.shape and state["y"].shape == found.y.shape:
-        found.y = np.array(state["y"], dtype=found.y.dtype)
-        found.w = (state["w"] * (state["balance"] / found.balance)[:, None, None]).astype(found.w.dtype)
-        found.rho, found.mu = (float(value) for value in state["steps"])
+    state, split, size = warm.state, found.split, found.effect.size
+    if "w" in state and state["w"].shape == (split.rank, *size):
+        w = state["w"] * (state["balance"] / found.balance)[:, None, None]
+        found.go_on_from(state["y"], w, *(float(value) for value in state["steps"]))
         return
-    dwell = np.zeros(found.size)
-    dwell[np.divmod(found.effect.node, found.effect.lattice[1])] = time_s
-    found.w = (found.coefficient * dwell).astype(found.w.dtype)
-    total = sum(kernel * fft.rfft2(w) for kernel, w in zip(found.spectra, found.w, strict=True))
-    found.y = np.asarray(fft.irfft2(total, found.size), dtype=found.y.dtype)
+    dwell = np.zeros(size)
+    dwell[found.where()] = time_s
+    w = found.iteration.shown(split.coefficient) * dwell
+    total = sum(kernel * fft.rfft2(each) for kernel, each in zip(split.spectra, w, strict=True))
+    found.go_on_from(np.asarray(fft.irfft2(total, size)), w, split.rho, split.mu)
