@@ -12,6 +12,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.effect import Effect, SparseEffect
 from polishd.process.spreading.effect import SpreadEffect
+from polishd.process.spreading.quick import quick
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +67,10 @@ def split(values: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
 
 
 def single(effect: Effect) -> Effect:
-    """The same with products to float32 where those are quicker (``SpreadEffect.single``), else itself."""
+    """The same with products to float32 where those are quicker, else itself."""
     if isinstance(effect, SeveralEffects):
         return SeveralEffects(tuple(single(part) for part in effect.parts))
-    return effect.single() if isinstance(effect, SpreadEffect) else effect
+    return quick(effect) if isinstance(effect, SpreadEffect) else effect
 
 
 def note(effect: Effect) -> str | None:

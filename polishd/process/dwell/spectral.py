@@ -12,59 +12,36 @@ Nothing here is trusted: the certificate is computed anew.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
-from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.surface import FloatArray
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.certificate import certified, gap_at
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.validation import check
+from polishd.process.dwell.walk import Walk, metric
+from polishd.process.spreading import quick
 from polishd.process.spreading.effect import SpreadEffect
 
 NAME = "spectral"
 MAX_STEPS = 5000
-RELAXATION = 1.7
-PULL = 3.0
-"""How strongly the two dwells are drawn together, over the geometric mean of the objective's least and most curvature.
-At 1.5 a KKT residual of 1e-4 takes a quarter more steps, at 0.7 half as many again."""
-LEAST_REGULARISATION = 1e-5
-"""Regularisation below this share of the most curvature is taken for this, in the pull only."""
 LOOK_EVERY = 80
 """Steps between two looks with the effect itself: each costs as much as ten to fifty of them, and in so many the
 objective comes four times as near to the least."""
 ACCEPTED = 5e-5
 """KKT residual at which a gap that is small enough ends it: a cell accepts 1e-4."""
 FINELY = 1e-6, 1e-5
-"""KKT residual and gap below which looks must be in float64; above, float32 tells as much in half of the time."""
+"""KKT residual and gap below which the last looks must be in float64; else float32 tells as much in less time."""
+FAR = 1e-4
+"""KKT residual above which float32 tells enough whatever is asked for."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
-
-
-@dataclass(frozen=True, slots=True)
-class Metric:
-    """About the objective's curvature and so much more, inverted; made by `metric`."""
-
-    effect: SpreadEffect
-    """In float32."""
-    held: float
-    """Curvature that no spot gives: regularisation and pull."""
-    share: FloatArray
-    """What of each frequency the spots hold, over ``held``; on nodes of the effect's layout."""
-
-    def inverse(self, slope: FloatArray) -> FloatArray:
-        """(n,) -> (n,): ``(held + S K* K S')^-1``, exact where the path lays down the same on every node."""
-        where, weights = self.effect.where, self.effect.weights
-        nodes = (weights.T @ slope.astype(self.share.dtype)).reshape(where.lattice)
-        spectrum = scipy.fft.rfft2(nodes, where.size)
-        back = scipy.fft.irfft2(self.share * spectrum, where.size)[: where.lattice[0], : where.lattice[1]]
-        return np.asarray((slope - weights @ back.ravel()) / self.held, dtype=np.float64)
 
 
 def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5, gap: float = 1e-4) -> DwellSolution:
@@ -98,22 +75,6 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5, g
     return certified(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped, f=f)
 
 
-def metric(problem: DwellProblem, effect: SpreadEffect) -> tuple[Metric, float]:
-    """The metric of a problem of that effect, and the pull between its two dwells, nm^2/s^2."""
-    kernel = np.tensordot(effect.coefficients.mean(axis=0), effect.spectra, axes=1)
-    mask, weight = (
-        problem.solve_mask,
-        1.0 if problem.weight is None else float(problem.weight[problem.solve_mask].mean()),
-    )
-    flat = float(np.median(effect.removal_nm(np.ones(effect.n))[mask]))
-    density = flat / float(kernel[0, 0].real)  # points to a node
-    square = np.abs(kernel) ** 2 * (2 * weight / (np.count_nonzero(mask) * effect.finer**2))
-    least, most = 2 * problem.regularisation, density * float(square.max())
-    pull = PULL * float(np.sqrt(max(least, LEAST_REGULARISATION * most) * most))
-    held = least + pull
-    return Metric(effect.single(), held, (square / (held + density * square)).astype(np.float32)), pull
-
-
 def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
     """The problem whose curvature steps are found with: on the effect's coarser grid, where it has one.
 
@@ -133,24 +94,17 @@ def _minimise(
 ) -> tuple[FloatArray, int, str]:
     """(n,) the best dwell by its KKT residual, the steps taken, and why it stopped."""
     kkt_tolerance, gap = tolerances
-    lower, upper = problem.lower_s, problem.upper_s
-    bending = stepping(problem, effect)
-    near, pull = metric(bending, effect.coarse or effect)
-    bend_of = f.rough_curvature if bending is problem else quadratic(bending).rough_curvature
     start = warm_start_s(problem, f)
-    bounded = lower.copy() if start is None else np.clip(start, lower, upper)
-    look_at = f.rough_at if kkt_tolerance >= FINELY[0] and gap >= FINELY[1] else f.at
-    at_lower = look_at(lower)
-    value, gradient = at_lower if start is None else look_at(bounded)
-    scale = float(np.abs(at_lower[1]).max()) or 1.0
-    multiplier = -np.where(_held_back(gradient, bounded, lower, upper), gradient, 0.0) / pull
-    free = slope = bounded.copy()  # the dwell without bounds, and its gradient
-    best, least, history, look = bounded, np.inf, list[float](), 0
+    bounded = problem.lower_s.copy() if start is None else np.clip(start, problem.lower_s, problem.upper_s)
+    look = _Look(problem, f, finely=kkt_tolerance < FINELY[0] or gap < FINELY[1])
+    value, gradient, left = look.at(bounded)
+    way = _walk(stepping(problem, effect), effect.coarse or effect, bounded, gradient)
+    best, least, history, next_look = bounded, np.inf, list[float](), 0
     for steps in range(MAX_STEPS):
         late = limit.expired()
-        if late or steps == look:
-            value, gradient = look_at(bounded) if steps else (value, gradient)
-            left = float(np.abs(projected_gradient(gradient, bounded, lower, upper, f.safe_step)).max()) / scale
+        if late or steps == next_look:
+            bounded = way.bounded
+            value, gradient, left = look.at(bounded) if steps else (value, gradient, left)
             history.append(left)
             if left < least:
                 best, least = bounded.copy(), left
@@ -159,22 +113,46 @@ def _minimise(
                 return bounded if proved else best, steps, "converged"
             if late:
                 return best, steps, "deadline"
-            look = steps + LOOK_EVERY
+            next_look = steps + LOOK_EVERY
             if len(history) > LOOKS and least > STALLED * min(history[:-LOOKS]):
                 return best, steps, "stalled"
-            slope = gradient + bend_of(free - bounded)  # of what is small: float32's floor is of that
-        uphill = slope + pull * (free - bounded + multiplier)
-        way = near.inverse(-uphill)
-        bend = bend_of(way)
-        size = -float(uphill @ way) / float(way @ bend + pull * (way @ way))
-        free = free + size * way
-        slope = slope + size * bend
-        drawn = RELAXATION * free + (1 - RELAXATION) * bounded + multiplier
-        bounded = np.clip(drawn, lower, upper)
-        multiplier = drawn - bounded
+            way.seen(gradient)
+        way.step()
     return best, MAX_STEPS, "iterations"
 
 
-def _held_back(gradient: FloatArray, time_s: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
-    """(n,) where a bound keeps the dwell from what would bring the objective down."""
-    return np.asarray(((time_s <= lower) & (gradient > 0)) | ((time_s >= upper) & (gradient < 0)))
+def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradient: FloatArray) -> Walk:
+    """From a dwell within the bounds, (n,) s, and the gradient of the objective there.
+
+    ``problem`` is one of ``effect``, whose curvature is to find steps with.
+    """
+    near, pull = metric(problem, effect)
+    lower, upper = problem.lower_s, problem.upper_s
+    held_back = ((start <= lower) & (gradient > 0)) | ((start >= upper) & (gradient < 0))
+    multiplier = -np.where(held_back, gradient, 0.0) / pull
+    parts = (problem, quadratic(problem), near, pull, start.copy(), start.copy(), start.copy(), multiplier)
+    if effect.n < quick.COMPILED_BLOCKS or effect.finer > 1:
+        return Walk(*parts)
+    from polishd.process.dwell.compiled_walk import CompiledWalk
+
+    return CompiledWalk(*parts)
+
+
+class _Look:
+    """Where a dwell stands, by the effect itself: in float64 where float32 does not tell enough."""
+
+    def __init__(self, problem: DwellProblem, f: Quadratic, *, finely: bool) -> None:
+        self._f, self._finely = f, finely
+        self._bounds = problem.lower_s, problem.upper_s
+        self._scale = float(np.abs(f.rough_at(problem.lower_s)[1]).max()) or 1.0
+
+    def at(self, time_s: FloatArray) -> tuple[float, FloatArray, float]:
+        """The objective, its gradient (n,), and the KKT residual."""
+        value, gradient = self._f.rough_at(time_s)
+        if self._finely and self._left(gradient, time_s) <= FAR:
+            value, gradient = self._f.at(time_s)
+        return value, gradient, self._left(gradient, time_s)
+
+    def _left(self, gradient: FloatArray, time_s: FloatArray) -> float:
+        left = projected_gradient(gradient, time_s, *self._bounds, self._f.safe_step)
+        return float(np.abs(left).max()) / self._scale

@@ -103,14 +103,14 @@ class SpreadEffect:
         for k in range(self.rank):
             dwell = (self.weights.T @ (self.coefficients[:, k] * times)).reshape(self.where.lattice)
             total += self.spectra[k] * scipy.fft.rfft2(dwell, self.where.size)
-        fine = scipy.fft.irfft2(total, self.where.size, overwrite_x=True)[self._on_grid]
+        fine = scipy.fft.irfft2(total, self.where.size, overwrite_x=True)[self.on_grid]
         cells = fine.reshape(self.grid.ny, self.finer, self.grid.nx, self.finer)
         return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64))
 
     def adjoint(self, weight: FloatArray) -> FloatArray:
         """(ny, nx) -> (n,)."""
         fine = np.zeros(self.where.size, self.spectra.real.dtype)
-        fine[self._on_grid] = np.repeat(np.repeat(weight / self.finer**2, self.finer, axis=0), self.finer, axis=1)
+        fine[self.on_grid] = np.repeat(np.repeat(weight / self.finer**2, self.finer, axis=0), self.finer, axis=1)
         spectrum = scipy.fft.rfft2(fine)
         (rows, columns), total = self.where.lattice, np.zeros(self.n)
         for k in range(self.rank):
@@ -119,7 +119,7 @@ class SpreadEffect:
         return total
 
     @property
-    def _on_grid(self) -> tuple[slice, slice]:
+    def on_grid(self) -> tuple[slice, slice]:
         """Where the finer grid lies in what is transformed."""
         row, column = self.where.corner
         return slice(row, row + self.finer * self.grid.ny), slice(column, column + self.finer * self.grid.nx)

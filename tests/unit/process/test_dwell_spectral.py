@@ -19,6 +19,7 @@ from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.setup import regularisation_from_rho
 from polishd.process.dwell.validation import negligible, without_traces
 from polishd.process.effect import SparseEffect
+from polishd.process.spreading import quick
 from polishd.process.spreading.effect import SpreadEffect
 from tests.unit.process.moves import inward_program
 from tests.unit.process.test_spreading import GRID, both, moves
@@ -186,3 +187,16 @@ def test_another_effect_is_refused() -> None:
     few = replace(asked, effect=matrix, lower_s=np.zeros(2000), upper_s=np.full(2000, np.inf))
     with pytest.raises(ComputeError, match="needs an effect without a matrix"):
         spectral.solve(few, 1.0)
+
+
+def test_compiled_steps_come_to_the_same_dwell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With weights, and a bound above that holds at some points."""
+    asked = problem()
+    some = float(np.quantile(spectral.solve(asked, 120.0).time_s, 0.9))
+    weighed = replace(asked, weight=np.where(GRID.radius_mm() < 9, 2.0, 1.0), upper_s=np.full(asked.upper_s.size, some))
+    plain = spectral.solve(weighed, 120.0, 1e-7, 0.0)
+    monkeypatch.setattr(quick, "COMPILED_BLOCKS", 0)
+    found = spectral.solve(weighed, 120.0, 1e-7, 0.0)
+    assert found.certificate.kkt_residual <= 1e-7
+    assert found.certificate.iterations == pytest.approx(plain.certificate.iterations, rel=0.2)
+    np.testing.assert_allclose(found.time_s, plain.time_s, atol=1e-4 * plain.time_s.max())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pickle
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ from polishd.process.effect import Effect, SparseEffect
 from polishd.process.spot import HertzSpot, Spot, hertz_spot
 from polishd.process.spot_path import SpotPath
 from polishd.process.spreading.blocks import blocks_of, effect_row
+from polishd.process.spreading.compiled import compiled_spread
 from polishd.process.spreading.effect import SpreadEffect, spread_effect
 from polishd.process.spreading.weights import damping, spline
 from tests.unit.process.moves import inward_program, program
@@ -230,9 +232,12 @@ def test_the_adjoint_is_the_transpose() -> None:
     assert np.abs(quick.adjoint(GRID.radius_mm()) - want).max() < 2e-3 * want.max()
 
 
-def test_in_float32_it_is_the_same_to_a_millionth() -> None:
+@pytest.mark.parametrize("made", [SpreadEffect.single, compiled_spread], ids=["interpreted", "compiled"])
+def test_in_float32_it_is_the_same_to_a_millionth(made: Callable[[SpreadEffect], Effect]) -> None:
+    """Also where nodes are finer than samples."""
     quick, _ = both(moves(600), tolerance=5e-3)
-    rough, rng = quick.single(), np.random.default_rng(2)
+    assert quick.finer > 1
+    rough, rng = made(quick), np.random.default_rng(2)
     time, weight = rng.uniform(0, 1, quick.n), rng.uniform(0, 1, GRID.shape)
     for got, want in (
         (rough.removal_nm(time), quick.removal_nm(time)),

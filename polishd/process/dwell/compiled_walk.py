@@ -1,0 +1,177 @@
+"""A step of `spectral` in compiled code: blocks and nodes are each gone over as rarely as can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from polishd.model.surface import FloatArray
+from polishd.process.dwell.walk import RELAXATION, Walk
+from polishd.process.spreading import compiled
+from polishd.process.spreading.compiled import (
+    CompiledSpread,
+    Floats,
+    Laid,
+    Nodes,
+    collect,
+    compiled_spread,
+    lay,
+    remove,
+    restore,
+)
+from polishd.process.transforms.butterflies import inline
+from polishd.process.transforms.kernel import kernel
+from polishd.process.transforms.lanes import COUNT, load, store
+from polishd.process.transforms.plane import Order, columns_back, columns_forth, rows_back, rows_forth
+
+_NONE = np.float32(0)
+
+
+class Dwells(NamedTuple):
+    """The walk's, (n,) each, float64, and what a step finds."""
+
+    lower: FloatArray
+    upper: FloatArray
+    bounded: FloatArray
+    free: FloatArray
+    slope: FloatArray
+    multiplier: FloatArray
+    uphill: FloatArray
+    way: FloatArray
+    bend: FloatArray
+
+
+class Fields(NamedTuple):
+    """What a step needs beside the effect's own nodes; as `plane` keeps it."""
+
+    metric: Floats
+    """Nodes of the metric."""
+    flat: Floats
+    """The same memory."""
+    share: Floats
+    """(blocks, ny, COUNT) the metric's, of each frequency."""
+    weight: Floats
+    """What a sample counts in the curvature; 0 where none does."""
+
+
+class Numbers(NamedTuple):
+    """Those of a step."""
+
+    relaxation: float
+    pull: float
+    held: float
+    regularisation: float
+
+
+@dataclass(slots=True)
+class CompiledWalk(Walk):
+    """A Walk whose steps are compiled; its effect has nodes as wide as samples."""
+
+    _ready: tuple[CompiledSpread, Fields, Numbers] | None = None
+
+    def step(self) -> None:
+        """See Walk."""
+        spread, fields, numbers = self._ready = self._ready or self._made()
+        lower, upper = self.problem.lower_s, self.problem.upper_s
+        found = (np.empty_like(self.free) for _ in range(3))
+        dwells = Dwells(lower, upper, self.bounded, self.free, self.slope, self.multiplier, *found)
+        kernel(_step, compiled.__file__)(dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order)
+
+    def _made(self) -> tuple[CompiledSpread, Fields, Numbers]:
+        spread, mask = compiled_spread(self.near.effect), self.problem.solve_mask
+        weight = np.zeros(spread.plane.size)
+        weight[self.near.effect.on_grid] = np.where(
+            mask, 1.0 if self.problem.weight is None else self.problem.weight, 0.0
+        )
+        metric = spread.plane.packed(np.zeros(spread.plane.size))
+        share = spread.plane.spectrum(self.near.share)[0]
+        counts = spread.plane.packed(weight * (2 / np.count_nonzero(mask)))
+        fields = Fields(metric, metric.reshape(-1), share, counts)
+        return spread, fields, Numbers(RELAXATION, self.pull, self.near.held, self.problem.regularisation)
+
+
+def _step(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Numbers, order: Order) -> None:
+    _lay_uphill(dwells, laid, fields, numbers)
+    _measure(nodes, fields, order)
+    _lay_way(dwells, laid, nodes, fields, numbers)
+    remove(nodes, order)
+    _weigh(nodes, fields, order)
+    restore(nodes, order)
+    size = _bend(dwells, laid, nodes, numbers)
+    for i in range(len(dwells.free)):
+        free = dwells.free[i] + size * dwells.way[i]
+        lower, upper = dwells.lower[i], dwells.upper[i]
+        drawn = numbers.relaxation * free + (1 - numbers.relaxation) * dwells.bounded[i] + dwells.multiplier[i]
+        bounded = min(max(drawn, lower), upper)
+        dwells.free[i], dwells.bounded[i], dwells.multiplier[i] = free, bounded, drawn - bounded
+        dwells.slope[i] += size * dwells.bend[i]
+
+
+@inline
+def _lay_uphill(dwells: Dwells, laid: Laid, fields: Fields, numbers: Numbers) -> None:
+    """Which way is up, onto the metric's nodes."""
+    fields.flat[:] = 0
+    for i in range(len(dwells.free)):
+        apart = dwells.free[i] - dwells.bounded[i] + dwells.multiplier[i]
+        uphill = dwells.slope[i] + numbers.pull * apart
+        dwells.uphill[i] = uphill
+        for j in range(laid.first[i], laid.first[i + 1]):
+            fields.flat[laid.node[j]] += laid.weight[j] * np.float32(uphill)
+
+
+@inline
+def _measure(nodes: Nodes, fields: Fields, order: Order) -> None:
+    """The metric's nodes, by its share of each frequency."""
+    columns = nodes.columns[0]
+    for slab in range(order.slabs):
+        rows_forth(fields.metric, slab, order)
+    for block in range(order.blocks):
+        columns_forth(fields.metric, block, columns, order)
+        for row in range(order.column.n):
+            i = row * COUNT
+            share = nodes.scale * load(fields.share[block], i)
+            store(columns[0], i, share * load(columns[0], i))
+            store(columns[1], i, share * load(columns[1], i))
+        columns_back(fields.metric, block, columns, order)
+    for slab in range(order.slabs):
+        rows_back(fields.metric, slab, order)
+
+
+@inline
+def _lay_way(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Numbers) -> None:
+    """The way down in the metric, onto each convolution's nodes."""
+    nodes.flat[:] = 0
+    for i in range(len(dwells.way)):
+        near = _NONE
+        for j in range(laid.first[i], laid.first[i + 1]):
+            near += laid.weight[j] * fields.flat[laid.node[j]]
+        dwells.way[i] = (near - dwells.uphill[i]) / numbers.held
+        lay(i, dwells.way[i], laid, nodes)
+
+
+@inline
+def _weigh(nodes: Nodes, fields: Fields, order: Order) -> None:
+    """Sample by sample: what the removal there counts."""
+    removal = nodes.fields[0]
+    for slab in range(order.slabs):
+        rows_back(removal, slab, order)
+        for half in range(2):
+            for x in range(order.row.n):
+                i = x * COUNT
+                store(removal[half, slab], i, load(fields.weight[half, slab], i) * load(removal[half, slab], i))
+        rows_forth(removal, slab, order)
+
+
+@inline
+def _bend(dwells: Dwells, laid: Laid, nodes: Nodes, numbers: Numbers) -> float:
+    """What the way does to the slope, and how far to go."""
+    down = bent = 0.0
+    for i in range(len(dwells.way)):
+        way = dwells.way[i]
+        bend = collect(i, laid, nodes) + 2 * numbers.regularisation * way
+        dwells.bend[i] = bend
+        down -= dwells.uphill[i] * way
+        bent += way * (bend + numbers.pull * way)
+    return down / bent
