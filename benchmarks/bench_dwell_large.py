@@ -18,7 +18,7 @@ from polishd.process.dwell.problem import DwellProblem
 GAP = 1e-6
 SMALL = Case(50, 5, 1e-4)
 LARGE = (Case(450, 1.7, 1e-4), Case(450, 10, 3e-4), Case(450, 20, 3e-4))
-QUICK_CAP_S = 60.0
+QUICK_CAP_S = 30.0
 """For a peer that has never come to its end within it."""
 CAP_S = 240.0
 MOST_MB = 400.0

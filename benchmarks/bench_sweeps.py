@@ -27,8 +27,8 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 WORKERS = 2
 OURS = "ours"
 """The cluster."""
-TURNS = 5
-JOBS, SPOTS = 20, 1000
+TURNS = 3
+JOBS, SPOTS = 12, 1000
 SPOT = """
 kind = "spots"
 title = "One spot at many speeds"

@@ -19,7 +19,9 @@ from polishd.process.dwell import douglas_rachford, newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Quadratic
 from polishd.process.dwell.splitting import Splitting, splitting
+from polishd.process.transforms.butterflies import inline
 from polishd.process.transforms.kernel import kernel
+from polishd.process.transforms.lanes import COUNT, load, store
 from polishd.process.transforms.plane import (
     Columns,
     Field,
@@ -31,6 +33,7 @@ from polishd.process.transforms.plane import (
     rows_forth,
 )
 
+TINY = np.float32(1e-6)
 Indices = NDArray[np.int64]
 Spectrum = NDArray[np.complex128]
 
@@ -113,7 +116,15 @@ def _alone(times: int, fields: Field, columns: Columns, order: Order) -> None:
                 columns_back(fields[f], block, columns, order)
             for slab in range(order.slabs):
                 rows_back(fields[f], slab, order)
-                fields[f, :, slab] *= np.float32(1 / (2 * order.row.n * order.column.n))
+                _scaled(fields[f], slab, order)
+
+
+@inline
+def _scaled(field: Field, slab: int, order: Order) -> None:
+    """That nothing grows without end."""
+    for half in range(2):
+        for x in range(order.row.n):
+            store(field[half, slab], x * COUNT, TINY * load(field[half, slab], x * COUNT))
 
 
 def newton(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:

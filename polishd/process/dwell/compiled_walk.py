@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polishd.model.surface import FloatArray
-from polishd.process.dwell.walk import RELAXATION, Walk
+from polishd.process.dwell.walk import RELAXATION, Walk, best_sizes
 from polishd.process.spreading import compiled
 from polishd.process.spreading.compiled import (
     CompiledSpread,
@@ -26,6 +26,8 @@ from polishd.process.transforms.kernel import kernel
 from polishd.process.transforms.lanes import COUNT, load, store
 from polishd.process.transforms.plane import Order, columns_back, columns_forth, rows_back, rows_forth
 
+sizes = inline(best_sizes)
+
 _NONE = np.float32(0)
 
 
@@ -38,6 +40,8 @@ class Dwells(NamedTuple):
     free: FloatArray
     slope: FloatArray
     multiplier: FloatArray
+    last_way: FloatArray
+    last_bend: FloatArray
     uphill: FloatArray
     way: FloatArray
     bend: FloatArray
@@ -69,27 +73,33 @@ class Numbers(NamedTuple):
 class CompiledWalk(Walk):
     """A Walk whose steps are compiled; its effect has nodes as wide as samples."""
 
-    _ready: tuple[CompiledSpread, Fields, Numbers] | None = None
+    _spread: CompiledSpread | None = None
+    _fields: Fields | None = None
 
-    def step(self) -> None:
+    def _go(self) -> None:
         """See Walk."""
-        spread, fields, numbers = self._ready = self._ready or self._made()
-        lower, upper = self.problem.lower_s, self.problem.upper_s
+        self._spread = spread = self._spread or compiled_spread(self.near.effect)
+        self._fields = fields = self._fields or self._made(spread)
+        numbers = Numbers(RELAXATION, self.near.pull, self.near.held, self.problem.regularisation)
         found = (np.empty_like(self.free) for _ in range(3))
-        dwells = Dwells(lower, upper, self.bounded, self.free, self.slope, self.multiplier, *found)
+        lower, upper = self.problem.lower_s, self.problem.upper_s
+        dwells = Dwells(lower, upper, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found)
         kernel(_step, compiled.__file__)(dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order)
 
-    def _made(self) -> tuple[CompiledSpread, Fields, Numbers]:
-        spread, mask = compiled_spread(self.near.effect), self.problem.solve_mask
-        weight = np.zeros(spread.plane.size)
+    def _draw(self, pull: float) -> None:
+        """See Walk."""
+        super(CompiledWalk, self)._draw(pull)
+        self._fields = None
+
+    def _made(self, spread: CompiledSpread) -> Fields:
+        mask, on = self.problem.solve_mask, spread.plane
+        weight = np.zeros(on.size)
         weight[self.near.effect.on_grid] = np.where(
             mask, 1.0 if self.problem.weight is None else self.problem.weight, 0.0
         )
-        metric = spread.plane.packed(np.zeros(spread.plane.size))
-        share = spread.plane.spectrum(self.near.share)[0]
-        counts = spread.plane.packed(weight * (2 / np.count_nonzero(mask)))
-        fields = Fields(metric, metric.reshape(-1), share, counts)
-        return spread, fields, Numbers(RELAXATION, self.pull, self.near.held, self.problem.regularisation)
+        metric = on.packed(np.zeros(on.size))
+        counts = on.packed(weight * (2 / np.count_nonzero(mask)))
+        return Fields(metric, metric.reshape(-1), on.spectrum(self.near.share)[0], counts)
 
 
 def _step(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Numbers, order: Order) -> None:
@@ -99,14 +109,16 @@ def _step(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Num
     remove(nodes, order)
     _weigh(nodes, fields, order)
     restore(nodes, order)
-    size = _bend(dwells, laid, nodes, numbers)
+    new, old = _bend(dwells, laid, nodes, numbers)
     for i in range(len(dwells.free)):
-        free = dwells.free[i] + size * dwells.way[i]
-        lower, upper = dwells.lower[i], dwells.upper[i]
+        way = new * dwells.way[i] + old * dwells.last_way[i]
+        bend = new * dwells.bend[i] + old * dwells.last_bend[i]
+        free, lower, upper = dwells.free[i] + way, dwells.lower[i], dwells.upper[i]
         drawn = numbers.relaxation * free + (1 - numbers.relaxation) * dwells.bounded[i] + dwells.multiplier[i]
         bounded = min(max(drawn, lower), upper)
         dwells.free[i], dwells.bounded[i], dwells.multiplier[i] = free, bounded, drawn - bounded
-        dwells.slope[i] += size * dwells.bend[i]
+        dwells.slope[i] += bend
+        dwells.last_way[i], dwells.last_bend[i] = way, bend
 
 
 @inline
@@ -165,13 +177,17 @@ def _weigh(nodes: Nodes, fields: Fields, order: Order) -> None:
 
 
 @inline
-def _bend(dwells: Dwells, laid: Laid, nodes: Nodes, numbers: Numbers) -> float:
-    """What the way does to the slope, and how far to go."""
-    down = bent = 0.0
+def _bend(dwells: Dwells, laid: Laid, nodes: Nodes, numbers: Numbers) -> tuple[float, float]:
+    """What the way does to the slope, and how far to go along it and along the last one."""
+    down = last_down = p = q = r = 0.0
     for i in range(len(dwells.way)):
-        way = dwells.way[i]
+        way, last = dwells.way[i], dwells.last_way[i]
         bend = collect(i, laid, nodes) + 2 * numbers.regularisation * way
+        last_bend = dwells.last_bend[i] + numbers.pull * last
         dwells.bend[i] = bend
-        down -= dwells.uphill[i] * way
-        bent += way * (bend + numbers.pull * way)
-    return down / bent
+        down += dwells.uphill[i] * way
+        last_down += dwells.uphill[i] * last
+        p += way * (bend + numbers.pull * way)
+        q += way * last_bend
+        r += last * last_bend
+    return sizes((down, last_down), (p, q, r))

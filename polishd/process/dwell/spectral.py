@@ -31,15 +31,13 @@ from polishd.process.spreading.effect import SpreadEffect
 
 NAME = "spectral"
 MAX_STEPS = 5000
-LOOK_EVERY = 80
-"""Steps between two looks with the effect itself: each costs as much as ten to fifty of them, and in so many the
-objective comes four times as near to the least."""
+LOOK_EVERY = 60
+"""Steps between two looks with the effect itself: each costs as much as two to thirty of them, and in so many the
+objective comes four to ten times as near to the least."""
 ACCEPTED = 5e-5
 """KKT residual at which a gap that is small enough ends it: a cell accepts 1e-4."""
 FINELY = 1e-6, 1e-5
-"""KKT residual and gap below which the last looks must be in float64; else float32 tells as much in less time."""
-FAR = 1e-4
-"""KKT residual above which float32 tells enough whatever is asked for."""
+"""KKT residual and gap below which looks that may be the last are in float64; float32 tells as much in less time."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 
@@ -126,16 +124,15 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
 
     ``problem`` is one of ``effect``, whose curvature is to find steps with.
     """
-    near, pull = metric(problem, effect)
+    near = metric(problem, effect)
     lower, upper = problem.lower_s, problem.upper_s
     held_back = ((start <= lower) & (gradient > 0)) | ((start >= upper) & (gradient < 0))
-    multiplier = -np.where(held_back, gradient, 0.0) / pull
-    parts = (problem, quadratic(problem), near, pull, start.copy(), start.copy(), start.copy(), multiplier)
-    if effect.n < quick.COMPILED_BLOCKS or effect.finer > 1:
-        return Walk(*parts)
-    from polishd.process.dwell.compiled_walk import CompiledWalk
-
-    return CompiledWalk(*parts)
+    multiplier = -np.where(held_back, gradient, 0.0) / near.pull
+    kind: type[Walk] = Walk
+    if effect.n >= quick.COMPILED_BLOCKS and effect.finer == 1:
+        from polishd.process.dwell.compiled_walk import CompiledWalk as kind  # noqa: N813
+    none, same = np.zeros_like(start), start.copy
+    return kind(problem, quadratic(problem), near, same(), same(), same(), multiplier, none, none.copy())
 
 
 class _Look:
@@ -149,7 +146,7 @@ class _Look:
     def at(self, time_s: FloatArray) -> tuple[float, FloatArray, float]:
         """The objective, its gradient (n,), and the KKT residual."""
         value, gradient = self._f.rough_at(time_s)
-        if self._finely and self._left(gradient, time_s) <= FAR:
+        if self._finely and self._left(gradient, time_s) <= ACCEPTED:
             value, gradient = self._f.at(time_s)
         return value, gradient, self._left(gradient, time_s)
 

@@ -23,7 +23,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def inline(function: F) -> F:
     """Compiled where compiled code calls it."""
-    made: F = njit(error_model="numpy", nogil=True, **uncounted())(function)
+    return _njit(function)
+
+
+def within(function: F) -> F:
+    """The same for what is called for each block: within its caller, as a call hands over each array's every number."""
+    return _njit(function, forceinline=True)
+
+
+def _njit(function: F, **options: Any) -> F:
+    made: F = njit(error_model="numpy", nogil=True, **uncounted(), **options)(function)
     return made
 
 

@@ -12,7 +12,7 @@ import pytest
 from polishd.model.dwell import KeptStart
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.dwell import automatic, newton_cg, spectral
+from polishd.process.dwell import automatic, newton_cg, spectral, walk
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.proof import proved
 from polishd.process.dwell.quadratic import quadratic
@@ -66,13 +66,31 @@ def test_it_finds_what_projected_newton_finds() -> None:
 
 
 @pytest.mark.full
-def test_a_path_that_is_here_dense_and_there_thin_is_left_to_projected_newton() -> None:
-    asked = problem("anywhere")
-    agree(asked, newton_cg.NAME)
+def test_it_finds_it_on_a_path_that_is_here_dense_and_there_thin() -> None:
+    """Where the metric, which is of a path that is everywhere as dense, is a bad one."""
+    agree(problem("anywhere"))
+
+
+@pytest.mark.full
+def test_where_steps_lead_nowhere_projected_newton_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spectral, "STALLED", 0.0)
+    monkeypatch.setattr(spectral, "LOOKS", 1)
+    asked = problem()
     begun_s = time.thread_time()
-    seconds = spectral.solve(asked, 120.0, 1e-5, 0.0).certificate.seconds
+    found = spectral.solve(asked, 120.0, 1e-7, 0.0).certificate
     spent_s = time.thread_time() - begun_s
-    assert 0.8 * spent_s < seconds <= spent_s, "both solvers' time"
+    assert (found.solver, found.stopped) == (newton_cg.NAME, "converged")
+    assert found.kkt_residual <= 1e-7
+    assert 0.8 * spent_s < found.seconds <= spent_s, "both solvers' time"
+
+
+@pytest.mark.parametrize("pull", [0.1, 30.0])
+def test_too_weak_a_pull_is_noticed_and_too_strong_a_one_only_takes_longer(
+    pull: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(walk, "PULL", pull)
+    found = spectral.solve(problem(), 120.0, 1e-5, 0.0).certificate
+    assert (found.solver, found.stopped) == (spectral.NAME, "converged")
 
 
 @pytest.mark.full
