@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 from benchmarks import dwell_peers as peers
 from benchmarks.bench_dwell import Goal, lbfgsb
@@ -30,13 +30,19 @@ def rows(progress: Progress) -> Iterator[Row]:
     """Cold starts with one spot times gamma; then what the exact spots, a warm start and memory cost."""
     for case in (SMALL, *LARGE):
         progress(f"dwell, large: preparing {case.name}")
-        problem = build(case)
-        yield cold(case, problem, peers.reference(problem, GAP), progress)
+        yield cold(case, *prepared(case), progress)
     for case in LARGE:
         yield transforms(case, progress)
         yield dynamic(case, progress)
         yield warm(case, progress)
     yield memory(LARGE[0])
+
+
+@cache
+def prepared(case: Case, rank: int = 0, change: float = 0.0) -> tuple[DwellProblem, Goal]:
+    """The problem, and the objective to come to."""
+    problem = build(case, rank, change)
+    return problem, peers.reference(problem, GAP)
 
 
 def cold(case: Case, problem: DwellProblem, goal: Goal, progress: Progress) -> Row:
@@ -85,8 +91,8 @@ def entries(problem: DwellProblem) -> float:
 def transforms(case: Case, progress: Progress) -> Row:
     """Ours beside nothing but the transforms of its iterations, one after the other: the ratio is to be 1/1.3."""
     progress(f"transforms alone, {case.name}")
-    problem = build(case)
-    value, goal = peers.lean(problem).value, peers.reference(problem, GAP)
+    problem, goal = prepared(case)
+    value = peers.lean(problem).value
     times = peers.iterations(problem, value, goal)
     peers.transforms(problem, 1)  # compiled before the race
     alone = partial(peers.transforms, problem, times)
@@ -98,8 +104,8 @@ def dynamic(case: Case, progress: Progress) -> Row:
     """Each point's own spot at rank 3 beside one spot times gamma: the ratio is to be at least 1/2.2."""
     progress(f"dynamic spot, {case.name}")
     exact, static = (
-        partial(peers.ours, problem, peers.lean(problem).value, peers.reference(problem, GAP))
-        for problem in (build(case, rank=3), build(case))
+        partial(peers.ours, problem, peers.lean(problem).value, goal)
+        for problem, goal in (prepared(case, rank=3), prepared(case))
     )
     return race(f"dynamic spot of rank 3, {case.name}", exact, {"ours, one spot": static}, progress=progress)
 
@@ -107,8 +113,8 @@ def dynamic(case: Case, progress: Progress) -> Row:
 def warm(case: Case, progress: Progress) -> Row:
     """Convolutions after gamma moved by up to 1 %, from the last solution's state: the ratio is to be at least 5."""
     progress(f"warm start, {case.name}")
-    before, after = build(case), build(case, change=0.01)
-    goal, value = peers.reference(after, GAP), peers.lean(after).value
+    (before, _), (after, goal) = prepared(case), prepared(case, change=0.01)
+    value = peers.lean(after).value
     started = replace(after, warm=douglas_rachford.solve(before, 600.0))
     again, anew = (2.0 * peers.iterations(problem, value, goal) for problem in (started, after))
     return Row(f"warm start, gamma moved 1 %, {case.name}", again, {"cold": anew}, "convolutions")
@@ -116,8 +122,8 @@ def warm(case: Case, progress: Progress) -> Row:
 
 def memory(case: Case) -> Row:
     """Most that a solve to a KKT residual of 1e-6 holds beyond its problem."""
-    problem = build(case)
-    f, goal = peers.lean(problem), peers.reference(problem, GAP)
+    problem, goal = prepared(case)
+    f = peers.lean(problem)
     of_ours = peak_mb(lambda: douglas_rachford.solve(problem, 600.0))
     if of_ours > MOST_MB:
         raise RuntimeError(f"{of_ours:.0f} MB are more than {MOST_MB:g} MB")

@@ -1,29 +1,26 @@
 """A dwell for a tool that polishes while it moves, without a matrix, to an objective within GAP of the least.
 
-Beside L-BFGS-B by the same products: both are given the effect. Beside a matrix: to make either effect is in it.
+Beside L-BFGS-B by the same products: both are given the effect. Beside a matrix: bench_moving_matrix.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from benchmarks.bench_dwell import FEED_MM_S, Goal, lbfgsb, path, require
-from benchmarks.bench_dwell import ours as newton
 from benchmarks.bench_effect import Case
 from benchmarks.dwell_cases import UNREACHED, surface
 from benchmarks.harness import Progress, Row, Runner, race
 from polishd.model.dwell import DwellSolution
 from polishd.model.surface import Grid
-from polishd.process.dwell import newton_cg, spectral
+from polishd.process.dwell import spectral
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.dynamic_tif import effect_matrix
-from polishd.process.effect import Effect, SparseEffect
+from polishd.process.effect import Effect
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
 from polishd.process.spreading.effect import SpreadEffect, spread_effect
@@ -32,8 +29,6 @@ GAP = 1e-6
 CASES = (Case(300.0, 1.0, 1.0, 10.0, 1e-3), Case(200.0, 0.5, 0.93, 10.0, 1e-3))
 LEAST_NM = 10.0
 """Removed by the fastest motion: a figure that can be corrected."""
-MATRIX_ENTRIES = 30_000_000
-"""Up to here the matrix stands beside it, too."""
 CAP_S = 900.0
 
 
@@ -43,8 +38,6 @@ def rows(progress: Progress) -> Iterator[Row]:
         progress(f"moving: preparing phi {case.diameter_mm:g} mm, spot {case.radius_mm:g} mm")
         part = Part(case)
         yield solved(part, progress)
-        if part.by_matrix is not None:
-            yield from_the_path(part, progress)
 
 
 def reached(best: DwellSolution) -> Goal:
@@ -62,26 +55,15 @@ class Part:
         self.gamma = np.asarray(0.875 + 0.035 * np.sin(self.program.end_mm[:, 0] / 30))
         self.problem = self.of(self.without())
         self.goal = reached(spectral.solve(self.problem, 3600.0, 0.0, GAP / 100))  # a proved gap
-        self.by_matrix = self.of(self.matrix()) if self.small else None
-        if self.by_matrix is not None:  # of its own problem: the effect without a matrix is a little another one
-            self.matrix_goal = reached(newton_cg.solve(self.by_matrix, 3600.0, 1e-8))
 
     @property
     def name(self) -> str:
         case = self.case
         return f"phi {case.diameter_mm:g} mm, {self.program.n} blocks, spot {case.radius_mm:g} mm, gap {GAP:g}"
 
-    @property
-    def small(self) -> bool:
-        return self.program.n * np.pi * (self.case.radius_mm / self.case.pitch_mm) ** 2 < MATRIX_ENTRIES
-
     def without(self) -> SpreadEffect:
         spot, one = self.case.spot, np.ones(self.program.n)
         return spread_effect(self.grid, spot, self.program, self.gamma, one, tolerance=self.case.tolerance)
-
-    def matrix(self) -> SparseEffect:
-        one = np.ones(self.program.n)
-        return SparseEffect(self.grid, effect_matrix(self.grid, self.case.spot, self.program, self.gamma, one))
 
     def of(self, effect: Effect) -> DwellProblem:
         """The same figure for any of its effects, and time enough that bounds bind at some points only."""
@@ -99,29 +81,12 @@ def solved(part: Part, progress: Progress) -> Row:
     return race(f"dwell of a moving tool, {part.name}", partial(ours, part), peers, progress=progress, peer_cap_s=CAP_S)
 
 
-def from_the_path(part: Part, progress: Progress) -> Row:
-    """CPU seconds from the path to the dwell."""
-    peers: dict[str, Runner] = {"a matrix, projected Newton-CG": partial(by_matrix, part)}
-    name = f"effect and dwell of a moving tool, {part.name}"
-    return race(name, partial(made_and_ours, part), peers, progress=progress, peer_cap_s=CAP_S)
-
-
 def ours(part: Part) -> None:
     of(part.problem, part.goal)
 
 
-def made_and_ours(part: Part) -> None:
-    of(replace(part.problem, effect=part.without()), part.goal)
-
-
 def of(problem: DwellProblem, goal: Goal) -> None:
     require(quadratic(problem), spectral.solve(problem, 3600.0, 0.0, GAP).time_s, problem, goal)
-
-
-def by_matrix(part: Part) -> None:
-    assert part.by_matrix is not None
-    problem = replace(part.by_matrix, effect=part.matrix())
-    newton(problem, quadratic(problem), part.matrix_goal)
 
 
 def by_lbfgsb(part: Part) -> None:

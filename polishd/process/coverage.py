@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from polishd.model.outline import Outline
 from polishd.model.surface import FloatArray
@@ -45,7 +45,7 @@ def coverage(
     outside = ~outline.contains(path[:, 0], path[:, 1], -landing_mm)
     x, y = np.meshgrid(*(np.linspace(edge_mm - half, half - edge_mm, ACROSS) for half in outline.half_mm))
     aperture = np.stack([x, y], axis=-1)[outline.contains(x, y, edge_mm)]
-    near, _ = cKDTree(path).query(aperture, distance_upper_bound=spot_mm)
+    near, _ = scipy.spatial.cKDTree(path).query(aperture, distance_upper_bound=spot_mm)
     return Coverage(float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(np.isinf(near))))
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import scipy.ndimage
-from scipy.interpolate import BarycentricInterpolator
 
 from polishd.model.surface import BoolArray, FloatArray
 
@@ -120,7 +120,7 @@ def _interpolated(height_nm: FloatArray, way: FloatArray) -> tuple[FloatArray, f
     for axis, off in enumerate(way):
         if off:
             nodes = np.arange(-REACH, REACH + 1)
-            weights = np.asarray(BarycentricInterpolator(nodes, np.eye(nodes.size))(off))
+            weights = np.asarray(scipy.interpolate.BarycentricInterpolator(nodes, np.eye(nodes.size))(off))
             height_nm = scipy.ndimage.correlate1d(height_nm, weights, axis=axis, mode="constant", cval=np.nan)
             gain *= float(weights @ weights)
     return height_nm, gain

@@ -6,7 +6,7 @@ Measuring and certifying take it from here, so that a surface has one figure whe
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.model.instrument import Instrument
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
@@ -60,5 +60,5 @@ def on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration)
     x, y = lies.on_part_mm(surface.grid)
     places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
     # the two grids may lie half a sample apart: the nearest one would move the rim by that much
-    share = ndimage.map_coordinates(mask.astype(np.float64), places, order=1)
+    share = scipy.ndimage.map_coordinates(mask.astype(np.float64), places, order=1)
     return np.asarray(share >= 0.5 - ROUNDING, dtype=np.bool_) & surface.valid

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.surface import BoolArray, FloatArray
@@ -36,7 +36,7 @@ def with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whole
     gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
     if recipe.dwell.extension == "none" or not gap.any():
         return Whole(measured.height_nm, mask, None)
-    reach = max(float(ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
+    reach = max(float(scipy.ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
     own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
     cutoff = max(own, LEAST_SAMPLES * pitch)
     wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
 from polishd.model.beliefs import Evidence, MapPixels
@@ -137,7 +137,7 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
     """The same program with its points and axes in the part's frame; one that is there already stays."""
     if program.frame == "part":
         return program
-    turn = Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
+    turn = scipy.spatial.transform.Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
     offset = np.asarray(recipe.program.offset_mm)
     return replace(
         program,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from polishd.model.errors import PlanRefused, ProgramError
 from polishd.model.handling import TouchOff
@@ -40,7 +40,7 @@ def _plan(recipe: Recipe, asked: TouchOff, place: int) -> Plan:
     make = recipe.format.make
     if make is None:
         raise ProgramError(f"touch-off: no programs are made in {recipe.format.name!r}; take an NC dialect")
-    turn = Rotation.from_euler("z", -recipe.program.rotation_deg, degrees=True)
+    turn = scipy.spatial.transform.Rotation.from_euler("z", -recipe.program.rotation_deg, degrees=True)
     there = turn.apply(asked.places_mm[place] - np.asarray(recipe.program.offset_mm))
     points = np.stack([there, there + np.array([0.0, 0.0, RISE_MM])])
     axes = np.tile(turn.apply(asked.axis[place]), (2, 1))

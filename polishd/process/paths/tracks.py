@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from polishd.model.process import Optic
 from polishd.model.program import IntArray
@@ -54,7 +54,9 @@ class Joined:
     def axes(self, optic: Optic, own: FloatArray) -> FloatArray:
         """(m, 3) tool axes: ``own`` (m, 3), as the tool leans by itself, turned about the normals."""
         normals = unit_normals(optic, self.points_mm[:, :2])
-        return np.asarray(Rotation.from_rotvec(np.radians(self.turn_deg)[:, None] * normals).apply(own))
+        return np.asarray(
+            scipy.spatial.transform.Rotation.from_rotvec(np.radians(self.turn_deg)[:, None] * normals).apply(own)
+        )
 
 
 def joined(optic: Optic, tracks: Sequence[Track], landing_mm: float, step_mm: float) -> Joined:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from scipy.spatial import cKDTree
 
 from polishd.model.errors import BadMap
 from polishd.model.outline import Polygon
@@ -86,5 +85,5 @@ def _seen(part: Polygon, turn: float, shift: tuple[float, float], rim: FloatArra
     at = (np.arange(PLACES) + 0.5) * way[-1] / PLACES
     x, y = (np.interp(at, way, corner[:, k]) for k in (0, 1))
     seen_at = np.stack([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y], axis=1) + shift
-    away, _ = cKDTree(rim).query(seen_at, distance_upper_bound=within_mm)
+    away, _ = scipy.spatial.cKDTree(rim).query(seen_at, distance_upper_bound=within_mm)
     return float(np.mean(np.isfinite(away)))

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+import scipy
 
 from polishd.model.surface import FloatArray
 from polishd.process.spot import Spot
@@ -125,7 +125,7 @@ def _between(mesh: tuple[FloatArray, ...], value: FloatArray, at: tuple[FloatArr
     if not wide:
         return np.repeat(value.reshape(1, -1), at[0].size, axis=0)
     flat = value.reshape(*(mesh[axis].size for axis in wide), value.shape[-1])
-    found = RegularGridInterpolator(tuple(mesh[axis] for axis in wide), flat, method="cubic")
+    found = scipy.interpolate.RegularGridInterpolator(tuple(mesh[axis] for axis in wide), flat, method="cubic")
     # rounding may leave a block a hair outside of its own range
     place = [np.clip(at[axis], mesh[axis][0], mesh[axis][-1]) for axis in wide]
     return np.asarray(found(np.stack(place, axis=1)), dtype=np.float64)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from polishd.model.surface import FloatArray
 
@@ -38,10 +38,10 @@ def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_i
     for first in range(0, len(values), ROWS):  # a matrix is three times what is asked of it
         part = values[first : first + ROWS]
         if convention == "quaternion":
-            rotation = Rotation.from_quat(part[:, [1, 2, 3, 0]])
+            rotation = scipy.spatial.transform.Rotation.from_quat(part[:, [1, 2, 3, 0]])
         elif convention == "euler_deg":
-            rotation = Rotation.from_euler(axes, part, degrees=True)
+            rotation = scipy.spatial.transform.Rotation.from_euler(axes, part, degrees=True)
         else:
-            rotation = Rotation.from_rotvec(part)
+            rotation = scipy.spatial.transform.Rotation.from_rotvec(part)
         found[first : first + ROWS] = rotation.as_matrix()[:, :, 2]
     return np.negative(found, out=found) if tool_z_into_part else found
