@@ -48,13 +48,16 @@ def prepared(case: Case, rank: int = 0, change: float = 0.0) -> tuple[DwellProbl
 def cold(case: Case, problem: DwellProblem, goal: Goal, progress: Progress) -> Row:
     """CPU seconds, all from the lower bound."""
     f = peers.lean(problem)
-    others: dict[str, Runner] = {
-        "scipy L-BFGS-B (m = 10)": partial(lbfgsb, problem, f, goal),
-        "projected Newton-CG": partial(peers.newton, problem, f, goal),
-    }
-    slow: dict[str, Runner] = {"scipy lsq_linear": partial(peers.lsq_linear, problem, f, goal)}
-    for name in qp.installed():
-        slow[f"qpsolvers {name}"] = partial(peers.backend, problem, name, goal, QUICK_CAP_S)
+    others: dict[str, Runner] = {"scipy L-BFGS-B (m = 10)": partial(lbfgsb, problem, f, goal)}
+    slow: dict[str, Runner] = {}
+    if case in (SMALL, LARGE[0]):  # the others of as many points tell nothing new
+        slow = {
+            "projected Newton-CG": partial(peers.newton, problem, f, goal),
+            "scipy lsq_linear": partial(peers.lsq_linear, problem, f, goal),
+        }
+        slow |= {
+            f"qpsolvers {name}": partial(peers.backend, problem, name, goal, QUICK_CAP_S) for name in qp.installed()
+        }
     too_large = entries(problem) > MOST_QP_ENTRIES
     capped: dict[str, float | None] = {}
     for name, run in slow.items():

@@ -23,7 +23,7 @@ from polishd.console.demo_files import write_demo
 
 Cost = tuple[float, float]
 """CPU and wall seconds."""
-TURNS = 15
+TURNS = 9
 LIMIT_S = 0.5
 PEERS: dict[str, tuple[str, ...]] = {"python": ("-c", "pass"), "numpy": ("-c", "import numpy")}
 MODULES = ("polishd", "polishd.api", "polishd.plugins.interferometer")
