@@ -8,7 +8,7 @@ with all that a machine adds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +24,8 @@ from polishd.process.metrics.slopes import slope
 
 DIAMETER_MM, EDGE_MM, PITCH_MM, RMS_NM = 60.0, 2.0, 1.0, 45.42
 LONGEST_MM, SHORTEST_MM = 60.0, 3.0
+REACHED_MM, REACHED_STEP_MM = 10.0, 1.0
+"""The smallest spot's diameter: a figure of no shorter periods is one that these tools reach. And between points."""
 RADII_MM = (12.0, 8.0, 5.0)
 MEASURED_NM = 11.18
 """Three bonnets in one solve, Optics Express 30(10) 16957: from 45.42 nm, in 13.28 min, on glass."""
@@ -33,13 +35,13 @@ STEP_MM = 2.0
 SEED = 1
 
 
-def part() -> tuple[Grid, BoolArray, BoolArray, FloatArray]:
-    """Grid, the disc, its clear aperture, and (ny, nx) nm of a figure with that RMS in it."""
+def part(shortest_mm: float) -> tuple[Grid, BoolArray, BoolArray, FloatArray]:
+    """Grid, the disc, its clear aperture, and (ny, nx) nm of a figure with that RMS in it, of periods down to that."""
     n = int(DIAMETER_MM / PITCH_MM) + 1
     grid = Grid(n, n, PITCH_MM)
     disc, clear = (grid.radius_mm() <= DIAMETER_MM / 2 - edge for edge in (0.0, EDGE_MM))
     f = np.hypot(*np.meshgrid(np.fft.rfftfreq(2 * n, PITCH_MM), np.fft.fftfreq(2 * n, PITCH_MM)))
-    within = (f > 1 / LONGEST_MM) & (f < 1 / SHORTEST_MM)
+    within = (f > 1 / LONGEST_MM) & (f < 1 / shortest_mm)
     size = np.where(within, np.maximum(f, 1 / LONGEST_MM) ** -2.0, 0.0)
     phase = np.exp(2j * np.pi * np.random.default_rng(SEED).random(f.shape))
     height = np.fft.irfft2(size * phase, (2 * n, 2 * n))[:n, :n]
@@ -91,12 +93,9 @@ def of_mirrors(progress: Progress) -> Iterator[Row]:
 def rows(progress: Progress) -> Iterator[Row]:
     """One row a published figure."""
     yield from of_mirrors(progress)
-    grid, disc, clear, height = part()
     tif = {radius: spot(1.0, radius, int(np.ceil(radius))) for radius in RADII_MM}
-    case = DwellCase(
-        grid.x_mm, grid.y_mm, height, tif[RADII_MM[0]], 1.0, mask=disc, clear=clear, piston_nm=None, rho=1e-4
-    )
-    bonnets = [ArrayTool(f"R{radius:g}", tif[radius], 1.0, step_mm=STEP_MM) for radius in RADII_MM]
+    case, disc = case_of(SHORTEST_MM, tif)
+    bonnets = bonnets_of(STEP_MM, tif)
     area_mm2 = disc.sum() * PITCH_MM**2
 
     def over_volume(found: ToolsDwell) -> float:
@@ -122,8 +121,33 @@ def rows(progress: Progress) -> Iterator[Row]:
         {"least residual": over_volume(least)},
         "times",
     )
-    before = slope(np.where(clear, height, 0.0), clear, PITCH_MM).rms_urad
-    after = slope(np.where(clear, np.nan_to_num(least.residual_nm), 0.0), clear, PITCH_MM).rms_urad
-    left = 100 * least.certificate.predicted_rms_nm / RMS_NM
-    yield Row(f"{name}, periods to 3 mm: RMS that is left", left, LEFT["rms"], "%")
-    yield Row(f"{name}, periods to 3 mm: slope that is left", 100 * after / before, LEFT["slope"], "%")
+    yield from left(f"{name}, periods to {SHORTEST_MM:g} mm", case, least)
+    progress(f"{name}: periods to {REACHED_MM:g} mm")
+    case, _ = case_of(REACHED_MM, tif)
+    yield from left(
+        f"{name}, periods to {REACHED_MM:g} mm", case, dwell_of_tools(case, bonnets_of(REACHED_STEP_MM, tif))
+    )
+
+
+def case_of(shortest_mm: float, tif: Mapping[float, FloatArray]) -> tuple[DwellCase, BoolArray]:
+    """The figure with the largest tool, and the disc."""
+    grid, disc, clear, height = part(shortest_mm)
+    largest = tif[RADII_MM[0]]
+    case = DwellCase(grid.x_mm, grid.y_mm, height, largest, 1.0, mask=disc, clear=clear, piston_nm=None, rho=1e-4)
+    return case, disc
+
+
+def bonnets_of(step_mm: float, tif: Mapping[float, FloatArray]) -> list[ArrayTool]:
+    return [ArrayTool(f"R{radius:g}", tif[radius], 1.0, step_mm=step_mm) for radius in RADII_MM]
+
+
+def left(name: str, case: DwellCase, found: ToolsDwell) -> Iterator[Row]:
+    """Of RMS and slope."""
+    clear = np.asarray(case.clear)
+    before, after = (
+        slope(np.where(clear, np.nan_to_num(height), 0.0), clear, PITCH_MM).rms_urad
+        for height in (np.asarray(case.height_nm), found.residual_nm)
+    )
+    share = 100 * found.certificate.predicted_rms_nm / RMS_NM
+    yield Row(f"{name}: RMS that is left", share, LEFT["rms"], "%")
+    yield Row(f"{name}: slope that is left", 100 * after / before, LEFT["slope"], "%")

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polishd.model.surface import FloatArray
+from polishd.process.dwell import walk
 from polishd.process.dwell.walk import RELAXATION, Walk, best_sizes
 from polishd.process.spreading import compiled
 from polishd.process.spreading.compiled import (
@@ -84,7 +85,9 @@ class CompiledWalk(Walk):
         found = (np.empty_like(self.free) for _ in range(3))
         lower, upper = self.problem.lower_s, self.problem.upper_s
         dwells = Dwells(lower, upper, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found)
-        kernel(_step, compiled.__file__)(dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order)
+        kernel(_step, compiled.__file__, walk.__file__)(
+            dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order
+        )
 
     def _draw(self, pull: float) -> None:
         """See Walk."""

@@ -198,10 +198,10 @@ class _Interior:
         best, best_value, best_gap = lower, self._f.value(lower), float("inf")
         for rounds in range(MAX_ROUNDS):
             time_s = self._snapped(now)
-            value = self._f.value(time_s)
+            value, gradient = self._f.at(time_s)
             if value < best_value:
                 best, best_value, best_gap = time_s, value, now.gap
-            left = projected_gradient(self._f.gradient(time_s), time_s, lower, upper, self._step)
+            left = projected_gradient(gradient, time_s, lower, upper, self._step)
             if float(np.abs(left).max()) <= enough and now.gap <= tolerance * abs(value):
                 return time_s, rounds, "converged", now.gap
             if expired():
@@ -211,8 +211,8 @@ class _Interior:
 
     def _start(self, at_lower: FloatArray) -> _State:
         """Well inside the bounds: everywhere the dwell that is best where it is the same everywhere."""
-        ones = np.ones(at_lower.size)
-        bend = float(ones @ self._f.curvature(ones))
+        removal = self._f.forward(np.ones(at_lower.size))  # once: not worth making R'R for
+        bend = 2 * (float(removal @ removal) / removal.size + self._f.regularisation * at_lower.size)
         size = max(-float(at_lower.sum()), float(np.abs(at_lower).mean())) / bend if bend > 0 else 1.0
         below = np.minimum(max(size, LEAST_START_S), self._room / 2)
         push = np.full(below.size, float(np.abs(at_lower).mean()) or 1.0)
