@@ -10,7 +10,6 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Iterable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +41,6 @@ def uncounted() -> dict[str, Any]:
     return {"_nrt": False} if hasattr(getattr(options, "DefaultOptions", None), "_nrt") else {}
 
 
-@cache
 def _folder(version: str, sources: tuple[Path, ...]) -> str | None:
     """Where compiled code of these sources is kept; None where there is no home: then each process compiles."""
     digest = hashlib.sha256(version.encode())

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import pwd
-import shutil
 from functools import cache
-from pathlib import Path
 from random import Random
 from typing import cast
 
 import numpy as np
 import pytest
 
+from polishd import compiled as compiling
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import Dialect, dialect
@@ -122,10 +119,10 @@ def test_the_same_line_and_reason(body: str, line: int, monkeypatch: Patch) -> N
 
 @pytest.mark.full
 def test_a_numba_without_the_private_option_gives_the_same_numbers(monkeypatch: Patch) -> None:
-    assert compiled._uncounted() == {"_nrt": False}, "numba has lost the option: compiled code is seven times slower"
+    assert compiling.uncounted() == {"_nrt": False}, "numba has lost the option: compiled code is seven times slower"
     monkeypatch.setattr("numba.core.options.DefaultOptions", object())
-    assert compiled._uncounted() == {}
-    monkeypatch.setattr(compiled, "_folder", lambda _: None)
+    assert compiling.uncounted() == {}
+    monkeypatch.setattr(compiling, "_folder", lambda *_: None)
     monkeypatch.setattr(compiled, "_register_parts", lambda: None)
     counted = compiled._compiled.__wrapped__(write.direct)
     assert counted is not compiled.kernel(write.direct, NEVER)
@@ -163,59 +160,3 @@ def test_across_the_limit(monkeypatch: Patch) -> None:
     monkeypatch.setattr(stream, "PIECE_BYTES", 1000)
     same(whole, outcome("rs274", text, monkeypatch, 990))
     assert written("rs274", whole, whole.time_s + 0.25, monkeypatch, 990)[0] == expected[0]
-
-
-# Where compiled code is kept.
-
-
-@pytest.fixture
-def sources(tmp_path: Path, monkeypatch: Patch) -> Path:
-    """A copy of the sources, in place of the real ones."""
-    folder = tmp_path / "nc"
-    shutil.copytree(Path(compiled.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(compiled, "__file__", str(folder / "compiled.py"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return folder
-
-
-def test_the_folder_is_named_after_the_sources(sources: Path, tmp_path: Path) -> None:
-    first = compiled._folder("0.61")
-    assert Path(first).parent == tmp_path / "cache" / "polishd"
-    assert Path(first).is_dir()
-    assert compiled._folder("0.61") == first
-    assert compiled._folder("0.62") != first
-    for path in sorted(sources.glob("*.py")):
-        before = path.read_bytes()
-        path.write_bytes(before + b"\n")
-        assert compiled._folder("0.61") != first, path.name
-        path.write_bytes(before)
-    assert compiled._folder("0.61") == first
-
-
-def test_the_users_cache(sources: Path, tmp_path: Path, monkeypatch: Patch) -> None:
-    assert sources.is_dir()
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert Path(compiled._folder("1") or "").parent == tmp_path / "home" / ".cache" / "polishd"
-
-
-def test_no_home_is_writable(sources: Path, tmp_path: Path, monkeypatch: Patch) -> None:
-    """A service's user: nothing is kept, least of all where others could put code."""
-    (tmp_path / "home").write_text("no folder")
-    for value in (tmp_path / "home" / "cache", sources / "codes.py"):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(value))
-        assert compiled._folder("1") is None
-
-
-@pytest.mark.skipif(os.name != "posix", reason="users without a home are a Unix matter")
-def test_nobody_has_a_home(sources: Path, monkeypatch: Patch) -> None:
-    """A container's user without a name: there is no ~ at all."""
-    assert sources.is_dir()
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.delenv("HOME")
-
-    def unknown(_uid: int) -> None:
-        raise KeyError("uid not found")
-
-    monkeypatch.setattr(pwd, "getpwuid", unknown)
-    assert compiled._folder("1") is None
