@@ -76,6 +76,8 @@ class CompiledWalk(Walk):
 
     _spread: CompiledSpread | None = None
     _fields: Fields | None = None
+    _bounds: tuple[FloatArray, FloatArray] | None = None
+    """Copies: compiled code is another one for arrays that nobody may write to."""
 
     def _go(self) -> None:
         """See Walk."""
@@ -83,8 +85,8 @@ class CompiledWalk(Walk):
         self._fields = fields = self._fields or self._made(spread)
         numbers = Numbers(RELAXATION, self.near.pull, self.near.held, self.problem.regularisation)
         found = (np.empty_like(self.free) for _ in range(3))
-        lower, upper = self.problem.lower_s, self.problem.upper_s
-        dwells = Dwells(lower, upper, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found)
+        self._bounds = bounds = self._bounds or (self.problem.lower_s.copy(), self.problem.upper_s.copy())
+        dwells = Dwells(*bounds, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found)
         kernel(_step, compiled.__file__, walk.__file__)(
             dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order
         )

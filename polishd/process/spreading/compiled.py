@@ -77,7 +77,7 @@ class CompiledSpread:
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(n,) s -> (ny, nx) nm."""
-        kernel(_removal)(np.ascontiguousarray(time_s, np.float64), self.laid, self.nodes, self.plane.order)
+        kernel(_removal)(np.array(time_s, np.float64), self.laid, self.nodes, self.plane.order)
         return np.asarray(self.nodes.flat[0][self.at], dtype=np.float64)
 
     def adjoint(self, weight: FloatArray) -> FloatArray:
@@ -106,7 +106,7 @@ def compiled_spread(effect: SpreadEffect) -> CompiledSpread:
             weights.indptr.astype(np.uint32),
             places[:rows, :columns].astype(np.uint32).ravel()[weights.indices],
             weights.data.astype(np.float32),
-            np.ascontiguousarray(effect.coefficients, dtype=np.float32),
+            np.array(effect.coefficients, np.float32, order="C"),
         ),
         nodes=Nodes(
             fields=fields,
