@@ -232,7 +232,13 @@ def test_the_adjoint_is_the_transpose() -> None:
     assert np.abs(quick.adjoint(GRID.radius_mm()) - want).max() < 2e-3 * want.max()
 
 
-@pytest.mark.parametrize("made", [SpreadEffect.single, compiled_spread], ids=["interpreted", "compiled"])
+@pytest.mark.parametrize(
+    "made",
+    [
+        pytest.param(SpreadEffect.single, id="interpreted"),
+        pytest.param(compiled_spread, id="compiled", marks=pytest.mark.full),
+    ],
+)
 def test_in_float32_it_is_the_same_to_a_millionth(made: Callable[[SpreadEffect], Effect]) -> None:
     """Also where nodes are finer than samples."""
     quick, _ = both(moves(600), tolerance=5e-3)
