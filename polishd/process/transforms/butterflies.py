@@ -159,7 +159,7 @@ def _stage_back(
 
 def butterfly(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes]:
     """The transform of as many complex values as the tuples are long; compiled code only."""
-    raise NotImplementedError
+    raise NotImplementedError(f"a butterfly of {len(x)} and {len(y)} values outside compiled code")
 
 
 @overload(butterfly, strict=False)
