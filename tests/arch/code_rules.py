@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import ast
 import builtins
-import statistics
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from tests.arch.source import Source, length, public, sources
-
-FILE_MEDIAN, FILE_MAX = 120, 400
-FUNCTION_P90, FUNCTION_MAX = 25, 60
-CLASS_MAX = 250
+from tests.arch.source import Source, public, sources
 
 # Third-party libraries that drivers, plugins and the daemon may name in two files each, so that they stay replaceable.
 CONFINED = ("pymodbus", "serial", "can", "pluggy", "qpsolvers")
@@ -28,40 +23,6 @@ IMPURE_CALLS = {"open", "print", "input", "np.load", "np.save", "np.loadtxt", "n
 BUILTIN_ERRORS = {
     name for name, value in vars(builtins).items() if isinstance(value, type) and issubclass(value, BaseException)
 }
-
-
-def file_sizes(root: Path) -> list[str]:
-    """Files are small: the median and the largest are bounded."""
-    tree = sources(root)
-    median = statistics.median(source.lines for source in tree)
-    broken = [f"{s.name}: {s.lines} lines, at most {FILE_MAX}" for s in tree if s.lines > FILE_MAX]
-    return broken + ([f"median file has {median:g} lines, at most {FILE_MEDIAN}"] if median > FILE_MEDIAN else [])
-
-
-def function_sizes(root: Path) -> list[str]:
-    """Functions are short, docstrings not counted: the longest and nine in ten are bounded."""
-    tree = sources(root)
-    sizes = sorted(length(function) for source in tree for function in source.functions())
-    p90 = sizes[int(0.9 * (len(sizes) - 1))] if sizes else 0
-    broken = [
-        source.at(function, f"{function.name} has {length(function)} lines, at most {FUNCTION_MAX}")
-        for source in tree
-        for function in source.functions()
-        if length(function) > FUNCTION_MAX
-    ]
-    return broken + (
-        [f"one function in ten has over {p90} lines, at most {FUNCTION_P90}"] if p90 > FUNCTION_P90 else []
-    )
-
-
-def class_sizes(root: Path) -> list[str]:
-    """Classes are bounded."""
-    return [
-        source.at(node, f"class {node.name} has {length(node)} lines, at most {CLASS_MAX}")
-        for source in sources(root)
-        for node in source.classes()
-        if length(node) > CLASS_MAX
-    ]
 
 
 def docstrings(root: Path) -> list[str]:
@@ -240,9 +201,6 @@ def _reached(start: str, imports: Mapping[str, set[str]]) -> set[str]:
 
 
 RULES = (
-    file_sizes,
-    function_sizes,
-    class_sizes,
     docstrings,
     exceptions_at_home,
     confined_libraries,

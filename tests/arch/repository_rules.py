@@ -87,17 +87,10 @@ def _hooks(root: Path) -> list[str]:
     return hooks
 
 
-def tests_outweigh_source(root: Path) -> list[str]:
-    """The tests are at least as long as what they test."""
-    code, tests = (sum(source.lines for source in sources(root, folder)) for folder in ("polishd", "tests"))
-    return [f"tests/ has {tests} lines, polishd/ {code}"] if tests < code else []
-
-
 RULES = (
     lock_is_complete,
     lock_names_no_place,
     no_machine_named,
     hooks_are_documented,
     hooks_are_tested,
-    tests_outweigh_source,
 )

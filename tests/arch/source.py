@@ -90,12 +90,6 @@ def forget() -> None:
     _parsed.clear()
 
 
-def length(node: Function | ast.ClassDef) -> int:
-    """Lines of a definition, its docstring and decorators not counted."""
-    docstring = ast.get_docstring(node, clean=False)
-    return (node.end_lineno or node.lineno) - node.lineno + 1 - (len(docstring.splitlines()) if docstring else 0)
-
-
 def public(node: ast.AST, inside: str = "") -> Iterator[tuple[Documented, str]]:
     """The node itself and every public definition in it that a reader can reach, with its dotted name."""
     if isinstance(node, Documented):
