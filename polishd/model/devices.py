@@ -115,3 +115,5 @@ class RobotProgress:
     """Wall seconds of motion that are buffered ahead of the tool."""
     boot_id: str = ""
     detail: str = ""
+    override: float | None = None
+    """Speed override that the controller reports, as a fraction (1.0: as programmed); None: it cannot be read."""

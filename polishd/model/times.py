@@ -54,6 +54,8 @@ class RobotTimes:
     """Longest that it stands, held by an operator, before anybody knows; 0: no longer than its link takes."""
     block_end_s: float = 0.0
     """Standard deviation of when it says that a block ended; 0: it says so exactly. Such errors do not add up."""
+    report_s: float = 0.1
+    """Greatest age of a report of executed blocks: the period of the link's reports and their way."""
 
 
 @dataclass(frozen=True, slots=True)
