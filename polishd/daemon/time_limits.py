@@ -21,6 +21,8 @@ LIFT_MARGIN_MM = 5.0
 """A robot that takes the tool away goes so much farther than the actuator can follow."""
 LOOK_S = 0.1
 """Between two looks at a state that nobody tells of by himself."""
+END_SIGMAS = 3.0
+"""Standard deviations of a block's reported end that are allowed for."""
 BEAT_S = 0.15
 """Most between two heartbeats of ours; three periods of a driver's."""
 
@@ -103,6 +105,16 @@ class TimeLimits:
         stays = self.actuator.unpowered == "stays"
         on_s = max(self.actuator.alone_s, self.robot.watchdog_s + self.robot.stop_s if stays else 0.0)
         return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + on_s
+
+    @property
+    def report_age_s(self) -> float:
+        """Greatest age of the robot's report of a block that ended: its link, and how well it knows the end."""
+        return self.robot.report_s + END_SIGMAS * self.robot.block_end_s
+
+    @property
+    def no_progress_s(self) -> float:
+        """Time beyond a block's expected time after which a robot that reports no progress counts as standing."""
+        return self.report_age_s + 2 * LOOK_S
 
     @property
     def lift_mm(self) -> float:
