@@ -50,6 +50,10 @@ class ContactLimits:
     apart_n: float = math.inf
     """How far the words of actuator and force sensor may be apart; farther for ``apart_s`` is a safety stop."""
     apart_s: float = 0.5
+    least_override: float = 0.0
+    """Of the robot's speed, where it can be read."""
+    excess_nm: float | None = None
+    """Most that slow motion may remove beyond the plan at any place; None: by tolerance and plan."""
 
 
 @dataclass(slots=True)

@@ -7,12 +7,18 @@ from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.cell import Cell
-from polishd.daemon.time_limits import Limit, TimeLimits
-from polishd.model.program import Program
+from polishd.daemon.time_limits import Limit, TimeLimits, late_s
+from polishd.model.program import Plan, Program
+from polishd.process.excess import ExcessMap
 from polishd.process.motion import delivered_time_s
-from polishd.process.spot_figures import measured_figures, spot_figures
+from polishd.process.spot_figures import SpotFigures, measured_figures, spot_figures
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import envelope_of
+from polishd.recipe.steps import envelope_of, in_part_frame
+
+NO_TOLERANCE_NM = 10.0
+"""Taken for the tolerance where no line of it is in nm."""
+TENTH = 0.1
+"""Share of what is planned at a place that may be removed beyond the plan by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +53,8 @@ class StallRemoval:
         return (
             f"A robot that stands in contact removes up to {self.removal_nm:.0f} nm before the force is off, more than "
             f"half of the tolerance of {tolerance_nm:g} nm: it is noticed after {self.notice_s:.2f} s, the force is "
-            f"off {self.release_s:g} s later, at {self.rate_nm_s:.0f} nm/s. Use shorter blocks, less force, a controller "
-            "that reports faster or an actuator that releases faster."
+            f"off {self.release_s:g} s later, at {self.rate_nm_s:.0f} nm/s. Use shorter blocks, less force, a "
+            "controller that reports faster or an actuator that releases faster."
         )
 
 
@@ -59,8 +65,8 @@ def stall_removal(limits: TimeLimits, recipe: Recipe, program: Program) -> Stall
     """
     expected_s = delivered_time_s(program, program.time_s, envelope_of(recipe, program))
     moving_s = expected_s - program.time_s if program.encoding == "dwell" else expected_s
-    notice_s = float(moving_s.max(initial=0.0)) + limits.no_progress_s
-    return StallRemoval(notice_s, limits.actuator.release_s, peak_nm_s(recipe))
+    block_s = float(moving_s.max(initial=0.0))
+    return StallRemoval(block_s + late_s(block_s) + limits.no_progress_s, limits.actuator.release_s, peak_nm_s(recipe))
 
 
 def tolerance_nm(recipe: Recipe) -> float | None:
@@ -97,5 +103,27 @@ def blur(cell: Cell, recipe: Recipe) -> str:
 
 def peak_nm_s(recipe: Recipe) -> float:
     """Return the removal rate of a standing tool at the peak of its spot, nm/s."""
+    return _spot(recipe).peak_nm_s
+
+
+def _spot(recipe: Recipe) -> SpotFigures:
     tif, process = recipe.tif, recipe.process
-    return (spot_figures(process) if tif is None else measured_figures(tif, process)).peak_nm_s
+    return spot_figures(process) if tif is None else measured_figures(tif, process)
+
+
+def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float, allowed_s: float) -> ExcessMap:
+    """Return the limits of removal beyond that plan on the part: ``most_nm``, or by tolerance and plan.
+
+    ``blur_s``: how far off a block's reported end may be; ``allowed_s``: overhead of a block that is not known yet.
+    """
+    share = TENTH if most_nm is None else 0.0
+    return ExcessMap(
+        in_part_frame(recipe, plan.program),
+        plan.expected_time_s,
+        _spot(recipe),
+        floor_nm=(tolerance_nm(recipe) or NO_TOLERANCE_NM) / 2 if most_nm is None else most_nm,
+        share=share,
+        blur_s=blur_s,
+        allowed_s=allowed_s,
+        on_part=recipe.outline.contains,
+    )
