@@ -129,7 +129,8 @@ class VariablesTable(Section):
     loaded: Variable | None = None
     """The name of the file that is loaded."""
     feed_override: Override | None = None
-    """The operator's feed override; without it `feed_hold` is needed."""
+    """The operator's feed override; without it `feed_hold` is needed. Contact is refused, and left, below
+    `robot.least_override`."""
     feed_hold: Flag | None = None
     """Somebody holds the feed at the controller."""
     in_motion: Flag | None = None

@@ -14,7 +14,7 @@ from polishd.config.document import Document, parse_toml
 from polishd.config.process import HybridSection, KinematicsSection
 from polishd.config.robots import robot_of
 from polishd.config.simulator_effects import Effects
-from polishd.config.simulator_faults import FRAMES, STATES, Fault
+from polishd.config.simulator_faults import FRAMES, MOTION, STATES, Fault
 from polishd.config.simulator_instrument import InstrumentErrors
 from polishd.config.simulator_plant import CLOSEST, Contact, Plant, Truth
 from polishd.config.tables import read_tif
@@ -33,7 +33,7 @@ from polishd.config.values import (
 from polishd.model.process import MeasuredTif
 from polishd.model.robot import RobotModel
 
-__all__ = ["FRAMES", "SEVEN", "STATES", "Fault", "SimConfig", "load_simulator"]
+__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "Fault", "SimConfig", "load_simulator"]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 

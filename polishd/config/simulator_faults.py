@@ -15,7 +15,9 @@ REPLIES = ("late_reply", "wrong_unit", "exception")
 """... of these to the device's own alone; ..."""
 WIRES = ("hang", "unplug", "reboot")
 """... to the link as a whole; ..."""
-STATES = ("freeze", "drift", "saturate", "stick", "halt")
+MOTION = ("override", "stand")
+"""... to the motion of a robot; ..."""
+STATES = ("freeze", "drift", "saturate", "stick", "halt", *MOTION)
 """... and to the device behind it."""
 NEEDS = {
     "late_reply": ("by_s",),
@@ -26,6 +28,7 @@ NEEDS = {
 """Keys that such a fault must have."""
 KNOWS = {"by_s": ("delay", "late_reply", "dribble"), "jitter_s": ("delay",), "drift_n_s": ("drift",)}
 KNOWS |= {"limit_n": ("saturate",), "direction": FRAMES, "rate": FRAMES}
+KNOWS |= {"percent": ("override",), "ramp_s": ("override",), "reported": ("override",)}
 """Keys that others than these must not have."""
 
 
@@ -36,7 +39,7 @@ class Fault(Section):
     """Which of them has it."""
     what: Literal[
         "drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception",
-        "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt",
+        "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt", "override", "stand",
     ]  # fmt: skip
     """What goes wrong."""
     link: Literal["", "rtde", "dashboard", "primary"] = ""
@@ -63,6 +66,12 @@ class Fault(Section):
     """Of `drift`: how fast; positive: it reads too much. [N/s]"""
     limit_n: NotNegative = 0.0
     """Of `saturate`: the most that it tells."""
+    percent: Annotated[float, Field(ge=0, le=200)] | None = None
+    """Of `override`: the speed that is left of the programmed one. [%]"""
+    ramp_s: NotNegative = 0.0
+    """Of `override`: from 100 % to `percent` in so long, wall time; 0: at once."""
+    reported: bool = True
+    """Of `override`: the controller reports it, where its link can; false: it goes on reporting 100 %."""
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:
@@ -90,6 +99,8 @@ class Fault(Section):
         for key in NEEDS.get(self.what, ()):
             if not getattr(self, key):
                 yield key, f"{self.what} needs it, other than 0"
+        if self.what == "override" and self.percent is None:
+            yield "percent", "override needs it"
         if self.what == "delay" and not self.by_s and not self.jitter_s:
             yield "by_s", "delay needs it, or jitter_s"
         if self.what in REPLIES and self.direction == "to_device":

@@ -39,6 +39,8 @@ class FakeLinuxCnc(Peer):
         """Orders answered with NAK."""
         self.deaf: set[str] = set()
         """Requests that are not answered."""
+        self.feed_override = 100
+        """Percent."""
         self.read_ahead = 0
         """Lines beyond the motion that it tells when it is idle again."""
         self._seen_s = clock()
@@ -86,6 +88,7 @@ class FakeLinuxCnc(Peer):
             "program_status": self.status,
             "abs_cmd_pos": f"{self.x_mm:f} 0.000000 0.000000 0.000000 0.000000 0.000000",
             "operator_text": "OK",
+            "feed_override": f"{self.feed_override:d}",
             "estop": self.estop,
             "machine": self.machine,
             "inifile": "/etc/fake.ini",

@@ -120,6 +120,9 @@ class Handover(FileRobot[Watch]):
     def _follow(self) -> Following:
         return Following(self._name, self._make, self._profile, self._seen)
 
+    def _override(self) -> float | None:
+        return None if self._profile.variables.feed_override is None else self._following.last.override
+
     def _moves(self) -> bool:
         return self._following.last.running
 
@@ -220,4 +223,5 @@ def times_of(profile: ControllerProfile) -> RobotTimes:
         stop_s=profile.stop_s,
         unseen_stop_s=profile.unseen_stop_s,
         block_end_s=profile.block_end_s,
+        report_s=(profile.report_ms + profile.look_ms + profile.link_ms) / 1e3,
     )

@@ -6,7 +6,17 @@ import time
 from collections.abc import Callable
 
 from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError
-from polishd.drivers.linuxcnc.dialogue import AXES, Answer, Snapshot, asks, line_of, numbers_of, parse, status_of
+from polishd.drivers.linuxcnc.dialogue import (
+    AXES,
+    Answer,
+    Snapshot,
+    asks,
+    line_of,
+    numbers_of,
+    override_of,
+    parse,
+    status_of,
+)
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.requests import RequestQueue
 from polishd.drivers.transport.streams import LineReader, open_stream
@@ -102,7 +112,8 @@ class Connection:
         status = status_of(await self._get("program_status"))
         # after the status: a message comes before the pause that it announces
         display = await self._get("operator_display")
-        return Snapshot(time_s, line, status, position, "" if display == "OK" else display)
+        override = override_of(await self._get("feed_override"))
+        return Snapshot(time_s, line, status, position, "" if display == "OK" else display, override)
 
     async def _drain(self) -> str:
         found: list[str] = []

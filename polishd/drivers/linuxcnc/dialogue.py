@@ -8,6 +8,8 @@ from typing import Literal, cast
 
 from polishd.api import ProtocolError
 
+MOST_PERCENT = 1000.0
+"""More feed override than any [DISPLAY] MAX_FEED_OVERRIDE allows."""
 Status = Literal["idle", "running", "paused"]
 AXES = 6
 """X Y Z A B C: what linuxcncrsh tells of a position, whatever axes the machine has."""
@@ -37,6 +39,8 @@ class Snapshot:
     """Where it means to be, mm and deg: without the noise of the encoders, which it follows within FERROR."""
     display: str
     """The operator message that came since the last look, or empty."""
+    override: float = 1.0
+    """Its feed override, as a fraction."""
 
     def moved_since(self, other: Snapshot) -> bool:
         """It was elsewhere then."""
@@ -80,6 +84,14 @@ def line_of(value: str) -> int:
     if not value.isdecimal():
         raise ProtocolError(f"linuxcncrsh: PROGRAM_LINE {value!r}")
     return int(value)
+
+
+def override_of(value: str) -> float:
+    """A feed override in percent, as a fraction; ProtocolError where it is none."""
+    (percent,) = numbers_of(value, 1)
+    if not 0.0 <= percent <= MOST_PERCENT:
+        raise ProtocolError(f"linuxcncrsh: FEED_OVERRIDE {value!r}, not 0 to {MOST_PERCENT:g} %")
+    return percent / 100.0
 
 
 def numbers_of(value: str, count: int) -> tuple[float, ...]:

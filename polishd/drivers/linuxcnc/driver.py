@@ -19,7 +19,7 @@ from polishd.api import (
 )
 from polishd.drivers.linuxcnc.connection import SILENCE_S, Connection
 from polishd.drivers.linuxcnc.dialogue import Snapshot
-from polishd.drivers.linuxcnc.following import Following, abort, obstacle
+from polishd.drivers.linuxcnc.following import REPORT_S, Following, abort, obstacle
 from polishd.drivers.linuxcnc.program_file import ProgramFile
 from polishd.drivers.linuxcnc.watch import Watch
 from polishd.drivers.transport.address import Tcp
@@ -50,7 +50,7 @@ class LinuxCnc(FileRobot[Watch]):
         passwords: tuple[str, str] = ("EMC", "EMCTOO"),
     ) -> None:
         """``program_dir`` is where the file is written; ``controller_dir`` how the controller calls that folder."""
-        usual = RobotTimes(silence_s=SILENCE_S, watchdog_s=math.inf, stop_s=2.0, lifts=False)
+        usual = RobotTimes(SILENCE_S, math.inf, 2.0, lifts=False, report_s=REPORT_S)
         super().__init__(str(address), times or usual)
         self._address = address
         self._folder = program_dir
@@ -107,6 +107,9 @@ class LinuxCnc(FileRobot[Watch]):
             await connection.control()
             await connection.set("set pause", urgent=True)
         await self._following.standstill("pause")
+
+    def _override(self) -> float:
+        return self._following.last.override
 
     def _moves(self) -> bool:
         return self._following.last.status == "running"

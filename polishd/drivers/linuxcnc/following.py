@@ -15,6 +15,8 @@ from polishd.drivers.transport.background import Background, Ready
 LOOK_S = 0.005
 """Between two looks while a program runs: LinuxCNC renews its own word every [TASK] CYCLE_TIME, 1 to 10 ms."""
 IDLE_LOOK_S = 0.02
+REPORT_S = 0.05
+"""Greatest age of what a look tells: LinuxCNC's own CYCLE_TIME, the pause between looks, and the six answers of one."""
 OPEN_S = 2.0
 
 OnLook = Callable[[Snapshot], Awaitable[bool]]

@@ -29,6 +29,8 @@ from polishd.drivers.transport.blocks import new_blocks
 HASHED = 4096
 """Blocks that are hashed at once."""
 HOLD_ANSWER_S = 1.0
+REPORT_S = 0.1
+"""Greatest age of EXECUTED: 50 ms by the protocol, and as much for its way."""
 
 
 class RobotLink:
@@ -38,7 +40,7 @@ class RobotLink:
         self, address: Tcp, times: RobotTimes | None = None, *, client: str = "polishd", role: Role = "writer"
     ) -> None:
         self._address = address
-        self._times = times or RobotTimes(watchdog_s=0.0)
+        self._times = times or RobotTimes(watchdog_s=0.0, report_s=REPORT_S)
         self._client = client
         self._role = role
         self._record = ExecutionRecord()

@@ -18,6 +18,8 @@ LONGEST_LINE = 0xFFFF
 
 LONGEST_S = 1e9
 """Nothing takes 30 years."""
+MOST_OVERRIDE = 10.0
+"""No controller runs a program ten times as fast as it is written."""
 _BLOCKS = struct.Struct(">IH")
 _LENGTH = struct.Struct(">H")
 _ACCEPTED = struct.Struct(">IId")
@@ -180,12 +182,24 @@ def _progress(content: Any) -> Progress:
         raise ProtocolError(f"status with state {state!r}, buffer_s {buffer_s!r}")
     if not all(map(_is_count, counts)):
         raise ProtocolError(f"status with accepted, executed, stops {counts!r}")
-    texts = {key: _text(content, key) for key in ("program_sha256", "boot_id", "detail")}
     return Progress(
         state=cast("RobotState", state),
+        program_sha256=_text(content, "program_sha256"),
         accepted=cast("int", counts[0]),
         executed=cast("int", counts[1]),
-        stops=cast("int", counts[2]),
         buffer_s=float(buffer_s),
-        **texts,
+        boot_id=_text(content, "boot_id"),
+        detail=_text(content, "detail"),
+        override=_override(content),
+        stops=cast("int", counts[2]),
     )
+
+
+def _override(content: Mapping[str, Any]) -> float | None:
+    """Speed override as a fraction; None where the robot does not report it."""
+    value = content.get("override")
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MOST_OVERRIDE:
+        raise ProtocolError(f"status with override {value!r}, not a fraction of 0 to {MOST_OVERRIDE:g}")
+    return float(value)

@@ -10,6 +10,7 @@ from polishd.api import DeviceFault, DeviceRefused, Executed, Plan, RobotProgres
 from polishd.drivers.transport.background import Background
 from polishd.drivers.transport.blocks import new_blocks
 from polishd.drivers.transport.program_watch import ProgramWatch
+from polishd.model.devices import RobotState
 
 W = TypeVar("W", bound=ProgramWatch)
 
@@ -46,6 +47,10 @@ class ProgramRobot(ABC, Generic[W]):
         """See Robot."""
         return self._times
 
+    def _override(self) -> float | None:
+        """Speed override of the controller's last report, as a fraction; None: it reports none."""
+        return None
+
     @property
     def buffer_s(self) -> float:
         """See Robot. All that is left, once the controller has the program. 0 before, and while the link is down."""
@@ -58,8 +63,9 @@ class ProgramRobot(ABC, Generic[W]):
         """See Robot."""
         self._background.check()
         if self._watch is None:
-            return RobotProgress("running" if self._running() else "idle", "", 0, 0, 0.0)
-        return self._watch.progress(len(self._lines), self.buffer_s)
+            state: RobotState = "running" if self._running() else "idle"
+            return RobotProgress(state, "", 0, 0, 0.0, override=self._override())
+        return self._watch.progress(len(self._lines), self.buffer_s, self._override())
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
         """See Robot. DeviceFault when the controller stops by itself, or ends the program before its end."""

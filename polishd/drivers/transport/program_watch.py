@@ -53,7 +53,7 @@ class ProgramWatch:
         timed_s = float(self._ahead_s[np.searchsorted(self._timed, len(self))])
         return timed_s + BLOCK_S * (self.blocks - len(self))
 
-    def progress(self, accepted: int, buffer_s: float) -> RobotProgress:
+    def progress(self, accepted: int, buffer_s: float, override: float | None = None) -> RobotProgress:
         """As the port wants it."""
         return RobotProgress(
             state=self.state,
@@ -62,6 +62,7 @@ class ProgramWatch:
             executed=len(self),
             buffer_s=buffer_s,
             detail=self.detail,
+            override=override,
         )
 
     def drop(self, reason: str) -> None:

@@ -232,6 +232,9 @@ class UniversalRobot(ProgramRobot[Watch]):
         remote = await dashboard.in_remote_control(self._addresses.dashboard)
         return "" if remote else "it is in local control: switch it to remote control at the pendant"
 
+    def _override(self) -> float:
+        return self._link.last.override
+
     def _running(self) -> bool:
         watch, sample = self._watch, self._link.last
         if watch is not None and watch.live:

@@ -84,7 +84,7 @@ class Sample:
     slider: float
     """Speed slider, 1 is all."""
     scaling: float
-    """What the trajectory really runs at, of what was asked."""
+    """Scaling of the trajectory limiter, 1: none."""
     speed_m_s: float
     """Of the tool, as it is meant to be: without the noise of encoders."""
     token: int
@@ -97,10 +97,12 @@ class Sample:
 
     @classmethod
     def of(cls, values: Mapping[str, Value], registers: Registers) -> Sample:
-        """From a data package's values. ProtocolError where the speed slider is where it cannot be."""
+        """From a data package's values. ProtocolError where the speed slider or the scaling is where it cannot be."""
         one = {name: value[0] for name, value in values.items()}
         if not 0.0 <= one["target_speed_fraction"] <= MOST:
             raise ProtocolError(f"RTDE: a speed slider at {100.0 * one['target_speed_fraction']:.3g} %, of 0 to 100 %")
+        if not 0.0 <= one["speed_scaling"] <= MOST:
+            raise ProtocolError(f"RTDE: speed_scaling is {one['speed_scaling']:.3g}, of 0 to 1")
         token, block, phase, turns = (int(one[name]) for name in registers.outputs())
         return cls(
             time_s=one["timestamp"],
@@ -115,6 +117,11 @@ class Sample:
             phase=phase,
             turns=turns,
         )
+
+    @property
+    def override(self) -> float:
+        """Fraction of the programmed speed: the speed slider, times the trajectory limiter's scaling in motion."""
+        return self.slider * (self.scaling if self.runtime == Runtime.PLAYING else 1.0)
 
     @property
     def plays(self) -> bool:

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceType, RobotTimes
 from polishd.config.values import Section
-from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.robot_link import REPORT_S, RobotLink
 from polishd.drivers.transport.address import tcp_address
 
 
@@ -27,7 +27,7 @@ class RobotLinkOptions(Section):
 
 def _build(options: RobotLinkOptions, context: DeviceContext) -> RobotLink:
     address = tcp_address(options.address, context.base_dir, "robot_link")
-    times = RobotTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, stop_s=options.stop_s)
+    times = RobotTimes(options.silence_s, options.watchdog_s, options.stop_s, report_s=REPORT_S)
     return RobotLink(address, times)
 
 

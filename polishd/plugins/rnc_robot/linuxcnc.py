@@ -10,6 +10,7 @@ from pydantic import Field
 from polishd.api import DeviceContext, DeviceType, RobotTimes
 from polishd.config.values import Section
 from polishd.drivers.linuxcnc.driver import LinuxCnc
+from polishd.drivers.linuxcnc.following import REPORT_S
 from polishd.drivers.transport.address import tcp_address
 
 
@@ -39,7 +40,7 @@ def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     return LinuxCnc(
         address,
         (context.base_dir / options.program_dir).absolute(),
-        RobotTimes(options.silence_s, options.watchdog_s or math.inf, options.stop_s, lifts=False),
+        RobotTimes(options.silence_s, options.watchdog_s or math.inf, options.stop_s, lifts=False, report_s=REPORT_S),
         controller_dir=options.controller_dir,
         passwords=(options.password, options.enable_password),
     )

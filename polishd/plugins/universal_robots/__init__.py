@@ -16,6 +16,8 @@ from polishd.drivers.universal_robots.script import Settings, blocks_of
 
 POLISHD_API = 1
 
+WAY_S = 0.02
+"""Longest that a sample is under way."""
 Port = Annotated[int, Field(ge=1, le=65535)]
 
 
@@ -44,7 +46,8 @@ class UniversalRobotsOptions(Section):
 
 def _build(options: UniversalRobotsOptions, context: DeviceContext) -> UniversalRobot:
     address = tcp_address(options.address, context.base_dir, "universal_robots")
-    times = RobotTimes(silence_s=options.silence_s, watchdog_s=options.watchdog_s, stop_s=options.stop_s)
+    report_s = 2.0 / options.rate_hz + WAY_S
+    times = RobotTimes(options.silence_s, options.watchdog_s, options.stop_s, report_s=report_s)
     addresses = Addresses.of(address.host, address.port, options.dashboard_port, options.primary_port)
     settings = Settings(Registers(options.first_register), options.watchdog_s, options.tool_z == "into_part")
     return UniversalRobot(addresses, settings, times, options.rate_hz)

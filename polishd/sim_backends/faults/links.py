@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from polishd.config.simulator import STATES, Fault, SimConfig
+from polishd.config.simulator import MOTION, STATES, Fault, SimConfig
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.faults.protocols import PROTOCOLS
 from polishd.sim_backends.profiled.sheet import Sheet
 
 CAN_SUFFER: Mapping[str, tuple[str, ...]] = {
+    "robot": MOTION,
     "actuator": ("freeze", "drift", "stick"),
     "force_sensor": ("freeze", "drift", "saturate", "halt"),
 }
@@ -61,6 +62,8 @@ def _problems(config: SimConfig, fault: Fault) -> Iterator[tuple[str, str]]:
         can = CAN_SUFFER.get(fault.device, ())
         if fault.what not in can:
             yield "what", f"the {fault.device} cannot {fault.what}; it can {', '.join(can) or 'do none of that kind'}"
+        if not fault.reported and config.robot.kind == "linuxcnc":
+            yield "reported", "a real LinuxCNC reports its feed override; leave it out, or use stand"
         return
     links = protocols(config, fault.device)
     if not links:

@@ -82,7 +82,7 @@ class ModbusServer:
             shown["clock"],
             shown["line_began"],
             shown["state_began"],
-            int(shown["feed_override"]),
+            round(float(shown["feed_override"])),
         )
         found = table[2 * address : 2 * (address + count)]
         return found if count and len(found) == 2 * count else None

@@ -147,7 +147,7 @@ class Plc:
             "state_began": self.motion.changed_s * self.motion.limits.speed,
             "clock": now_s * self.motion.limits.speed,
             "loaded": self._loaded,
-            "feed_override": 100.0,
+            "feed_override": 100.0 * self.motion.reported_pace,
             "feed_hold": self.feed_held,
             "in_motion": self.motion.state == "running",
             "alarm": self._alarm[0],

@@ -33,7 +33,9 @@ class PlcServer:
     async def run(self) -> None:
         """Cycle for ever."""
         while True:
-            self.plc.tick(time.monotonic())
+            now = time.monotonic()
+            self._machine.set_pace(now)
+            self.plc.tick(now)
             self._machine.report()
             await asyncio.sleep(CYCLE_S)
 

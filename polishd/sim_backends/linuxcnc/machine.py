@@ -13,10 +13,12 @@ from pathlib import Path
 
 from polishd.config.simulator import Robot
 from polishd.sim_backends.linuxcnc.motion import SAMPLE_S
+from polishd.sim_backends.linuxcnc.pendant import COUNT
 
 MOUNT = Path("/mnt")
 """Where the process sees its folder."""
 PROGRAMS = "nc"
+PENDANT = "pendant"
 MOTION = "motion"
 SHELL_PORT = 5007
 """linuxcncrsh's own; the gate in front of it has the robot's."""
@@ -33,6 +35,7 @@ MACHINE = polishd-sim
 [DISPLAY]
 DISPLAY = linuxcncrsh --port {shell_port}
 PROGRAM_PREFIX = {mount}/{programs}
+MAX_FEED_OVERRIDE = 2.0
 [FILTER]
 [RS274NGC]
 PARAMETER_FILE = machine.var
@@ -105,6 +108,12 @@ net paused halui.program.is-paused => sampler.0.pin.7
 loadusr -Wn polishd-gate /usr/bin/python3 {mount}/gate.py 127.0.0.1:{port} 127.0.0.1:{shell_port} {watchdog_s:g}
 net idle halui.program.is-idle => polishd-gate.idle
 net hold polishd-gate.hold => motion.feed-hold sampler.0.pin.8
+loadusr -Wn polishd-pendant /usr/bin/python3 {mount}/pendant.py {mount}/{pendant}
+setp halui.feed-override.scale {count:g}
+setp halui.feed-override.direct-value 1
+setp halui.feed-override.count-enable 1
+net override polishd-pendant.counts => halui.feed-override.counts
+net inhibit polishd-pendant.inhibit => motion.feed-inhibit
 loadusr stdbuf -oL halsampler {mount}/{motion}
 """
 
@@ -124,7 +133,8 @@ class Machine:
         (folder / "machine.ini").write_text(self.ini())
         (folder / "machine.hal").write_text(self.hal())
         (folder / "machine.tbl").write_text("")
-        shutil.copy(Path(__file__).with_name("gate.py"), folder)
+        for component in ("gate.py", "pendant.py"):
+            shutil.copy(Path(__file__).with_name(component), folder)
 
     def ini(self) -> str:
         """``machine.ini``."""
@@ -182,6 +192,8 @@ class Machine:
             port=self.robot.port,
             shell_port=SHELL_PORT,
             watchdog_s=self.robot.watchdog_s,
+            pendant=PENDANT,
+            count=COUNT,
         )
 
 

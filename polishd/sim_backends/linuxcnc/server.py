@@ -13,7 +13,9 @@ from pathlib import Path
 
 from polishd.model.errors import ConfigError, DeviceFault
 from polishd.sim_backends import truth
-from polishd.sim_backends.linuxcnc.machine import MOTION, MOUNT, PROGRAMS, SHELL_PORT, Machine, pose_of
+from polishd.sim_backends.faults.override import SpeedOverride
+from polishd.sim_backends.linuxcnc import pendant
+from polishd.sim_backends.linuxcnc.machine import MOTION, MOUNT, PENDANT, PROGRAMS, SHELL_PORT, Machine, pose_of
 from polishd.sim_backends.linuxcnc.motion import Loaded, Sampled
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
 
@@ -44,6 +46,10 @@ class LinuxCncServer:
         self._runtime = runtime
         self._process: asyncio.subprocess.Process | None = None
         self._moved = self._rested = False
+        self._override = SpeedOverride()
+        self._turned = (1.0, False)
+        """The pendant's wheel and interlock."""
+        runtime.script.suffer = self._override.suffer
 
     async def run(self) -> None:
         """Until it is cancelled."""
@@ -57,8 +63,10 @@ class LinuxCncServer:
             await self._start()
             await switch_on(SHELL_PORT)
             self._runtime.ready(f"tcp://{LOOPBACK}:{self.machine.robot.port}")
+            self._runtime.begin_script()
             while True:
                 await asyncio.sleep(TICK_S)
+                self._turn(time.monotonic())
                 self.report()
         finally:
             loop.remove_reader(fifo)
@@ -79,6 +87,13 @@ class LinuxCncServer:
         if self._moved and not sampled.moving:
             link.event("motion_stopped", sampled.wall_s)
         self._moved, self._rested = sampled.moving, sampled.rests
+
+    def _turn(self, now_s: float) -> None:
+        """Work the pendant as the faults of the script say."""
+        turned = self._override.reported(now_s), self._override.stands
+        if turned != self._turned:
+            self._turned = turned
+            pendant.write(self.folder / PENDANT, turned[0], inhibit=turned[1])
 
     def _see_program(self) -> None:
         found = sorted((self.folder / PROGRAMS).glob("*.ngc"), key=lambda path: path.stat().st_mtime_ns)

@@ -89,6 +89,7 @@ class Controller:
             "stops": self.stops,
             "detail": "emergency stop" if self.estop else motion.detail,
             "time_s": round(motion.process_s, 6),
+            "override": round(motion.reported_pace, 4),
         }
 
     def send_status(self) -> None:

@@ -43,14 +43,15 @@ class Lift:
         axis = tool_axis(path[:, 3], path[:, 4])
         return np.column_stack([path[:, :3] + axis * self.offset_mm(process_s)[:, None], path[:, 3:]])
 
-    def standing(self, seq: int, pose: Pose, since_s: float, until_s: float) -> FloatArray:
-        """Rows (n, 8) of a path that stands already: seq, from_s, to_s and the pose that is lifted from."""
-        edges = np.linspace(since_s, until_s, max(math.ceil((until_s - since_s) / STEP_S), 1) + 1)
-        count = len(edges) - 1
-        return np.column_stack([np.full(count, float(seq)), edges[:-1], edges[1:], np.tile(pose, (count, 1))])
-
     def _phases(self) -> tuple[float, float]:
         """Seconds of acceleration, and at full speed."""
         up_s = min(self.speed_mm_s / self.accel_mm_s2, math.sqrt(self.distance_mm / self.accel_mm_s2))
         cruise_mm = self.distance_mm - self.accel_mm_s2 * up_s**2
         return up_s, max(cruise_mm, 0.0) / (self.accel_mm_s2 * up_s)
+
+
+def standing(seq: int, pose: Pose, since_s: float, until_s: float) -> FloatArray:
+    """Rows (n, 8) of a tool that stands on its path: seq, from_s, to_s and its pose."""
+    edges = np.linspace(since_s, until_s, max(math.ceil((until_s - since_s) / STEP_S), 1) + 1)
+    count = len(edges) - 1
+    return np.column_stack([np.full(count, float(seq)), edges[:-1], edges[1:], np.tile(pose, (count, 1))])

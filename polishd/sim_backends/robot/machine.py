@@ -12,6 +12,7 @@ from polishd.model.robot import MeasuredCompliance
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends import truth
 from polishd.sim_backends.bus import ROW
+from polishd.sim_backends.faults.override import SpeedOverride
 from polishd.sim_backends.mechanics import reached
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot.motion import Motion
@@ -37,10 +38,17 @@ class Machine:
         x, y, z, a, c = runtime.link.welcome.get("pose") or robot.home
         self.motion = Motion(limits, (x, y, z, a, c))
         self._runtime = runtime
+        self._override = SpeedOverride()
+        runtime.script.suffer = self._override.suffer
         self.blocks_of: Callable[[FloatArray], FloatArray] = lambda blocks: blocks
         """The program's blocks (n,) of the motion's, where the controller's file has more lines."""
         self._frames = Frames(start.config.plant)
         self._robot = start.config.robot_model()
+
+    def set_pace(self, now_s: float) -> None:
+        """Move from now on as fast as the faults of the script allow."""
+        self.motion.set_pace(now_s, self._override.actual(now_s))
+        self.motion.reported_pace = self._override.reported(now_s)
 
     def reach(self, blocks: list[Block]) -> BoolArray:
         """Which blocks end where the robot can be; of one that was only measured nobody knows."""

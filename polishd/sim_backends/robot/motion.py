@@ -10,7 +10,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.robot.legs import Cursor, Legs, braking, plan, rows
-from polishd.sim_backends.robot.lift import Lift
+from polishd.sim_backends.robot.lift import Lift, standing
 from polishd.sim_backends.robot.path import PAUSE, Limits, Path
 from polishd.sim_backends.robot.rnc import Block, Pose
 
@@ -35,13 +35,21 @@ class Motion:
     changed_s: float = 0.0
     """Wall time of the last start or stop."""
     process_s: float = 0.0
+    """The controller's process clock; it runs while the state is running, at whatever pace the tool moves."""
+    pace: float = 1.0
+    """Speed of the motion as a fraction of the planned one; 0: the tool stands, and the state stays running."""
+    reported_pace: float = 1.0
+    """Speed override that the controller reports, as a fraction."""
+    _legs_s: float = 0.0
+    """Time of the planned motion, which goes with the pace."""
     _cursor: Cursor = field(default_factory=Cursor)
     _legs: Legs = field(init=False)
     _leg: int = 0
     _stale: bool = False
     """Blocks were accepted that the legs do not have."""
     _begun_s: float | None = None
-    _origin: tuple[float, float] = (0.0, 0.0)
+    _origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Wall time, process time and time of the planned motion, since which the pace is what it is."""
     _lift: Lift | None = None
     """Under way, or done: the program cannot be gone on with."""
 
@@ -80,9 +88,18 @@ class Motion:
         self.stopping, self.detail = "", ""
         if self.state != "running":
             self.state = "running"
-            self._origin, self.changed_s = (wall_s, self.process_s), wall_s
+            self._origin, self.changed_s = (wall_s, self.process_s, self._legs_s), wall_s
         self._plan()
         self.advance(wall_s)
+
+    def set_pace(self, wall_s: float, pace: float) -> None:
+        """Go on at another speed from now on: a speed override, or 0 for a tool that stands."""
+        if pace == self.pace:
+            return
+        self.advance(wall_s)
+        self._origin, self.pace = (wall_s, self.process_s, self._legs_s), pace
+        if pace == 0.0 and self.stopping and not self.lifted:
+            self._brake(self.stopping)  # it stands, and brakes no further
 
     def hold(self, wall_s: float, why: str) -> None:
         """Decelerate along the path and stand still."""
@@ -100,13 +117,13 @@ class Motion:
         if self.lifted:
             return
         if self.state != "running":
-            self._origin = (wall_s, self.process_s)
+            self._origin = (wall_s, self.process_s, self._legs_s)
             self.state, self.changed_s = "running", wall_s
         if not self.stopping:
             self._brake("lift")
         limits = self.limits
         self.stopping = "lift"
-        self._lift = Lift(self.process_s, distance_mm, limits.accel_mm_s2, limits.rapid_mm_s)
+        self._lift = Lift(self._legs_s, distance_mm, limits.accel_mm_s2, limits.rapid_mm_s)
         self.advance(wall_s)
 
     @property
@@ -116,24 +133,38 @@ class Motion:
 
     def _brake(self, why: str) -> None:
         self.stopping = why
+        if self.pace == 0.0:
+            self._cursor.speed = 0.0  # it stands already
         if self._cursor.block < self.path.accepted:
-            self._legs, self._leg = braking(self.path, self._cursor, self.process_s), 0
+            self._legs, self._leg = braking(self.path, self._cursor, self._legs_s), 0
 
     def advance(self, wall_s: float) -> None:
         """Execute up to the present."""
         if self.state != "running":
             return
-        legs, since = self._planned(), self.process_s
-        now = max(self._origin[1] + (wall_s - self._origin[0]) * self.limits.speed, since)
-        end = float(legs.end_s[legs.stop]) if legs.stop >= 0 else since
+        legs, since = self._planned(), (self.process_s, self._legs_s)
+        process_s = max(self._origin[1] + (wall_s - self._origin[0]) * self.limits.speed, since[0])
+        now = max(self._origin[2] + (process_s - self._origin[1]) * self.pace, since[1])
+        end = float(legs.end_s[legs.stop]) if legs.stop >= 0 else since[1]
         if self._lift is not None:
             end = max(end, self._lift.end_s)
-        self.process_s = min(now, end)
-        reached, first = legs.reached(self.process_s), self._leg
+        self._legs_s = min(now, end)
+        ends = now >= end
+        self.process_s = float(self._process_at(np.array(self._legs_s))) if self.pace and ends else process_s
+        reached, first = legs.reached(self._legs_s), self._leg
         self._complete(legs, reached)
         self._witness(legs, (first, reached), since)
-        if now >= end and reached > legs.stop:
+        if ends and reached > legs.stop:
             self._stop()
+
+    def _process_at(self, legs_s: FloatArray) -> FloatArray:
+        """Process time at times of the planned motion (n,), since the pace is what it is."""
+        _, process_s, since = self._origin
+        return process_s + (legs_s - since) / self.pace if self.pace else np.full_like(legs_s, process_s)
+
+    def wall_at(self, process_s: FloatArray) -> FloatArray:
+        """Wall time at process times (n,) since motion began, or went on at another pace."""
+        return self._origin[0] + (process_s - self._origin[1]) / self.limits.speed
 
     @property
     def accepted(self) -> int:
@@ -146,7 +177,7 @@ class Motion:
         legs = self._planned()
         if not len(legs.end_s):
             return 0.0
-        return max(float(legs.end_s[-1]) - self.process_s, 0.0) / self.limits.speed
+        return max(float(legs.end_s[-1]) - self._legs_s, 0.0) / self.limits.speed
 
     def _planned(self) -> Legs:
         if self._stale:
@@ -154,19 +185,24 @@ class Motion:
         return self._legs
 
     def _plan(self) -> None:
-        self._legs = plan(self.path, self._cursor, self.process_s, self.until)
+        self._legs = plan(self.path, self._cursor, self._legs_s, self.until)
         self._leg, self._stale = 0, False
 
-    def _witness(self, legs: Legs, run: tuple[int, int], since: float) -> None:
-        if self.process_s <= since:
+    def _witness(self, legs: Legs, run: tuple[int, int], since: tuple[float, float]) -> None:
+        """Book what was done since those process and motion times."""
+        if self.process_s <= since[0]:
             return
-        cut = rows(self.path, legs, *run, (since, self.process_s))
-        if self._lift is not None:
-            cut = self._off_the_path(cut, since)
+        if self.pace == 0.0:
+            block = min(self._cursor.block, max(self.path.blocks - 1, 0))
+            cut = standing(block, self.pose, since[0], self.process_s)
+        else:
+            cut = rows(self.path, legs, *run, (since[1], self._legs_s))
+            if self._lift is not None:
+                cut = self._off_the_path(cut, since[1])
+            cut[:, 1:3] = self._process_at(cut[:, 1:3])
         if not len(cut):
             return
-        wall, process = self._origin
-        times = wall + (cut[:, 1:3] - process) / self.limits.speed
+        times = self.wall_at(cut[:, 1:3])
         self.rows.append(np.column_stack([cut[:, 0], times, cut[:, 2] - cut[:, 1], cut[:, 3:]]))
 
     def _off_the_path(self, cut: FloatArray, since: float) -> FloatArray:
@@ -175,30 +211,31 @@ class Motion:
         if lift is None:
             return cut
         stood = float(cut[-1, 2]) if len(cut) else since
-        if stood < self.process_s:
+        if stood < self._legs_s:
             block = min(self._cursor.block, max(self.path.blocks - 1, 0))
-            cut = np.vstack([cut.reshape(-1, 8), lift.standing(block, self._where(), stood, self.process_s)])
+            cut = np.vstack([cut.reshape(-1, 8), standing(block, self._where(), stood, self._legs_s)])
         return np.column_stack([cut[:, :3], lift.poses(cut[:, 3:], cut[:, 1:3].mean(axis=1))])
 
     def _complete(self, legs: Legs, reached: int) -> None:
         for k in range(self._leg, reached):
             if self._begun_s is None:
-                self._begun_s = float(legs.start_s[k])
+                self._begun_s = float(self._process_at(legs.start_s[k]))
             if legs.completes[k]:
-                self.executed.append((int(legs.block[k]), self._begun_s, float(legs.end_s[k])))
+                ended_s = float(self._process_at(legs.end_s[k])) if self.pace else self.process_s
+                self.executed.append((int(legs.block[k]), self._begun_s, ended_s))
                 self._cursor, self._begun_s = Cursor(int(legs.block[k]) + 1), None
         self._leg = reached
         if reached <= legs.stop:
             if self._begun_s is None:
-                self._begun_s = float(legs.start_s[reached])
-            done_mm, done_s, speed = legs.state(reached, self.process_s)
+                self._begun_s = float(self._process_at(legs.start_s[reached]))
+            done_mm, done_s, speed = legs.state(reached, self._legs_s)
             self._cursor = Cursor(int(legs.block[reached]), done_mm, done_s, speed)
         elif reached and not legs.completes[reached - 1]:
-            done_mm, done_s, _ = legs.state(reached - 1, self.process_s)
+            done_mm, done_s, _ = legs.state(reached - 1, self._legs_s)
             self._cursor = Cursor(int(legs.block[reached - 1]), done_mm, done_s)
         self.pose = self._where()
         if self._lift is not None:
-            x, y, z, a, c = self._lift.poses(np.array([self.pose]), np.array([self.process_s]))[0].tolist()
+            x, y, z, a, c = self._lift.poses(np.array([self.pose]), np.array([self._legs_s]))[0].tolist()
             self.pose = (x, y, z, a, c)
 
     def _where(self) -> Pose:
@@ -225,7 +262,7 @@ class Motion:
             self.state, self.detail = "held", "pause"
         else:
             self.state, self.detail = "held", "underrun"
-        self.changed_s = self._origin[0] + (self.process_s - self._origin[1]) / self.limits.speed
+        self.changed_s = float(self.wall_at(np.array(self.process_s)))
         self.stopping, self._cursor.speed = "", 0.0
         self._plan()
 

@@ -39,6 +39,7 @@ class RobotServer:
         next_status = time.monotonic()
         while True:
             now = time.monotonic()
+            self._machine.set_pace(now)
             self.controller.tick(now)
             self._machine.report()
             if now >= next_status:

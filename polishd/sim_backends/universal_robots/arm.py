@@ -138,6 +138,12 @@ class Arm:
         elif self._target is not None:
             self._approach(self._target, dt_s)
 
+    def stand(self) -> None:
+        """One frame in which it does not move, whatever drives it; one that brakes has come to rest."""
+        self.velocity = REST
+        if self._target == REST:
+            self._target = None
+
     def _follow(self, line: Line, dt_s: float) -> None:
         for one in (line, *self._running_out):
             one.done_s += dt_s

@@ -63,6 +63,8 @@ class Commands:
         with _Busy(self.machine, drives=False):
             yield from self._overhead()
             for _ in range(math.ceil(seconds / self.machine.frame_s - 1e-9)):
+                while self.machine.override.stands:
+                    yield
                 yield
 
     def _movel(self, pose: list[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Frames:

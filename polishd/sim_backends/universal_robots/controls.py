@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from polishd.config.simulator import Robot
+from polishd.sim_backends.faults.override import SpeedOverride
 from polishd.sim_backends.universal_robots.arm import Arm
 from polishd.sim_backends.universal_robots.program import Program
 
@@ -49,6 +50,8 @@ class Controls:
     slider: float = 1.0
     pace: float = 1.0
     """Of the trajectory: falls to 0 in a pause."""
+    override: SpeedOverride = field(default_factory=SpeedOverride)
+    """Somebody has turned the slider, or the robot stands and does not report it: faults of the script."""
     remote: bool = True
     ints_in: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     ints_out: list[int] = field(default_factory=lambda: [0] * REGISTERS)

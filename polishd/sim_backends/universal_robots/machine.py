@@ -125,7 +125,10 @@ class Machine(Controls):
             self._run(self.program)
         if self.arm.driven and not self.driven_by:
             self.arm.brake()  # whoever drove it was killed
-        self.arm.step(self.frame_s, self.slider * self.pace)
+        if self.override.stands:
+            self.arm.stand()
+        else:
+            self.arm.step(self.frame_s, self.slider * self.pace * self.override.actual(self.wall_s()))
         x, y, z = self.arm.place.xyz_mm
         if self.arm.moves and self._outside() and self.safety_mode == NORMAL:
             self.protective_stop()

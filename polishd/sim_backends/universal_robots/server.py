@@ -37,6 +37,7 @@ class UniversalRobotServer:
         arm = Arm.at(tuple(runtime.link.welcome.get("pose") or config.home))
         self.machine = Machine(config, arm, 1.0 / config.cycle_hz, hidden.overhead_s, start.speed, time.monotonic())
         self.machine.complain = self.complain
+        runtime.script.suffer = self.machine.override.suffer
         self._runtime = runtime
         self._held = Held()
         self._rtde: list[RtdeClient] = []

@@ -325,7 +325,14 @@ SENSELESS = {
     'device = "robot"\nwhat = "exception"\nrate = 0.1\ndirection = "to_device"': "5: fault.direction: exception",
     'device = "robot"\nlink = "rtde"\nwhat = "reboot"\nat_s = 1.0': "3: fault.link: means nothing for reboot",
     'device = "robot"\nlink = "rtde"\nwhat = "hang"\nat_s = 1.0': "3: fault.link: this robot has no links with names",
-    'device = "robot"\nwhat = "freeze"\nat_s = 1.0': "3: fault.what: the robot cannot freeze; it can do none",
+    'device = "robot"\nwhat = "freeze"\nat_s = 1.0': "3: fault.what: the robot cannot freeze; it can override",
+    'device = "robot"\nwhat = "override"\nat_s = 1.0': "1: fault.percent: override needs it",
+    'device = "robot"\nwhat = "override"\nat_s = 1.0\npercent = -1': "5: fault.percent: -1 is out of range",
+    'device = "robot"\nwhat = "stand"\nat_s = 1.0\npercent = 0': "5: fault.percent: means nothing for stand",
+    'device = "actuator"\nwhat = "stand"\nat_s = 1.0': "3: fault.what: the actuator cannot stand; it can freeze",
+    'device = "robot"\nwhat = "override"\nat_s = 1.0\npercent = 50\nreported = false\n[robot]\nkind = "linuxcnc"': (
+        "6: fault.reported: a real LinuxCNC reports"
+    ),
     'device = "actuator"\nwhat = "halt"\nat_s = 1.0': "3: fault.what: the actuator cannot halt; it can freeze",
     'device = "robot"\nwhat = "wrong_unit"\nrate = 0.1': "3: fault.what: robot_link has no wrong unit",
     'device = "loader"\nwhat = "drop"\nrate = 0.1': "2: fault.device: there is no loader in this cell; add [loader]",
