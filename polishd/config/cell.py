@@ -28,6 +28,7 @@ from polishd.config.sections import (
     PluginsSection,
     Port,
     ProgramSection,
+    RobotSection,
 )
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
@@ -54,7 +55,7 @@ class CellConfig(ServedDocument):
     plugins: PluginsSection
     # ports, in the order in which their devices are opened; the one place that lists them
     actuator: Annotated[DeviceSection, Port(ForceActuator)]
-    robot: Annotated[DeviceSection, Port(Robot)]
+    robot: Annotated[RobotSection, Port(Robot)]
     spindle: Annotated[DeviceSection, Port(Spindle)]
     metrology: Annotated[DeviceSection, Port(Metrology, acts=False, of_part=True)]
     loader: Annotated[DeviceSection | None, Port(Loader)] = None

@@ -89,6 +89,17 @@ class DeviceSection(Section):
         return {f"{port}.{name}": type(self).model_validate(keys) for name, keys in self.tables.items()}
 
 
+class RobotSection(DeviceSection):
+    """The robot that carries the tool along its program.
+
+    `type` says which other keys there are.
+    """
+
+    least_override: Annotated[float, Field(ge=0, le=1)] = 0.95
+    """Least speed override at the controller, where it can be read: below it contact is refused, or left, for slower
+    motion removes more than planned. [1]"""
+
+
 class ForceSensorSection(DeviceSection):
     """A force sensor that is independent of the actuator: both must tell the same force (docs/monitors.md).
 
@@ -338,6 +349,9 @@ class LimitsSection(Section):
     """How long it may be outside."""
     max_removal_nm: Positive = 1000.0
     """Most that one pass may remove at any point; a plan beyond it is refused."""
+    excess_nm: Positive | None = None
+    """Most that may be removed beyond the plan at any place because the robot is slower than planned; contact is left
+    before. Left out: the larger of half of the tolerance and a tenth of what is planned at that place."""
     pit_nm: Positive = 10.0
     """Deepest pit that an operator's feed hold may dig before the force is off, where the robot's controller tells of
     it in its reports only; a cell whose robot could dig deeper is refused."""

@@ -85,7 +85,7 @@ class Fault(Section):
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:
-        for key, problem in (*self._when(), *self._what()):
+        for key, problem in (*self._when(), *self._what(), *self._how_much()):
             raise ValueError(f"{key}: {problem}")
         return self
 
@@ -109,15 +109,18 @@ class Fault(Section):
         for key in NEEDS.get(self.what, ()):
             if not getattr(self, key):
                 yield key, f"{self.what} needs it, other than 0"
-        if self.what == "override" and self.percent is None:
-            yield "percent", "override needs it"
-        if self.what == "press" and self.force_n < 0:
-            yield "force_n", "press needs a force above 0"
-        if self.what == "lie" and self.factor == 1.0 and not self.offset_n:
-            yield "factor", "lie needs it, other than 1, or offset_n, other than 0"
         if self.what == "delay" and not self.by_s and not self.jitter_s:
             yield "by_s", "delay needs it, or jitter_s"
         if self.what in REPLIES and self.direction == "to_device":
             yield "direction", f"{self.what} happens to replies; it must be to_host"
         if self.link and self.what not in (*FRAMES, "hang", "unplug"):
             yield "link", f"means nothing for {self.what}, which happens to the device"
+
+    def _how_much(self) -> Iterator[tuple[str, str]]:
+        """The same of numbers that need a value, or a sign."""
+        if self.what == "override" and self.percent is None:
+            yield "percent", "override needs it"
+        if self.what == "press" and self.force_n < 0:
+            yield "force_n", "press needs a force above 0"
+        if self.what == "lie" and self.factor == 1.0 and not self.offset_n:
+            yield "factor", "lie needs it, other than 1, or offset_n, other than 0"

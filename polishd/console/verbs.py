@@ -48,7 +48,7 @@ def check_verb(cell: Path, *, as_json: bool) -> None:
 
         config, hooks = load_cell(cell)
         facts = check_cell(config, hooks, lambda what: shown.update(f"checking: {escape(what)}"))
-    plain = [(key, value) for key, value in facts.items() if key != "time limits"]
+    plain = [(key, value) for key, value in facts.items() if key not in {"time limits", "pit", "warnings"}]
     emit(
         facts,
         as_json=as_json,
@@ -56,6 +56,9 @@ def check_verb(cell: Path, *, as_json: bool) -> None:
             key_table(f"{config.cell.name}: checked, nothing was opened", plain), _limit_table(facts["time limits"])
         ),
     )
+    if not as_json:
+        for warning in facts["warnings"]:
+            stdout.print(f"warning: {warning}", markup=False)
 
 
 def _limit_table(limits: Sequence[Mapping[str, Any]]) -> Table:

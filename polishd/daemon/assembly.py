@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options
-from polishd.config.sections import ForceSensorSection
+from polishd.config.sections import ForceSensorSection, RobotSection
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.courier import Notifier
 from polishd.daemon.port_checks import lacking
@@ -149,6 +149,7 @@ def _of_role(cell: Cell, key: str) -> str:
 def contact_limits(config: CellConfig) -> ContactLimits:
     """What is watched in contact."""
     sensor = config.devices.get(config.used.get("force_sensor", ""))
+    robot = config.devices[config.used["robot"]]
     apart = (sensor.band_n, sensor.grace_s) if isinstance(sensor, ForceSensorSection) else (math.inf, 0.0)
     return ContactLimits(
         force_n=config.process.force_n,
@@ -158,4 +159,6 @@ def contact_limits(config: CellConfig) -> ContactLimits:
         force_max_n=config.process.most_force_n,
         apart_n=apart[0],
         apart_s=apart[1],
+        least_override=robot.least_override if isinstance(robot, RobotSection) else 0.0,
+        excess_nm=config.limits.excess_nm,
     )

@@ -21,7 +21,7 @@ from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import ContactLimits, make_safe
 from polishd.daemon.signal_watch import tell_once
-from polishd.daemon.standing import blur, require_shallow
+from polishd.daemon.standing import StallRemoval, blur, require_shallow, stall_removal, tolerance_nm
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
@@ -48,9 +48,13 @@ def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) ->
     chain = require_time_limits(config, cell)
     notifiers = build_notifiers(config, hooks)
     along: dict[str, Any] = {}
+    pits: list[tuple[StallRemoval, str]] = []
     for own, recipe in zip(config.turns, recipes, strict=True):
         of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
-        along |= {of_tool + key: value for key, value in _along(own, cell, hooks, recipe, tell).items()}
+        found, pit = _along(own, cell, hooks, recipe, tell)
+        along |= {of_tool + key: value for key, value in found.items()}
+        pits.append((pit, pit.warning(tolerance_nm(recipe))))
+    pit, warning = max(pits, key=lambda one: one[0].removal_nm)
     included = ", ".join(f"{key} from {file}" for key, file in config.included.items())
     return {
         "config": str(config.path),
@@ -67,12 +71,16 @@ def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) ->
         "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
         "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
         "host": host(),
-        "time limits": [limit.row() for limit in chain],
+        "time limits": [*(limit.row() for limit in chain), pit.row()],
+        "pit": pit.facts(),
+        "warnings": [warning] if warning else [],
     }
 
 
-def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: Tell) -> dict[str, Any]:
-    """What can be said of the program that one tool runs along."""
+def _along(
+    config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: Tell
+) -> tuple[dict[str, Any], StallRemoval]:
+    """What can be said of the program that one tool runs along, and the pit where the robot stands on it."""
     pit = require_shallow(config, cell, recipe)
     tell(f"reading {config.program_path.name}")
     program = steps.read_program(recipe, config.program_path)
@@ -82,7 +90,7 @@ def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: T
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))
-    return {
+    facts = {
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "covers": require_fit(config, recipe, program),
         "seat": _seat(recipe, hooks),
@@ -104,6 +112,7 @@ def _along(config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: T
         **({"feed hold at the controller": pit} if pit else {}),
         **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
     }
+    return facts, stall_removal(cell.limits, recipe, program)
 
 
 def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:

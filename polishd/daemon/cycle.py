@@ -12,6 +12,7 @@ from polishd.daemon.clearance import until_approved
 from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.progress import ProgressLimits
 from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.recording import recording
 from polishd.daemon.safety import contact, told_first
@@ -19,6 +20,7 @@ from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
 from polishd.model.cycle import Outcome, Phase
 from polishd.model.program import Plan
+from polishd.process.excess import ExcessMap
 from polishd.recipe.dwell_step import require_certificate
 
 
@@ -62,8 +64,9 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes
-        async with journal.phase(cycle, Phase.RUN), _fed(cell, job, plan) as stream:
-            await require_robot(cell)
+        excess = await job.excess(plan, cell.limits.end_blur_s)
+        async with journal.phase(cycle, Phase.RUN), _fed(cell, job, plan, excess) as stream:
+            await require_robot(cell, job.tools.now.contact.least_override)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
             # what was done, not what was asked, feeds the next cycle
             touch = Touch(partial(job.executed, cycle), cell.limits.robot.silence_s)
@@ -82,10 +85,19 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
     return job.judging.used_up
 
 
-def _fed(cell: Cell, job: Job, plan: Plan) -> AbstractAsyncContextManager[Stream]:
+def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncContextManager[Stream]:
     """The robot, with the plan, and what it says told to whoever watches."""
-    least_s, heard, ended = cell.limits.buffer_s, cell.robot_told, cell.ended
-    return streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, heard=heard, ended=ended)
+    return streaming(
+        plan,
+        cell.robot,
+        cell.clock,
+        job.lookahead_s,
+        least_s=cell.limits.buffer_s,
+        heard=cell.robot_told,
+        ended=cell.ended,
+        limits=ProgressLimits.of(cell.limits, job.tools.now.contact.least_override),
+        excess=excess,
+    )
 
 
 _in_contact: set[object] = set()

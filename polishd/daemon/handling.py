@@ -203,7 +203,7 @@ class Handling:
         least_s, ended = cell.limits.buffer_s, cell.ended
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, ended=ended)
         async with feed as stream:
-            await require_robot(cell)
+            await require_robot(cell, limits.least_override)
             await stream.approach()
             try:
                 async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)) as forces:

@@ -16,6 +16,7 @@ from polishd.daemon.for_people import ForPeople
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.judging import Judging
+from polishd.daemon.standing import excess_map
 from polishd.daemon.turns import Tools
 from polishd.daemon.watching import watch
 from polishd.model import events
@@ -29,6 +30,7 @@ from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.conditioning import Masks
 from polishd.process.contact import relative_removal
+from polishd.process.excess import ExcessMap
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
@@ -40,6 +42,9 @@ from polishd.recipe.records import Measured, Pass, Planned, Solved, Taught
 
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
+
+FIRST_OVERHEAD_S = 0.01
+"""Time that a block may take beyond its motion while no pass has taught it."""
 
 log = logging.getLogger(__name__)
 
@@ -232,6 +237,15 @@ class Job:
         await asyncio.to_thread(_refuse_unsafe, self, plan)  # checks look at every block, and a disk may hang
 
     # run
+
+    async def excess(self, plan: Plan, blur_s: float) -> ExcessMap:
+        """The limits of removal beyond that plan, for the robot's progress in contact.
+
+        ``blur_s``: how far off a block's reported end may be.
+        """
+        turn, known = self.tools.now, self.tools.believed.block_overhead_s
+        allowed_s = FIRST_OVERHEAD_S if known == turn.recipe.envelope.block_overhead_s else 0.0
+        return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm, blur_s, allowed_s)
 
     async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress, reach_s: float) -> None:
         """The intent, durable before anything moves, with how far the tool can get unseen."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from polishd.daemon.cell import Cell
+from polishd.daemon.progress import low_override
 from polishd.daemon.signal_watch import until_ready
 from polishd.model.devices import DeviceStatus, port_of
 from polishd.model.errors import DeviceFault
@@ -27,10 +28,15 @@ async def before_contact(cell: Cell, publish: Callable[[Event], None], cycle: in
     await until_ready(cell, publish, cycle)
 
 
-async def require_robot(cell: Cell) -> None:
-    """The job's robot is ready, once it has its program: getting that may take back an alarm. DeviceFault if not."""
+async def require_robot(cell: Cell, least_override: float) -> None:
+    """The job's robot is ready, once it has its program: getting that may take back an alarm. DeviceFault if not.
+
+    It is not where its controller reports a speed override below ``least_override``.
+    """
     name = cell.used["robot"]
     _require({name: await cell.asked(name)})
+    if words := low_override(await cell.robot.progress(), least_override):
+        raise DeviceFault(f"{words}; no pass was begun")
 
 
 def _require(found: dict[str, DeviceStatus]) -> None:

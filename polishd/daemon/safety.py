@@ -54,6 +54,10 @@ class ContactLimits:
     """One reading above it, of whichever device, is a safety stop, also while the tool lands."""
     force_max_key: str = "process.force_max_n"
     """Dotted config key that changes it."""
+    least_override: float = 0.0
+    """Of the robot's speed, where it can be read."""
+    excess_nm: float | None = None
+    """Most that slow motion may remove beyond the plan at any place; None: by tolerance and plan."""
 
 
 @dataclass(slots=True)

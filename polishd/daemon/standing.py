@@ -1,11 +1,77 @@
-"""What it costs that a robot tells late: the pit where somebody else stops it, and the blur of when a block ended."""
+"""What it costs that a robot tells late: the pit where it stands, and the blur of when a block ended."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
+from typing import Any
+
 from polishd.config.cell import CellConfig
 from polishd.daemon.cell import Cell
-from polishd.process.spot_figures import measured_figures, spot_figures
+from polishd.daemon.time_limits import Limit, TimeLimits, late_s
+from polishd.model.program import Plan, Program
+from polishd.process.excess import ExcessMap
+from polishd.process.motion import delivered_time_s
+from polishd.process.spot_figures import SpotFigures, measured_figures, spot_figures
 from polishd.recipe.recipe import Recipe
+from polishd.recipe.steps import envelope_of, in_part_frame
+
+NO_TOLERANCE_NM = 10.0
+"""Taken for the tolerance where no line of it is in nm."""
+TENTH = 0.1
+"""Share of what is planned at a place that may be removed beyond the plan by default."""
+
+
+@dataclass(frozen=True, slots=True)
+class StallRemoval:
+    """Removal by a robot that stands in contact and goes on reporting that it runs."""
+
+    notice_s: float
+    """Longest from the standstill until contact is left: a block's expected time, the report's age, two looks."""
+    release_s: float
+    """Longest from then until the force is off."""
+    rate_nm_s: float
+    """Removal rate at the peak of the spot."""
+
+    @property
+    def removal_nm(self) -> float:
+        """Depth of the pit, at most."""
+        return self.rate_nm_s * (self.notice_s + self.release_s)
+
+    def facts(self) -> dict[str, float]:
+        """JSON-ready."""
+        return {**asdict(self), "removal_nm": self.removal_nm}
+
+    def row(self) -> dict[str, Any]:
+        """Row of the time-limit table."""
+        what = f"robot that stands is noticed; with force off after {self.notice_s + self.release_s:.2f} s "
+        return Limit("", f"{what}it removes {self.removal_nm:.0f} nm at most", round(self.notice_s, 3)).row()
+
+    def warning(self, tolerance_nm: float | None) -> str:
+        """Return the warning of a pit deeper than half of the tolerance; empty where it is not."""
+        if tolerance_nm is None or self.removal_nm <= tolerance_nm / 2:
+            return ""
+        return (
+            f"A robot that stands in contact removes up to {self.removal_nm:.0f} nm before the force is off, more than "
+            f"half of the tolerance of {tolerance_nm:g} nm: it is noticed after {self.notice_s:.2f} s, the force is "
+            f"off {self.release_s:g} s later, at {self.rate_nm_s:.0f} nm/s. Use shorter blocks, less force, a "
+            "controller that reports faster or an actuator that releases faster."
+        )
+
+
+def stall_removal(limits: TimeLimits, recipe: Recipe, program: Program) -> StallRemoval:
+    """Return the bound for the program at its own times.
+
+    Of a dwell the time at the point itself is no standstill: the tool is to stand there.
+    """
+    expected_s = delivered_time_s(program, program.time_s, envelope_of(recipe, program))
+    moving_s = expected_s - program.time_s if program.encoding == "dwell" else expected_s
+    block_s = float(moving_s.max(initial=0.0))
+    return StallRemoval(block_s + late_s(block_s) + limits.no_progress_s, limits.actuator.release_s, peak_nm_s(recipe))
+
+
+def tolerance_nm(recipe: Recipe) -> float | None:
+    """Return the tightest limit in nm of the tolerance, or None where no line is in nm."""
+    return min((line.limit for line in recipe.lines if line.unit == "nm"), default=None)
 
 
 def require_shallow(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
@@ -14,7 +80,7 @@ def require_shallow(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
     if not robot.unseen_stop_s:
         return ""
     stands_s = robot.unseen_stop_s + actuator.release_s
-    rate_nm_s = _peak_nm_s(recipe)
+    rate_nm_s = peak_nm_s(recipe)
     said = (
         f"{rate_nm_s * stands_s:.1f} nm at most: {1e3 * robot.unseen_stop_s:.0f} ms until it is told, "
         f"{1e3 * actuator.release_s:.0f} ms until the force is off, at {rate_nm_s:.0f} nm/s"
@@ -32,10 +98,32 @@ def require_shallow(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
 def blur(cell: Cell, recipe: Recipe) -> str:
     """How well it is known when a block ended, in time and in removal; empty where the robot tells it exactly."""
     end_s = cell.limits.robot.block_end_s
-    return f"{1e3 * end_s:.0f} ms rms, {_peak_nm_s(recipe) * end_s:.1f} nm; it does not add up" if end_s else ""
+    return f"{1e3 * end_s:.0f} ms rms, {peak_nm_s(recipe) * end_s:.1f} nm; it does not add up" if end_s else ""
 
 
-def _peak_nm_s(recipe: Recipe) -> float:
-    """What a tool that stands removes in its spot's middle, each second."""
+def peak_nm_s(recipe: Recipe) -> float:
+    """Return the removal rate of a standing tool at the peak of its spot, nm/s."""
+    return _spot(recipe).peak_nm_s
+
+
+def _spot(recipe: Recipe) -> SpotFigures:
     tif, process = recipe.tif, recipe.process
-    return (spot_figures(process) if tif is None else measured_figures(tif, process)).peak_nm_s
+    return spot_figures(process) if tif is None else measured_figures(tif, process)
+
+
+def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float, allowed_s: float) -> ExcessMap:
+    """Return the limits of removal beyond that plan on the part: ``most_nm``, or by tolerance and plan.
+
+    ``blur_s``: how far off a block's reported end may be; ``allowed_s``: overhead of a block that is not known yet.
+    """
+    share = TENTH if most_nm is None else 0.0
+    return ExcessMap(
+        in_part_frame(recipe, plan.program),
+        plan.expected_time_s,
+        _spot(recipe),
+        floor_nm=(tolerance_nm(recipe) or NO_TOLERANCE_NM) / 2 if most_nm is None else most_nm,
+        share=share,
+        blur_s=blur_s,
+        allowed_s=allowed_s,
+        on_part=recipe.outline.contains,
+    )

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from polishd.daemon.listening import most_telling
+from polishd.daemon.progress import STEP_S, Progress, ProgressLimits, low_override
 from polishd.model.devices import Executed, RobotProgress
 from polishd.model.errors import DeviceFault, DeviceRefused, SafetyStop
 from polishd.model.program import Plan
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Robot
+from polishd.process.excess import ExcessMap
+
+log = logging.getLogger(__name__)
 
 Heard = Callable[[RobotProgress], None]
 Ended = Callable[[asyncio.Task[None]], None]
@@ -36,11 +41,17 @@ class Stream:
         least_s: float,
         *,
         heard: Heard = lambda _: None,
+        limits: ProgressLimits | None = None,
+        excess: ExcessMap | None = None,
     ) -> None:
         """``least_s`` of motion must be left in contact: it lasts until the tool is up, whatever happens.
 
-        ``heard`` is told each of the robot's words, for whoever watches.
+        ``heard`` is told each of the robot's words, for whoever watches. ``limits`` and ``excess`` of its progress.
         """
+        self._limits = limits or ProgressLimits()
+        self._progress = Progress(plan, self._limits, excess)
+        self._lands = False
+        """The tool is on its way to the part, or on it."""
         self._heard = heard
         self._plan = plan
         self._robot = robot
@@ -71,12 +82,18 @@ class Stream:
         self._filled.set()
 
     async def watch(self) -> None:
-        """SafetyStop when the robot stands still although it was told to run, or holds too little motion in contact."""
+        """SafetyStop when the robot says that it stands although it was told to run, or holds too little motion.
+
+        The same where it reports a speed override that is too low, once the tool is on its way to the part.
+        """
         standing = 0
         while True:
             await self._clock.sleep(WATCH_S)
             robot = await self._robot.progress()
             self._heard(robot)
+            self._progress.reported(robot.executed, self._clock.now_s())
+            if self._lands:
+                self._progress.require_override(robot)
             self._check_supply()
             stands = self._target is not None and robot.state != "running" and robot.executed < self._target
             standing = standing + 1 if stands else 0
@@ -84,6 +101,13 @@ class Stream:
                 raise SafetyStop(
                     f"the robot stands at block {robot.executed} of {self._target} ({robot.state}: {robot.detail})"
                 )
+
+    async def advance(self) -> None:
+        """SafetyStop when the robot executes nothing, or is slower than planned, whatever its state says."""
+        while True:
+            await self._clock.sleep(STEP_S)
+            if self._target is not None and self._progress.executed < self._target:
+                self._progress.look(self._clock.now_s(), in_contact=self._in_contact)
 
     async def supplied(self) -> None:
         """SafetyStop as soon as the robot is seen to hold too little motion; whoever follows its blocks goes on."""
@@ -104,6 +128,9 @@ class Stream:
             await self._robot.resume(until=self._plan.approach_blocks)
             async for _ in self._until(self._plan.approach_blocks):
                 pass
+        if words := low_override(await self._robot.progress(), self._limits.least_override):
+            raise DeviceRefused(f"{words}; the tool was not put down")
+        self._lands = True
 
     async def polish(self) -> AsyncIterator[Executed]:
         """Blocks in contact, as they are executed; the robot stands still at the other landing point afterwards."""
@@ -113,11 +140,13 @@ class Stream:
             async for block in self._until(self._plan.contact_blocks):
                 yield block
         finally:
-            self._in_contact = False
+            self._in_contact = self._lands = False
+            if self._progress.worst > 0.0:
+                log.info("excess removal, at most %.0f%% of its limit", 100 * self._progress.worst)
 
     def leave(self) -> None:
         """Contact is being left: the robot may stand, or run dry, when it likes. What it executes is told further."""
-        self._in_contact, self._target = False, None
+        self._in_contact, self._lands, self._target = False, False, None
 
     async def retreat(self) -> None:
         """The rest of the program, tool retracted."""
@@ -128,9 +157,11 @@ class Stream:
                 pass
 
     async def _until(self, end: int) -> AsyncIterator[Executed]:
+        self._progress.start(self._clock.now_s())
         self._target = end
         try:
             async for block in self._executed:
+                self._progress.record(block, self._clock.now_s(), in_contact=self._in_contact)
                 self._check_supply()
                 yield block
                 if block.seq >= end - 1:
@@ -167,15 +198,18 @@ async def streaming(
     least_s: float,
     heard: Heard = lambda _: None,
     ended: Ended = lambda _: None,
+    limits: ProgressLimits | None = None,
+    excess: ExcessMap | None = None,
 ) -> AsyncIterator[Stream]:
     """Prepare the robot and feed it in the background for as long as the block lasts; ``ended``: a done callback."""
     await robot.prepare(plan)
-    stream = Stream(plan, robot, clock, lookahead_s, least_s, heard=heard)
+    stream = Stream(plan, robot, clock, lookahead_s, least_s, heard=heard, limits=limits, excess=excess)
     try:
         async with asyncio.TaskGroup() as group:
             tasks = [
                 group.create_task(stream.feed(), name="feed robot"),
                 group.create_task(stream.watch(), name="watch robot"),
+                group.create_task(stream.advance(), name="watch progress"),
                 group.create_task(stream.supplied(), name="watch supply"),
             ]
             for task in tasks:

@@ -21,6 +21,10 @@ LIFT_MARGIN_MM = 5.0
 """A robot that takes the tool away goes so much farther than the actuator can follow."""
 LOOK_S = 0.1
 """Between two looks at a state that nobody tells of by himself."""
+END_SIGMAS = 3.0
+"""Standard deviations of a block's reported end that are allowed for."""
+LATE_SHARE, MOST_LATE_S = 0.1, 0.1
+"""Share of a block's expected time by which it may be late, and the most of that: no motion is planned more exactly."""
 BEAT_S = 0.15
 """Most between two heartbeats of ours; three periods of a driver's."""
 
@@ -44,6 +48,11 @@ class Limit:
     def row(self) -> dict[str, Any]:
         """JSON-ready; ``seconds`` is None for what never happens by itself."""
         return {**asdict(self), "seconds": self.seconds if math.isfinite(self.seconds) else None}
+
+
+def late_s(expected_s: float) -> float:
+    """Return how much longer than expected a block may take in motion."""
+    return min(LATE_SHARE * expected_s, MOST_LATE_S)
 
 
 def safe_within_s(times: object) -> float:
@@ -103,6 +112,16 @@ class TimeLimits:
         stays = self.actuator.unpowered == "stays"
         on_s = max(self.actuator.alone_s, self.robot.watchdog_s + self.robot.stop_s if stays else 0.0)
         return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + on_s
+
+    @property
+    def end_blur_s(self) -> float:
+        """How far off the reported end of a block may be."""
+        return END_SIGMAS * self.robot.block_end_s
+
+    @property
+    def no_progress_s(self) -> float:
+        """Time beyond a block's expected time after which a robot that reports no progress counts as standing."""
+        return self.robot.report_s + self.end_blur_s + 2 * LOOK_S
 
     @property
     def lift_mm(self) -> float:

@@ -62,10 +62,16 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     assert "timed points" in facts["program"]
     assert facts["correction"] == "exact"
     assert facts["tolerance"] == "RMS <= 2 nm"
+    pit = facts["pit"]
+    assert pit["removal_nm"] == pytest.approx(pit["rate_nm_s"] * (pit["notice_s"] + pit["release_s"]))
+    assert 0.3 < pit["notice_s"] < 0.5, "a block, the age of a report, two looks"
+    assert facts["time limits"][-1]["seconds"] == pytest.approx(pit["notice_s"], abs=1e-3)
+    assert f"removes up to {pit['removal_nm']:.0f} nm" in facts["warnings"][0]
     assert {limit["key"]: limit["seconds"] for limit in facts["time limits"]}["robot.watchdog_s"] == 8.0
     people = polishd("check", files.cell)
     assert (people.code, "nothing was opened" in people.out) == (0, True)
-    for said_to_people in ("tool up after the last word", "6.2 s", "robot.watchdog_s"):
+    words = ("tool up after the last word", "6.2 s", "robot.watchdog_s", "robot that stands", "warning: A robot")
+    for said_to_people in words:
         assert said_to_people in people.out
 
 

@@ -32,8 +32,10 @@ from polishd.model.times import ActuatorTimes
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import steps
-from tests.unit.daemon.small import MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
+from tests.unit.daemon.small import LIMITS, MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
 
+SLOW = replace(LIMITS, excess_nm=1e6)
+"""A robot may be as slow as it likes."""
 SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
 
 
@@ -159,7 +161,7 @@ async def test_what_a_pass_is_expected_to_leave_is_told_and_kept(bench: Bench) -
 
 
 async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) -> None:
-    job = bench.job(max_cycles=1)
+    job = bench.job(max_cycles=1, contact=SLOW)
     plain = bench.block_s
     bench.fake.robot.block_s = lambda block: plain(block) and plain(block) + 0.05
     await bench.polish(job)
@@ -287,7 +289,7 @@ async def test_what_runs_while_the_tool_is_lifted_is_recorded_at_once(bench: Ben
     bench.fake.actuator.acts.before["make_safe"] = lambda: left.append(bench.fake.robot.done)
     bench.fake.actuator.reads = lambda s: replace(s, fault=4) if bench.fake.robot.done > 100 else s
     with pytest.raises(DeviceFault, match="fault bits"):
-        await bench.polish()
+        await bench.polish(bench.job(contact=SLOW))
     blocks, done = bench.journal.executed(0), bench.fake.robot.done
     assert list(blocks.seq) == list(range(bench.journal.passes[0].contact_from, done)), "each once, to the last"
     assert done - left[0] >= 8, "they ran"

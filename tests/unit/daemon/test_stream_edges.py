@@ -50,6 +50,9 @@ class Scripted:
         self.sent += segments
         self.buffer_s += self.gains_s * len(segments)
 
+    def now_s(self) -> float:
+        return sum(self.slept_s)
+
     async def sleep(self, seconds: float) -> None:
         self.slept_s.append(seconds)
         self.buffer_s -= seconds

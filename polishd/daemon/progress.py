@@ -1,0 +1,236 @@
+"""Progress of the robot in one pass, judged by what it has executed, whatever its state says.
+
+A robot that stands in contact, or moves slower than planned, removes more than planned. Its state may say "running" all
+the while: a feed override, an interlock, a controller that has stopped. So each block has an expected time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.daemon.time_limits import LOOK_S, TimeLimits, late_s
+from polishd.model.devices import Executed, RobotProgress
+from polishd.model.errors import SafetyStop
+from polishd.model.program import Plan
+from polishd.model.surface import FloatArray
+from polishd.process.excess import Excess, ExcessMap
+
+STEP_S = 0.02
+"""Between two looks at the time since the last progress."""
+MOST_STEP_S = 0.1
+"""Most that passes between two such looks, as it is counted: time in which this process did not run does not count."""
+AWAY_S = 300.0
+"""Longest without progress while the tool is up: a way to the part has blocks whose time is not planned."""
+RECENT_S = 1.0
+"""Time over which it is averaged how slow the motion is."""
+SLOW = 0.2
+"""Share by which motion is slower than planned from which on the excess is looked at ahead of the tool."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressLimits:
+    """How late the robot's reports may be, and what it may be told to run with."""
+
+    late_s: float = 0.3
+    """Beyond a block's expected time: the age of a report and two looks."""
+    start_s: float = 5.0
+    """From the order to run until the first block begins."""
+    release_s: float = 0.2
+    """From leaving contact until the force is off."""
+    least_override: float = 0.0
+
+    @classmethod
+    def of(cls, limits: TimeLimits, least_override: float) -> ProgressLimits:
+        """Return them for a cell with these time limits."""
+        return cls(limits.no_progress_s, limits.robot.stop_s, limits.actuator.release_s, least_override)
+
+
+class Progress:
+    """What was executed, when it was reported, and what that means for the part."""
+
+    def __init__(self, plan: Plan, limits: ProgressLimits, excess: ExcessMap | None = None) -> None:
+        """``excess`` of the plan's points; without it slow motion is not judged, only standing."""
+        self._limits = limits
+        self._block = plan.program.block
+        self._expected_s = expected_block_s(plan)
+        self._reported = excess
+        """By the controller's own clock."""
+        self._seen = None if excess is None else excess.fresh()
+        """By when the reports came."""
+        self._executed = 0
+        self._clock_s = 0.0
+        """Time that has passed here, without what this process did not see."""
+        self._looked_s: float | None = None
+        self._since_s = 0.0
+        """When the robot was told to run, or has progressed last."""
+        self._starting = True
+        self._point = 0
+        """First timed point that is not executed yet."""
+        self._point_began: tuple[float, float] | None = None
+        """When it began: by the controller's clock, and by this one."""
+        self._slow_s = self._recent_s = 0.0
+        """Of the last points: excess and expected time, fading."""
+        self._new: list[int] = []
+        """Points that were not judged yet."""
+
+    @property
+    def executed(self) -> int:
+        """Blocks that the robot has executed, by its last report."""
+        return self._executed
+
+    def start(self, now_s: float) -> None:
+        """The robot is told to run."""
+        self._pass(now_s)
+        self._since_s, self._starting = self._clock_s, True
+        self._point_began = None
+
+    def reported(self, executed: int, now_s: float) -> None:
+        """The robot reports how many blocks it has executed."""
+        self._pass(now_s)
+        if executed > self._executed:
+            self._executed, self._since_s, self._starting = executed, self._clock_s, False
+
+    def record(self, block: Executed, now_s: float, *, in_contact: bool) -> None:
+        """The robot reports a block with its times."""
+        self.reported(block.seq + 1, now_s)
+        if not in_contact or self._reported is None or self._seen is None:
+            return
+        began = self._point_began or (block.start_s, self._clock_s)
+        self._point_began = began
+        while self._point < self._block.size and self._block[self._point] < block.seq:
+            self._point += 1  # executed before contact, or not reported by itself
+        if self._point == self._block.size or self._block[self._point] != block.seq:
+            return
+        point, expected_s = self._point, float(self._reported.expected_s[self._point])
+        reported_s, seen_s = block.end_s - began[0] - expected_s, self._clock_s - began[1] - expected_s
+        self._point, self._point_began = point + 1, (block.end_s, self._clock_s)
+        if point == 0:  # it begins at rest, off the part, and may take a while to start
+            return
+        self._reported.add(point, reported_s)
+        self._seen.add(point, seen_s)
+        fade = math.exp(-expected_s / RECENT_S)
+        self._slow_s = fade * self._slow_s + reported_s
+        self._recent_s = fade * self._recent_s + expected_s
+        self._new.append(point)
+
+    def look(self, now_s: float, *, in_contact: bool) -> None:
+        """SafetyStop where the robot does not advance, or has removed too much; it is meant to run now."""
+        self._pass(now_s)
+        stood_s = self._clock_s - self._since_s
+        if in_contact and (found := self._judged()):
+            raise SafetyStop(_slow(found, self._executed))
+        if not in_contact:
+            if stood_s > AWAY_S:
+                raise SafetyStop(self._stands("no expected time", stood_s))
+            return
+        expected_s = self._expected_of(self._executed)
+        over_s = stood_s - expected_s - late_s(expected_s) - self._limits.late_s
+        if self._starting:
+            over_s -= self._limits.start_s
+        if over_s > 0.0:
+            raise SafetyStop(self._stands(f"expected {expected_s:.2f} s", stood_s))
+        standing_s = over_s + LOOK_S
+        if standing_s <= 0.0 or self._reported is None or self._point >= self._block.size:
+            return
+        if found := self._reported.beyond(self._point, standing_s):
+            raise SafetyStop(_slow(found, self._executed))
+
+    def require_override(self, robot: RobotProgress) -> None:
+        """SafetyStop where the controller reports a speed override below ``robot.least_override``."""
+        if words := low_override(robot, self._limits.least_override):
+            raise SafetyStop(words)
+
+    @property
+    def worst(self) -> float:
+        """Largest share of its limit of excess removal that any place has used up."""
+        return 0.0 if self._reported is None else self._reported.worst
+
+    def _pass(self, now_s: float) -> None:
+        if self._looked_s is not None:
+            self._clock_s += min(max(now_s - self._looked_s, 0.0), MOST_STEP_S)
+        self._looked_s = now_s
+
+    def _expected_of(self, block: int) -> float:
+        return float(self._expected_s[min(block, self._expected_s.size - 1)]) if self._expected_s.size else 0.0
+
+    def _judged(self) -> Excess | None:
+        """Excess at the new points, with what comes until the force is off where the motion is slow."""
+        reported, seen, points, self._new = self._reported, self._seen, self._new, []
+        if reported is None or seen is None or not points:
+            return None
+        allowed_nm, last = seen.peak_nm_s * self._limits.late_s, points[-1]
+        judged: int | None = None
+        for point in points:
+            if point != last and judged is not None and not reported.far(point, judged):
+                continue
+            judged = point
+            if found := reported.beyond(point) or seen.beyond(point, allowed_nm=allowed_nm):
+                return found
+        slow = self._slow_s / self._recent_s if self._recent_s > 0.0 else 0.0
+        return self._ahead(reported, last, slow) if slow > SLOW else None
+
+    def _ahead(self, excess: ExcessMap, point: int, slow: float) -> Excess | None:
+        """Excess that there will be when the force is off, should the motion stay as slow."""
+        left_s = self._limits.release_s + STEP_S
+        counted: list[tuple[int, float]] = []
+        for later in range(point + 1, excess.n):
+            if left_s <= 0.0:
+                break
+            takes_s = float(excess.expected_s[later]) * (1.0 + slow)
+            counted.append((later, min(takes_s, left_s) * slow / (1.0 + slow)))
+            left_s -= takes_s
+        for later, more_s in counted:
+            excess.add(later, more_s)
+        found = next((found for later, _ in counted if (found := excess.beyond(later))), None)
+        for later, more_s in counted:
+            excess.add(later, -more_s)
+        return found
+
+    def _stands(self, expected: str, stood_s: float) -> str:
+        return (
+            f"robot does not advance: block {self._executed} {expected}, no progress for {stood_s:.1f} s; feed "
+            "override, interlock or a stopped controller. Check the robot's controller"
+        )
+
+
+def expected_block_s(plan: Plan) -> FloatArray:
+    """Return the expected time of each block up to the end of contact, (contact_blocks,) s.
+
+    A block without a time of its own leads to a timed point. Where a dwell carries the time, that is the point's time
+    without the dwell; else it is the point's time, and that of the way there at the same speed.
+    """
+    program, expected = plan.program, plan.expected_time_s
+    blocks = np.arange(plan.contact_blocks)
+    if not expected.size:
+        return np.zeros(blocks.size)
+    point = np.minimum(np.searchsorted(program.block, blocks), expected.size - 1)
+    timed = program.block[point] == blocks
+    if program.encoding == "dwell":
+        leading = np.maximum(expected - program.time_s, 0.0)
+    else:
+        way = np.linalg.norm(program.start_mm[1:] - program.end_mm[:-1], axis=1)
+        way = np.concatenate([[0.0], way])
+        length = program.length_mm
+        leading = expected * (1.0 + np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))
+    return np.asarray(np.where(timed, expected[point], leading[point]), dtype=np.float64)
+
+
+def low_override(robot: RobotProgress, least: float) -> str:
+    """Return what is wrong with the speed override that the robot reports; empty where it is high enough or unknown."""
+    if robot.override is None or robot.override >= least:
+        return ""
+    return (
+        f"the robot's speed override is {robot.override:.0%}, at least {least:.0%} is needed (robot.least_override): "
+        "slower motion removes more than planned. Set the override to 100% at the controller"
+    )
+
+
+def _slow(found: Excess, executed: int) -> str:
+    return (
+        f"the robot is slower than planned: {found.excess_nm:.1f} nm beyond the plan at x {found.x_mm:.1f}, y "
+        f"{found.y_mm:.1f} mm after block {executed}, at most {found.limit_nm:.1f} nm (limits.excess_nm). Check the "
+        "feed override, and the machine's feed and acceleration limits"
+    )
