@@ -13,7 +13,7 @@ from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from tests.campaigns.faults import links as f
 from tests.system import handover_rig, linuxcnc_rig
-from tests.system.cell_rig import Daemon, Sections, with_faults, with_keys, write_small
+from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, write_small
 from tests.system.test_profiled_cell import ACTUATOR, SIMULATED, with_section
 
 Fault = Mapping[str, Any]
@@ -90,6 +90,8 @@ def _modbus(folder: Path) -> DemoFiles:
 def _linuxcnc(folder: Path) -> DemoFiles:
     files = write_small(folder, patient=False, **JOB)
     linuxcnc_rig.take(files)
+    files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
+    files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     return files
 
 
