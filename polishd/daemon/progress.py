@@ -138,11 +138,6 @@ class Progress:
         if found := self._reported.beyond(self._point, standing_s):
             raise SafetyStop(_slow(found, self._executed))
 
-    def require_override(self, robot: RobotProgress) -> None:
-        """SafetyStop where the controller reports a speed override below ``robot.least_override``."""
-        if words := low_override(robot, self._limits.least_override):
-            raise SafetyStop(words)
-
     @property
     def worst(self) -> float:
         """Largest share of its limit of excess removal that any place has used up."""
