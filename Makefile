@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -45,6 +45,9 @@ crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, a
 
 faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md, in sittings (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
+
+pits: $(VENV)/.installed ## robots that stand or are slow and wrong forces, in contact: nm beyond plan; into docs/pits.md, in sittings (ARGS="--json")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.pits $(ARGS)
 
 replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md, in sittings (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)

@@ -206,10 +206,28 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
 
 def consistent(config: CellConfig) -> CellConfig:
     """The same; ConfigError, as of ``load_config``, where values that are right alone do not go together."""
-    wrong = (*_wrong_devices(config), *_wrong_signals(config), *_wrong_tolerance(config), *_wrong_tools(config))
+    wrong = (
+        *_wrong_force(config),
+        *_wrong_devices(config),
+        *_wrong_signals(config),
+        *_wrong_tolerance(config),
+        *_wrong_tools(config),
+    )
     if found := [str(config.error(key, problem)) for key, problem in wrong]:
         raise ConfigError("\n".join(found))
     return config
+
+
+def _wrong_force(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """(key, what is wrong) of the largest force: a force that regulation may have must not end contact."""
+    process, band = config.process, config.limits.force_band
+    regular_n = process.force_n * (1.0 + band)
+    if process.force_max_n is not None and process.force_max_n <= regular_n:
+        problem = (
+            f"{process.force_max_n:g} N is within what regulation may do: {process.force_n:g} N + {band:.0%} "
+            f"(limits.force_band) = {regular_n:g} N. Set it above, or leave it out for 1.5 times process.force_n"
+        )
+        yield "process.force_max_n", problem
 
 
 def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:

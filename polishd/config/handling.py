@@ -14,6 +14,9 @@ class TouchOffSection(Section):
 
     force_n: Annotated[float, Field(gt=0, le=0.8)] = 0.8
     """Force with which the tool rests on each place, its spindle at rest; a quarter more is let pass, 1 N at most."""
+    force_max_n: Annotated[float, Field(gt=1, le=10)] = 2.0
+    """Largest force that any device may read in a touch-off: one reading above it, or a rise that would pass it before
+    the next one, leaves contact at once."""
     position_mm: Positive | None = None
     """Position of the actuator, in contact with that force, where the tool's tip is where the program says; left out:
     half of `actuator.stroke_mm`."""

@@ -177,6 +177,12 @@ Preston = Annotated[
 """A Preston constant, cm2/N; in a file it has its unit."""
 
 
+LIMITS_OF_PROCESS = ("process.force_max_n",)
+"""Keys of ``[process]`` that are limits: removal does not depend on them, and neither does what was learned."""
+LEAST_FORCE_MARGIN_N = 2.0
+FORCE_MARGIN = 1.5
+
+
 class ProcessSection(Section):
     """Tool and contact, and how removal is computed; the defaults are the paper's Table II and its main process."""
 
@@ -199,6 +205,9 @@ class ProcessSection(Section):
     """Radius of the bonnet's sphere."""
     force_n: Force = _TOOL.force_n
     """Force along the actuator that is held in contact."""
+    force_max_n: Force | None = None
+    """Largest force that any device may read in contact and while landing: one reading above it, or a rise that would
+    pass it before the next one, leaves contact at once. Left out: 1.5 times `force_n`, at least 2 N above it."""
     normal_force: NormalForce = _TOOL.normal_force
     """What Hertz is given: the actuator's force, or that over the cosine of the dip (eq. 44)."""
     rpm: Speed = _TOOL.rpm
@@ -227,6 +236,13 @@ class ProcessSection(Section):
     """Its second viscosity."""
     lame_mpa: Positive = _TOOL.lame_mpa
     """Lame's first constant of the bonnet, for the same."""
+
+    @property
+    def most_force_n(self) -> float:
+        """``force_max_n``, or its default."""
+        if self.force_max_n is not None:
+            return self.force_max_n
+        return max(FORCE_MARGIN * self.force_n, self.force_n + LEAST_FORCE_MARGIN_N)
 
     @field_serializer("preston")
     def _with_unit(self, value: float) -> str:

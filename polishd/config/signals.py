@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -59,6 +59,9 @@ class SignalSection(Section):
     """How the monitor calls it; left out: as its section is named."""
     unit: str = ""
     """Of its values, for messages."""
+    measures: Literal["force"] | None = None
+    """It measures the force on the part, in N: one value above `process.force_max_n` (in a touch-off
+    `touch_off.force_max_n`) leaves contact at once, whatever else is asked of it."""
     before: BeforeSection | None = None
     in_contact: InContactSection | None = None
     on_order: BoundsSection | None = None
@@ -70,7 +73,9 @@ class SignalSection(Section):
 
     @model_validator(mode="after")
     def _is_watched(self) -> Self:
-        if self.before is None and self.in_contact is None and self.on_order is None:
+        if self.measures == "force" and self.unit not in {"", "N"}:
+            raise ValueError(f'unit: is {self.unit!r}, and a signal that measures the force has "N"')
+        if (self.before, self.in_contact, self.on_order, self.measures) == (None, None, None, None):
             raise ValueError("nothing is asked of it; write before = {...}, in_contact = {...}, or both")
         if self.in_contact is None and "leads_to" in self.model_fields_set:
             raise ValueError("leads_to: goes with in_contact; what is not so before contact holds the cell")
@@ -90,4 +95,5 @@ class SignalSection(Section):
             grace_s=in_contact.grace_s if in_contact else 0.0,
             leads_to=self.leads_to,
             on_order=self.on_order.bounds if self.on_order else None,
+            measures_force=self.measures == "force",
         )

@@ -17,18 +17,21 @@ WIRES = ("hang", "unplug", "reboot")
 """... to the link as a whole; ..."""
 MOTION = ("override", "stand")
 """... to the motion of a robot; ..."""
-STATES = ("freeze", "drift", "saturate", "stick", "halt", *MOTION)
+STATES = ("freeze", "drift", "saturate", "stick", "halt", "spike", "press", "lie", "reverse", *MOTION)
 """... and to the device behind it."""
 NEEDS = {
     "late_reply": ("by_s",),
     "dribble": ("by_s",),
     "drift": ("drift_n_s",),
     "saturate": ("limit_n",),
+    "spike": ("force_n",),
+    "press": ("force_n",),
 }
 """Keys that such a fault must have."""
 KNOWS = {"by_s": ("delay", "late_reply", "dribble"), "jitter_s": ("delay",), "drift_n_s": ("drift",)}
 KNOWS |= {"limit_n": ("saturate",), "direction": FRAMES, "rate": FRAMES}
 KNOWS |= {"percent": ("override",), "ramp_s": ("override",), "reported": ("override",)}
+KNOWS |= {"force_n": ("spike", "press"), "factor": ("lie",), "offset_n": ("lie",)}
 """Keys that others than these must not have."""
 
 
@@ -39,7 +42,8 @@ class Fault(Section):
     """Which of them has it."""
     what: Literal[
         "drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception",
-        "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt", "override", "stand",
+        "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt",
+        "spike", "press", "lie", "reverse", "override", "stand",
     ]  # fmt: skip
     """What goes wrong."""
     link: Literal["", "rtde", "dashboard", "primary"] = ""
@@ -72,10 +76,16 @@ class Fault(Section):
     """Of `override`: from 100 % to `percent` in so long, wall time; 0: at once."""
     reported: bool = True
     """Of `override`: the controller reports it, where its link can; false: it goes on reporting 100 %."""
+    force_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """Of `spike`: how much more acts, at once; of `press`: what it exerts in contact, whatever is asked."""
+    factor: Annotated[float, Field(ge=0, le=10)] = 1.0
+    """Of `lie`: it reads this share of what acts. At 0 it reads `offset_n` only. [1]"""
+    offset_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """Of `lie`: it reads so much more."""
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:
-        for key, problem in (*self._when(), *self._what()):
+        for key, problem in (*self._when(), *self._what(), *self._how_much()):
             raise ValueError(f"{key}: {problem}")
         return self
 
@@ -99,11 +109,18 @@ class Fault(Section):
         for key in NEEDS.get(self.what, ()):
             if not getattr(self, key):
                 yield key, f"{self.what} needs it, other than 0"
-        if self.what == "override" and self.percent is None:
-            yield "percent", "override needs it"
         if self.what == "delay" and not self.by_s and not self.jitter_s:
             yield "by_s", "delay needs it, or jitter_s"
         if self.what in REPLIES and self.direction == "to_device":
             yield "direction", f"{self.what} happens to replies; it must be to_host"
         if self.link and self.what not in (*FRAMES, "hang", "unplug"):
             yield "link", f"means nothing for {self.what}, which happens to the device"
+
+    def _how_much(self) -> Iterator[tuple[str, str]]:
+        """The same of numbers that need a value, or a sign."""
+        if self.what == "override" and self.percent is None:
+            yield "percent", "override needs it"
+        if self.what == "press" and self.force_n < 0:
+            yield "force_n", "press needs a force above 0"
+        if self.what == "lie" and self.factor == 1.0 and not self.offset_n:
+            yield "factor", "lie needs it, other than 1, or offset_n, other than 0"

@@ -39,6 +39,8 @@ class ToolSection(Section):
     """Radius of its sphere."""
     force_n: Force | None = None
     """Force on it."""
+    force_max_n: Force | None = None
+    """`process.force_max_n` with this tool."""
     rpm: Speed | None = None
     """Speed of the spindle."""
     dip_deg: Dip | None = None

@@ -156,6 +156,7 @@ def contact_limits(config: CellConfig) -> ContactLimits:
         rpm=config.process.rpm,
         force_band=config.limits.force_band,
         grace_s=config.limits.force_grace_s,
+        force_max_n=config.process.most_force_n,
         apart_n=apart[0],
         apart_s=apart[1],
         least_override=robot.least_override if isinstance(robot, RobotSection) else 0.0,

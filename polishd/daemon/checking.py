@@ -28,6 +28,7 @@ from polishd.hooks.loader import Hooks
 from polishd.model.devices import Identity, port_of
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
+from polishd.process import contact
 from polishd.recipe import disk, foresight, steps, touch_off
 from polishd.recipe.accepting import acceptance_words
 from polishd.recipe.making import make_recipes, why_not_commissioned
@@ -88,6 +89,7 @@ def _along(
     tell(f"reach and removal at {program.n} points")
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
+    removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))
     facts = {
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "covers": require_fit(config, recipe, program),
@@ -101,7 +103,12 @@ def _along(
         "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
         "tolerance": foresight.tolerance_words(recipe, answer),
         "correction": recipe.correction,
-        "removal of the program as it is": f"{np.max(answer.effect.removal_nm(program.time_s)):.1f} nm at most",
+        "removal of the program as it is": f"{removal_nm:.1f} nm at most",
+        **(
+            {}
+            if "force_sensor" in cell.used
+            else {"if the actuator misreads its force": _lie(config, recipe, removal_nm)}
+        ),
         **({"feed hold at the controller": pit} if pit else {}),
         **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
     }
@@ -150,11 +157,26 @@ def _seat(recipe: Recipe, hooks: Hooks) -> str:
 
 
 def _force(cell: Cell, limits: ContactLimits) -> str:
-    """Who tells it."""
+    """Who tells it, and how large it may be."""
     sensor = cell.used.get("force_sensor")
+    most = f"; no reading above {limits.force_max_n:g} N ({limits.force_max_key})"
     if sensor is None:
-        return "by the actuator's word alone: the cell has no [force_sensor]"
-    return f"the actuator's word and {sensor}'s: at most {limits.apart_n:g} N apart for more than {limits.apart_s:g} s"
+        return f"by the actuator's word alone: the cell has no [force_sensor]{most}"
+    apart = f"at most {limits.apart_n:g} N apart for more than {limits.apart_s:g} s"
+    return f"the actuator's word and {sensor}'s: {apart}{most}"
+
+
+def _lie(config: CellConfig, recipe: Recipe, removal_nm: float) -> str:
+    """What an actuator costs that presses with more than it reads: nothing ends contact then."""
+    process = recipe.process
+    pressed_n = np.array([process.force_n + 1.0, config.process.most_force_n])
+    more = contact.relative_removal(process, pressed_n, np.full(2, np.nan)) - 1.0
+    return (
+        f"an actuator that presses {pressed_n[0]:g} N and reads {process.force_n:g} N removes {more[0]:.0%} more, "
+        f"{more[0] * removal_nm:.1f} nm at the worst place of the program as it is; one that presses "
+        f"{pressed_n[1]:g} N removes {more[1] * removal_nm:.1f} nm more, and only the next map shows it. "
+        "Recommended: an independent [force_sensor] (docs/monitors.md)"
+    )
 
 
 def _instrument(config: CellConfig, recipe: Recipe) -> str:

@@ -17,7 +17,7 @@ from polishd.daemon.listening import heard
 from polishd.daemon.time_limits import ANSWERS_S
 from polishd.daemon.touch import Touch
 from polishd.model.devices import SensedForce
-from polishd.model.errors import DeviceFault, ForcesApart, LinkError
+from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
 
 T = TypeVar("T")
 
@@ -60,6 +60,25 @@ async def watch_sensor(cell: Cell, forces: ForceCheck, touch: Touch, landed: asy
             forces.sensor(reading.at_s, reading.force_n, landed=landed.is_set())
 
     await heard(sensor.samples(), judge, "force sensor", sensor.times.silence_s)
+
+
+async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: Touch) -> None:
+    """Judge each value of the monitors' signals that measure the force, until that raises."""
+    broken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def judge(name: str, force_n: float) -> None:
+        if touch.left or broken.done():
+            return
+        try:
+            forces.monitor(name, cell.clock.now_s(), force_n)
+        except SafetyStop as stop:
+            broken.set_exception(stop)
+
+    cell.signals.on_force = judge
+    try:
+        await broken
+    finally:
+        cell.signals.on_force = lambda _name, _force_n: None
 
 
 async def told_apart(cell: Cell, error: BaseException, band_n: float) -> BaseException:

@@ -192,7 +192,13 @@ class Handling:
         cell, job = self._cell, self._job
         deepest_mm = meets_mm + float(asked.reach_mm[place])
         limits = replace(
-            job.tools.now.contact, force_n=asked.force_n, rpm=0.0, force_band=FORCE_BAND, deepest_mm=deepest_mm
+            job.tools.now.contact,
+            force_n=asked.force_n,
+            rpm=0.0,
+            force_band=FORCE_BAND,
+            deepest_mm=deepest_mm,
+            force_max_n=asked.force_max_n,
+            force_max_key="touch_off.force_max_n",
         )
         least_s, ended = cell.limits.buffer_s, cell.ended
         feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, ended=ended)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from polishd.config.process import LIMITS_OF_PROCESS
 from polishd.model.beliefs import Belief
 from polishd.model.events import RateOffered
 
@@ -53,7 +54,8 @@ def recipe_of(terms: Mapping[str, Any]) -> str:
     """
     if terms.get("process.learns", "rate") != "rate":
         return ""
-    known = {key: _content(one) for key, one in terms.items() if key.startswith(RECIPE) or key == TOOL}
+    keys = {key for key in terms if key.startswith(RECIPE) or key == TOOL} - {*LIMITS_OF_PROCESS}
+    known = {key: _content(terms[key]) for key in keys}
     return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from polishd.config.process import LIMITS_OF_PROCESS
 from polishd.daemon.journal import JOURNAL_NAME, NO_JOB, Journal
 from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.lock import locked
@@ -133,7 +134,8 @@ def _days_since(at_s: float) -> float:
 def series_of(terms: Mapping[str, Any]) -> str:
     """What identifies the series of a job that was begun with those terms."""
     prefixes = SERIES if terms.get("process.learns", "rate") == "rate" else (*SERIES, FORM)
-    return _hash({key: one for key, one in terms.items() if key.startswith(prefixes) and key != "part.id"})
+    other = {"part.id", *LIMITS_OF_PROCESS}
+    return _hash({key: one for key, one in terms.items() if key.startswith(prefixes) and key not in other})
 
 
 def lessons(read: Read, before: int | None = None) -> Iterator[Lesson]:

@@ -19,7 +19,7 @@ from typing import Any, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.force_check import ForceCheck
-from polishd.daemon.force_watch import tare, told_apart, watch_sensor
+from polishd.daemon.force_watch import tare, told_apart, watch_force_signals, watch_sensor
 from polishd.daemon.listening import heard, most_telling, within
 from polishd.daemon.time_limits import safe_within_s
 from polishd.daemon.touch import Touch
@@ -50,6 +50,10 @@ class ContactLimits:
     apart_n: float = math.inf
     """How far the words of actuator and force sensor may be apart; farther for ``apart_s`` is a safety stop."""
     apart_s: float = 0.5
+    force_max_n: float = math.inf
+    """One reading above it, of whichever device, is a safety stop, also while the tool lands."""
+    force_max_key: str = "process.force_max_n"
+    """Dotted config key that changes it."""
     least_override: float = 0.0
     """Of the robot's speed, where it can be read."""
     no_progress_s: float | None = None
@@ -78,7 +82,8 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
     that they are switched on: landing takes seconds, and a spindle or an actuator that nobody feeds stops by itself.
     ``touch`` hears all samples, and when the tool is ordered off and is off. Yields what the words on the force say.
     """
-    watch = _Watch(limits, touch, _force_check(limits))
+    sensor = cell.force_sensor
+    watch = _Watch(limits, touch, _force_check(limits, 0.0 if sensor is None else sensor.times.delay_s))
     cell.pressing, cell.leaving = True, ""
     try:
         await tare(cell, limits.apart_n)
@@ -88,6 +93,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
                 group.create_task(_watch_speed(cell, watch), name="watch spindle"),
                 group.create_task(_watch_force(cell, watch), name="watch force"),
                 group.create_task(watch_sensor(cell, watch.forces, touch, watch.landed), name="watch force sensor"),
+                group.create_task(watch_force_signals(cell, watch.forces, touch), name="watch force signals"),
             ]
             for watcher in watchers:
                 watcher.add_done_callback(cell.ended)
@@ -269,13 +275,33 @@ async def _land(cell: Cell, watch: _Watch) -> None:
     except TimeoutError:
         raise SafetyStop(
             f"the tool did not land: no force within {limits.force_band:.0%} of {limits.force_n:g} N after "
-            f"{landing_s:g} s (actuator.landing_s); check the landing point's height and the actuator's stroke"
+            f"{landing_s:g} s (actuator.landing_s){_last_words(cell)}; check the landing point's height and the "
+            "actuator's stroke"
         ) from None
 
 
-def _force_check(limits: ContactLimits) -> ForceCheck:
+def _last_words(cell: Cell) -> str:
+    """What the devices read last."""
+    force, sensed = cell.live.force, cell.live.sensed
+    said = (
+        []
+        if force is None
+        else [f"the actuator reads {force.force_n:.2f} N, {'on' if force.in_contact else 'off'} the part"]
+    )
+    said += [] if sensed is None or cell.force_sensor is None else [f"the force sensor {sensed.force_n:.2f} N"]
+    return "".join(f"; {one}" for one in said)
+
+
+def _force_check(limits: ContactLimits, delay_s: float = 0.0) -> ForceCheck:
     return ForceCheck(
-        limits.force_n, limits.apart_n, limits.apart_s, set_band=limits.force_band, set_grace_s=limits.grace_s
+        limits.force_n,
+        limits.apart_n,
+        limits.apart_s,
+        set_band=limits.force_band,
+        set_grace_s=limits.grace_s,
+        most_n=limits.force_max_n,
+        most_key=limits.force_max_key,
+        delay_s=delay_s,
     )
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import FILES, CellConfig, tool_files
+from polishd.config.process import LIMITS_OF_PROCESS
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal_schema import old_copy
 from polishd.model.errors import ConfigError
@@ -45,6 +46,7 @@ RULES = (
     Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
     Rule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),
+    Rule((*LIMITS_OF_PROCESS, "tools.*.force_max_n"), True, "what ends contact from now on"),
     Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
     Rule(
         ("job.tolerance_nm", "tolerance", "job.accept", "job.max_cycles", "job.approve", "job.lookahead_s"),

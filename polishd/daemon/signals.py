@@ -5,7 +5,7 @@ What no monitor has told for its silence is not known, and what is not known is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from polishd.model.devices import Signal
@@ -24,11 +24,17 @@ class Signals:
         self._bad_s: dict[str, float] = {}
         self._told: set[str] = set()
         """In this contact."""
+        self.on_force: Callable[[str, float], None] = lambda _name, _force_n: None
+        """Is given each value of a signal that measures the force, as it comes."""
 
     def hear(self, monitor: str, signal: Signal) -> None:
         """A monitor has told one."""
         self._last[monitor, signal.name] = signal
         self._silent_s[monitor, signal.name] = 0.0
+        for limits in self.limits:
+            measured = limits.measures_force and (limits.monitor, limits.signal) == (monitor, signal.name)
+            if measured and signal.value is not None:
+                self.on_force(limits.name, float(signal.value))
 
     def pass_by(self, seconds: float, *, in_contact: bool) -> list[tuple[SignalLimits, str]]:
         """So much time has passed: those that have been wrong in contact for too long, and how they are; each once."""

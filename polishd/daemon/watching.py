@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from polishd.config.process import LIMITS_OF_PROCESS
 from polishd.daemon.journal import Journal
 from polishd.model.finding import Finding, FindingLimits, Series, Shown
 from polishd.process.findings import findings, followed
@@ -50,5 +51,6 @@ def _series(journal: Journal, cycle: int) -> Series:
 
 def _process(terms: Mapping[str, Any] | None) -> str:
     """What identifies the process that a job was begun with."""
-    own = {key: value for key, value in (terms or {}).items() if key.startswith(PROCESS)}
+    known = (terms or {}).items()
+    own = {key: value for key, value in known if key.startswith(PROCESS) and key not in LIMITS_OF_PROCESS}
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]

@@ -29,6 +29,8 @@ class TouchOff:
     """(3, 3) unit tool axes there, from the tip into the spindle."""
     rim_mm: float
     """Radius of the circle about the part's centre that holds the part."""
+    force_max_n: float = 2.0
+    """Largest force that any device may read meanwhile."""
 
     @property
     def reach_mm(self) -> FloatArray:

@@ -63,6 +63,8 @@ class SignalLimits:
     leads_to: LeadsTo
     on_order: Bounds | None = None
     """What it must be when a person orders motion."""
+    measures_force: bool = False
+    """It reads the force on the part, N."""
 
     def said(self, value: float | bool | None) -> str:
         """A value in words."""
@@ -70,7 +72,7 @@ class SignalLimits:
 
     def __str__(self) -> str:
         """With its limits and what they lead to."""
-        said = []
+        said = ["force on the part"] if self.measures_force else []
         if self.before is not None:
             said.append(f"before contact {self.before.words(self.unit)} (waited for {self.wait_s:g} s)")
         if self.in_contact is not None:

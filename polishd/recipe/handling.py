@@ -49,6 +49,7 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
         normal=normal,
         axis=axis,
         rim_mm=config.outline().radius_mm,
+        force_max_n=section.force_max_n,
     )
     if not seat.told_apart(made):
         raise config.error(key, "the three places lie on a line: no tilt can be told; move one of them")

@@ -87,6 +87,10 @@ class PlantLink:
             self.writer.write(pack_rows(rows))
         self.ask(mark=mark_s, pose=pose)
 
+    def pace(self, pace: float, at_s: float) -> None:
+        """Planned motion within a second of motion, from then on (time.monotonic)."""
+        self.ask(pace=pace, t=at_s)
+
     def ask(self, **message: Any) -> None:
         """Any other message."""
         if not self.writer.is_closing():

@@ -17,6 +17,7 @@ LINKS = (
     "SFTP",
     "CANopen",
     "RTDE",
+    "linuxcncrsh",
     "HTTP",
     "the page",
 )

@@ -15,8 +15,8 @@ from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from tests.system.cell_rig import with_keys, with_part, without, write_small
 
-Kind = Literal["opcua", "ads"]
-PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads"}
+Kind = Literal["opcua", "ads", "modbus"]
+PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads", "modbus": "plc-modbus"}
 TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
 """What a block costs that controller: nobody planned it before the first pass."""
 PIT = {"pit_nm": 60.0}
@@ -40,10 +40,15 @@ def hand_over(files: DemoFiles, kind: Kind) -> None:
     )
     port = urlsplit(load_config(files.cell).robot.model_dump()["address"]).port or 0
     host = f"127.{port // 256}.{port % 256}.1"
+    addresses: dict[Kind, str] = {
+        "opcua": f"opc.tcp://127.0.0.1:{port}",
+        "ads": f"ads://{host}/{host}.1.1:851",
+        "modbus": f"tcp://127.0.0.1:{port}",
+    }
     keys = {
         "type": "handover",
         "profile": "controller.toml",
-        "address": f"opc.tcp://127.0.0.1:{port}" if kind == "opcua" else f"ads://{host}/{host}.1.1:851",
+        "address": addresses[kind],
         "delivery": "folder:sim/programs",
     }
     section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])

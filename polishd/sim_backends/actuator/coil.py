@@ -70,12 +70,22 @@ class VoiceCoil:
     """... and what it reads too much by now: it regulates by that."""
     frozen_n: float | None = None
     """What its own sensor reads, whatever acts; None: what acts."""
+    spike_n: float = 0.0
+    """What acts beside the regulated force, from one step to the next."""
+    pressed_n: float | None = None
+    """What it exerts in contact, whatever is asked; None: what is asked."""
+    factor: float = 1.0
+    """What share of the force its own sensor reads, ..."""
+    offset_n: float = 0.0
+    """... and how much more. It regulates by that, where it reads any of the force."""
     _clung_s: float = 0.0
     _fed_s: float = 0.0
     _touching: bool = False
     _touched_um: float = TOUCH_UM
     """Where it met the part last."""
     _noise: float = 0.0
+    _spiked_n: float = 0.0
+    """Share of ``force_n`` that is a spike."""
 
     def __post_init__(self) -> None:
         """Power up retracted."""
@@ -97,7 +107,7 @@ class VoiceCoil:
         if self.frozen_n is not None:
             return self.frozen_n
         actual = self.force_n * (1.0 + self._noise) if self._touching else 0.0
-        return actual + self.drift_n + 0.01 * float(self.rng.standard_normal())
+        return self.factor * actual + self.offset_n + self.drift_n + 0.01 * float(self.rng.standard_normal())
 
     def suffer(self, fault: Fault, on: bool) -> None:
         """Get into that state, or out of it; what has drifted stays."""
@@ -105,6 +115,12 @@ class VoiceCoil:
             self.stuck = on
         elif fault.what == "drift":
             self.drift_n_s = fault.drift_n_s if on else 0.0
+        elif fault.what == "spike":
+            self.spike_n = fault.force_n if on else 0.0
+        elif fault.what == "press":
+            self.pressed_n = fault.force_n if on else None
+        elif fault.what == "lie":
+            self.factor, self.offset_n = (fault.factor, fault.offset_n) if on else (1.0, 0.0)
         else:
             self.frozen_n = self.measured_n if on else None
 
@@ -176,15 +192,19 @@ class VoiceCoil:
             self.report("tool_landed" if touching else "contact_lost", self.now_s)
         self._touching = touching
         if not touching:
-            self.force_n = 0.0
+            self.force_n = self._spiked_n = 0.0
             return
         self._noise += (-self._noise) * dt / 0.05 + 0.01 * (2.0 * dt / 0.05) ** 0.5 * float(self.rng.standard_normal())
         aim = self.setpoint_n
         if self.stuck and aim > 0.0:
             aim *= 0.6
-        aim = max(aim - self._drifted(dt), 0.0)
-        change = min(max(aim - self.force_n, -FALL_N_S * dt), RISE_N_S * dt)
-        self.force_n += change
+        aim = max(aim - self._drifted(dt) - self.offset_n, 0.0) / (self.factor or 1.0)
+        if self.pressed_n is not None:
+            aim = self.pressed_n
+        regulated_n = self.force_n - self._spiked_n
+        regulated_n += min(max(aim - regulated_n, -FALL_N_S * dt), RISE_N_S * dt)
+        self._spiked_n = max(self.spike_n, -regulated_n)  # a pull takes the force off, and no more
+        self.force_n = regulated_n + self._spiked_n
 
     def _drifted(self, dt: float) -> float:
         """By how much its sensor reads too much by now."""
@@ -193,6 +213,7 @@ class VoiceCoil:
         return self.drift_n
 
     def _withdraw(self, dt: float) -> None:
+        self._spiked_n = 0.0  # what is left of it goes with the force
         if self._touching:
             self._touching = self._clings(dt)
             self.force_n = self.force_n if self._touching else 0.0

@@ -26,6 +26,7 @@ async def spindle(runtime: Runtime) -> None:
     config, now_s = runtime.start.config.spindle, time.monotonic()
     rng = stream(runtime.start.seed, "motor")
     motor = Motor(rng, runtime.link.event, now_s, runtime.start.speed)
+    runtime.script.suffer = motor.suffer
     objects = Objects()
     objects[0x6080] = config.max_rpm
     drive = Node(config.node, motor, runtime.link.event, now_s, objects)

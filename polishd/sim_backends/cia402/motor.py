@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polishd.config.simulator import Fault
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.objects import Objects
 from polishd.sim_backends.cia402.power import Power
@@ -32,6 +33,8 @@ class Motor:
     speed: float = 1.0
     """Process seconds per wall second."""
     rpm: float = 0.0
+    way: int = 1
+    """-1: two phases are exchanged, so that the rotor turns the other way round. The encoder sees it."""
     jammed: bool = False
     """Held by something: it turns no faster, and no slower."""
     samples: list[tuple[float, float]] = field(default_factory=list)
@@ -42,6 +45,11 @@ class Motor:
     def __post_init__(self) -> None:
         """Stands."""
         self.samples.append((self.now_s, 0.0))
+
+    def suffer(self, _fault: Fault, on: bool) -> None:
+        """Two phases are exchanged, or put right."""
+        self.way = -1 if on else 1
+        self.samples.append((self.now_s, self.way * self.rpm))
 
     def step(self, now_s: float, objects: Objects, power: Power) -> None:
         """See Axis."""
@@ -55,10 +63,10 @@ class Motor:
             self.rpm = 0.0
             power.stands()
         if self.rpm != before:
-            self.samples += [(self.now_s, before), (now_s, self.rpm)]
+            self.samples += [(self.now_s, self.way * before), (now_s, self.way * self.rpm)]
         self.now_s = now_s
         noise = NOISE_RPM * float(self.rng.standard_normal()) if self.rpm else 0.0
-        objects[0x606C] = round((self.rpm + noise) / RPM)
+        objects[0x606C] = round((self.way * self.rpm + noise) / RPM)
         reached = abs(self.rpm - goal) <= max(0.01 * abs(goal), STILL_RPM)
         objects[0x6041] = objects[0x6041] & ~REACHED | (REACHED if reached else 0)
         self._tell(power, reached)

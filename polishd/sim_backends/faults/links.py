@@ -11,8 +11,9 @@ from polishd.sim_backends.profiled.sheet import Sheet
 
 CAN_SUFFER: Mapping[str, tuple[str, ...]] = {
     "robot": MOTION,
-    "actuator": ("freeze", "drift", "stick"),
-    "force_sensor": ("freeze", "drift", "saturate", "halt"),
+    "actuator": ("freeze", "drift", "stick", "spike", "press", "lie"),
+    "force_sensor": ("freeze", "drift", "saturate", "halt", "spike", "lie"),
+    "spindle": ("reverse",),
 }
 """The states that a device can be in: what is measured, or moved, goes wrong."""
 ROBOTS = {"link": "robot_link", "opcua": "opcua", "ads": "ads", "modbus": "modbus_tcp"}

@@ -44,6 +44,12 @@ class LoadCell:
     """It converts no more, and goes on answering."""
     _most_n: float = 0.0
     """It tells no more than that, and does not say so; 0: it tells all of its range."""
+    _spike_n: float = 0.0
+    """It reads so much more."""
+    _factor: float = 1.0
+    """It reads that share of what acts, ..."""
+    _offset_n: float = 0.0
+    """... and so much more."""
     _tare: list[float] | None = None
 
     def suffer(self, fault: Fault, on: bool) -> None:
@@ -54,6 +60,10 @@ class LoadCell:
             self._frozen = on
         elif fault.what == "halt":
             self._halted = on
+        elif fault.what == "spike":
+            self._spike_n = fault.force_n if on else 0.0
+        elif fault.what == "lie":
+            self._factor, self._offset_n = (fault.factor, fault.offset_n) if on else (1.0, 0.0)
         else:
             self._most_n = fault.limit_n if on else 0.0
 
@@ -90,7 +100,8 @@ class LoadCell:
         felt_n = self._felt[0][1] if self._felt and self._felt[0][0] <= now_s else 0.0
         if not self._frozen:
             noise_n = self.config.noise_n * float(self.rng.standard_normal())
-            self.reading_n = self.config.offset_n + felt_n + self._drift_n + noise_n
+            false_n = self._offset_n + self._spike_n + self._drift_n
+            self.reading_n = self.config.offset_n + self._factor * felt_n + false_n + noise_n
         limit_n = self._most_n or self.config.range_n
         self.fault = OVER_RANGE if abs(self.reading_n) > self.config.range_n else 0
         self.reading_n = min(max(self.reading_n, -limit_n), limit_n)

@@ -93,6 +93,7 @@ class LinuxCncServer:
         turned = self._override.reported(now_s), self._override.stands
         if turned != self._turned:
             self._turned = turned
+            self._runtime.link.pace(self._override.actual(now_s), now_s)
             pendant.write(self.folder / PENDANT, turned[0], inhibit=turned[1])
 
     def _see_program(self) -> None:

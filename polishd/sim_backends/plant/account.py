@@ -38,6 +38,32 @@ class WayOut:
 
 
 @dataclass(slots=True)
+class Pit:
+    """Removal beyond plan from the first wrong moment on: what a fault of motion or force costs the part.
+
+    Planned is the set point of the force for as long as the motion planned takes. A tool that stands, or is slow, or
+    presses more, removes more than that; one that is being lifted removes less.
+    """
+
+    from_s: float
+    """Wall time (monotonic) of the first wrong moment."""
+    excess_nm: FloatArray
+    contact_s: float = 0.0
+    """Process time of contact since."""
+    until_s: float = 0.0
+    """Wall time of the last contact."""
+
+    def report(self, part: TruePart) -> dict[str, Any]:
+        """Times, and the worst place in the part's own x and y."""
+        row, column = np.unravel_index(int(self.excess_nm.argmax()), self.excess_nm.shape)
+        return {
+            **{name: getattr(self, name) for name in ("from_s", "until_s", "contact_s")},
+            "peak_nm": float(self.excess_nm.max()),
+            "at_mm": [float(part.grid.x_mm[column]), float(part.grid.y_mm[row])],
+        }
+
+
+@dataclass(slots=True)
 class Account:
     """Contact seconds (process time) for each block of each program, and at standstill."""
 
@@ -47,6 +73,7 @@ class Account:
     standstill_s: float = 0.0
     stands: list[dict[str, float]] = field(default_factory=list)
     way_out: WayOut | None = None
+    pit: Pit | None = None
 
     def load(self, sha256: str, blocks: int) -> None:
         """A program was loaded; one that was loaded before goes on with its old account."""
@@ -91,6 +118,7 @@ class Account:
             "standstill_contact_s": self.standstill_s,
             "stands": self.stands,
             "way_out": self.way_out.report() if self.way_out is not None else None,
+            "pit": self.pit.report(part) if self.pit is not None else None,
             "programs": books,
             "truth": "truth.npz",
         }

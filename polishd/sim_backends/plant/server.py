@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from polishd.config.simulator import STATES
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import bus, truth
 from polishd.sim_backends.plant import effects
@@ -154,6 +155,8 @@ class PlantServer:
             self._summarise(message)
         elif "event" in message:
             self._note(device, message.pop("event"), message.pop("t"), message)
+        elif "pace" in message:
+            self.world.pace.step(float(message["t"]), float(message["pace"]))
         elif "measure" in message:
             self.asked_s = float(message["t"])
         elif "part" in message:
@@ -172,6 +175,10 @@ class PlantServer:
             self.extended, self.safe_s = EXTENDED[name], max(at_s, self.safe_s)
         if device == "loader":
             data = {**data, "robot_moves": self.moving, "tool_is_out": self.extended}
+        if device == "actuator" and name == "force_setpoint" and data["force_n"] > 0.0:
+            self.world.set_point.step(at_s, data["force_n"])
+        if name == "fault_begins" and data["what"] in STATES:
+            self.world.mark_pit(at_s)
         if name == "program_loaded":
             self.world.account.load(data["sha256"], data["blocks"])
         self.witness.add(device, name, at_s, **data)

@@ -23,12 +23,12 @@ class Timeline:
 
     def connect(self, at_s: float) -> None:
         """A device has powered up; it vouches for nothing yet."""
-        self._step(at_s, self.rest)
+        self.step(at_s, self.rest)
         self.mark_s = at_s
 
     def disconnect(self, at_s: float, *, stays: bool = False) -> None:
         """The device is gone: the value falls to rest at once, or stays what it was."""
-        self._step(max(at_s, self.times[-1]), self.values[-1] if stays else self.rest)
+        self.step(max(at_s, self.times[-1]), self.values[-1] if stays else self.rest)
         self.mark_s = math.inf
 
     def push(self, samples: list[tuple[float, float]], mark_s: float) -> None:
@@ -48,6 +48,7 @@ class Timeline:
         if keep > 100:
             del self.times[1:keep], self.values[1:keep]
 
-    def _step(self, at_s: float, value: float) -> None:
+    def step(self, at_s: float, value: float) -> None:
+        """Another value from then on."""
         self.times += [at_s, at_s]
         self.values += [self.values[-1], value]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from polishd.config.simulator import SimConfig
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.placement import Frames
-from polishd.sim_backends.plant.account import Account, WayOut
+from polishd.sim_backends.plant.account import Account, Pit, WayOut
 from polishd.sim_backends.plant.effects import Drawn
 from polishd.sim_backends.plant.lag import Lag
 from polishd.sim_backends.plant.part import TruePart
@@ -44,6 +44,10 @@ class World:
     """Wall time up to which motion is known."""
     force: Timeline = field(default_factory=Timeline)
     rpm: Timeline = field(default_factory=Timeline)
+    set_point: Timeline = field(default_factory=Timeline)
+    """Force that the actuator is to exert."""
+    pace: Timeline = field(default_factory=lambda: Timeline(rest=1.0, values=[1.0]))
+    """Planned motion within a second of motion: below 1 where an override slows it, 0 where the robot stands."""
     account: Account = field(default_factory=Account)
     effects: Drawn = field(default_factory=Drawn)
     process_s: float = 0.0
@@ -140,6 +144,8 @@ class World:
             clocks.append((float(rows[-1, WALL1]), self.process_s))
         self.force.forget(horizon_s)
         self.rpm.forget(horizon_s)
+        self.set_point.forget(horizon_s)
+        self.pace.forget(horizon_s)
         return clocks
 
     def _wear(self, program: str, rows: FloatArray) -> None:
@@ -153,6 +159,7 @@ class World:
             return
         begin = self.process_s + np.cumsum(rows[:, DT]) - rows[:, DT]
         rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
+        acting_n = force
         force = force * (1.0 + self._force_noise(rows[:, DT]))
         rpm = np.abs(self.rpm.at(middle[touching]))
         turning = np.where(rpm > 0.0, rows[:, DT], 0.0)
@@ -165,21 +172,17 @@ class World:
         force = force * self.effects.force(worked)
         if rpm.any():
             self.polished_s = float(rows[-1, WALL1])
-        before = None if self.account.way_out is None else self.part.height_nm.copy()
-        self._tool.wear(
-            self.part,
-            Touches(place, axis, self._shape.under(place)),
-            self._frames,
-            force_n=force,
-            rpm=rpm,
-            seconds=rows[:, DT]
-            * (1.0 - self.config.truth.worn)
-            * self.hidden.rate_at(begin)
-            * self.effects.rate(place, worked),
-        )
+        booked = self.account.way_out is not None or self.account.pit is not None
+        before = self.part.height_nm.copy() if booked else None
+        touches = Touches(place, axis, self._shape.under(place))
+        rate = (1.0 - self.config.truth.worn) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
+        seconds = rows[:, DT] * rate
+        self._tool.wear(self.part, touches, self._frames, force_n=force, rpm=rpm, seconds=seconds)
         self._book(program, rows, place, np.stack([force, rpm], axis=1))
         if before is not None:
-            self._book_way_out(rows, before - self.part.height_nm)
+            removed_nm = before - self.part.height_nm
+            self._book_way_out(rows, removed_nm)
+            self._book_pit(rows, removed_nm, touches, force=force, acting=acting_n, rpm=rpm, seconds=seconds)
 
     def mark_way_out(self, at_s: float) -> None:
         """From now on a second account says what leaving contact costs."""
@@ -197,6 +200,40 @@ class World:
         if standing.any():
             way_out.standing_s += float(seconds[standing].sum())
             way_out.standing_nm += removed_nm
+
+    def mark_pit(self, at_s: float) -> None:
+        """From now on another account holds what is removed beyond plan; the first such moment counts."""
+        if self.account.pit is None:
+            self.account.pit = Pit(at_s, np.zeros_like(self.part.height_nm), until_s=at_s)
+
+    def _book_pit(
+        self,
+        rows: FloatArray,
+        removed_nm: FloatArray,
+        touches: Touches,
+        *,
+        force: FloatArray,
+        acting: FloatArray,
+        rpm: FloatArray,
+        seconds: FloatArray,
+    ) -> None:
+        """``force`` (n,) as it truly was, where ``acting`` is what the actuator exerted."""
+        pit = self.account.pit
+        if pit is None or rows[-1, WALL1] < pit.from_s:
+            return
+        middle = (rows[:, WALL0] + rows[:, WALL1]) / 2.0
+        planned = replace(self.part, height_nm=np.zeros_like(self.part.height_nm))
+        self._tool.wear(
+            planned,
+            touches,
+            self._frames,
+            force_n=force * self.set_point.at(middle) / acting,
+            rpm=rpm,
+            seconds=seconds * np.where(rows[:, SEQ] < 0, 0.0, self.pace.at(middle)),
+        )
+        pit.excess_nm += removed_nm + planned.height_nm
+        pit.contact_s += float(rows[:, DT].sum())
+        pit.until_s = float(rows[-1, WALL1])
 
     def _book(self, program: str, rows: FloatArray, place: FloatArray, acted: FloatArray) -> None:
         """``acted`` (n, 2): force in N and spindle speed in rpm."""

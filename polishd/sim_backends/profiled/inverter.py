@@ -29,6 +29,7 @@ async def main(runtime: Runtime) -> None:
         watchdog_s=config.watchdog_s,
         identity={"vendor": "polishd", "model": "simulated inverter", "boot": str(runtime.boot_count)},
     )
+    runtime.script.suffer = drive.suffer
     tcp = config.kind == "profile_tcp"
     line = sheet.raw.get("serial", {})
     baud, parity = int(line.get("baud", 115200)), str(line.get("parity", "none"))

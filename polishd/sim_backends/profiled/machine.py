@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from polishd.config.simulator import Fault
 from polishd.sim_backends.actuator.coil import VoiceCoil
 
 Refusal = str
@@ -101,6 +102,8 @@ class Inverter:
     stop_rpm_s: float
     watchdog_s: float
     identity: Mapping[str, str]
+    way: int = 1
+    """-1: two phases are exchanged, so that the rotor turns the other way round. Without an encoder it cannot tell."""
     rpm: float = 0.0
     target_rpm: float = 0.0
     silent: bool = False
@@ -109,6 +112,11 @@ class Inverter:
     """(time, rpm) since they were last taken."""
     _heard_s: float = 0.0
     _said: str = "stopped"
+
+    def suffer(self, _fault: Fault, on: bool) -> None:
+        """Two phases are exchanged, or put right."""
+        self.way = -1 if on else 1
+        self.samples.append((self.now_s, self.way * self.rpm))
 
     def values(self) -> Mapping[str, float | str]:
         """See Machine."""
@@ -155,7 +163,7 @@ class Inverter:
         before = self.rpm
         self.rpm += min(max(self.target_rpm - self.rpm, -room), room)
         if self.rpm != before:
-            self.samples += [(self.now_s, before), (now_s, self.rpm)]
+            self.samples += [(self.now_s, self.way * before), (now_s, self.way * self.rpm)]
         self.now_s = max(now_s, self.now_s)
         self._tell(now_s)
 

@@ -46,8 +46,11 @@ class Machine:
         self._robot = start.config.robot_model()
 
     def set_pace(self, now_s: float) -> None:
-        """Move from now on as fast as the faults of the script allow."""
-        self.motion.set_pace(now_s, self._override.actual(now_s))
+        """Move from now on as fast as the faults of the script allow, and tell the plant."""
+        pace = self._override.actual(now_s)
+        if pace != self.motion.pace:
+            self.motion.set_pace(now_s, pace)
+            self._runtime.link.pace(pace, now_s)
         self.motion.reported_pace = self._override.reported(now_s)
 
     def reach(self, blocks: list[Block]) -> BoolArray:

@@ -33,6 +33,7 @@ async def main(runtime: Runtime) -> None:
         stop_rpm_s=1000.0 / config.stop_s * speed,
         watchdog_s=config.watchdog_s,
     )
+    runtime.script.suffer = drive.suffer
     runtime.button(signal.SIGUSR1, drive.fail)
     wire = CanWire(runtime, config.kind, config.port, drive.on_frame)
     await wire.open()

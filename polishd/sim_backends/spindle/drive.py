@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from polishd.config.simulator import Fault
 from polishd.sim_backends.can_hosts import Frame
 
 STOPPED, RAMPING, AT_SPEED, FAULT = range(4)
@@ -29,6 +30,8 @@ class Drive:
     stop_rpm_s: float = 2000.0
     """To rest: its quick stop."""
     watchdog_s: float = 1.0
+    way: int = 1
+    """-1: two phases are exchanged, so that the rotor turns the other way round. The encoder sees it."""
     rpm: float = 0.0
     target_rpm: float = 0.0
     fault: int = 0
@@ -72,12 +75,17 @@ class Drive:
         before, room = self.rpm, slope * max(now_s - self.now_s, 0.0)
         self.rpm += min(max(self.target_rpm - self.rpm, -room), room)
         if self.rpm != before:
-            self.samples += [(self.now_s, before), (now_s, self.rpm)]
+            self.samples += [(self.now_s, self.way * before), (now_s, self.way * self.rpm)]
         self.now_s = max(now_s, self.now_s)
         if self.state != self._said:
             self._said = self.state
             self.report(("spindle_stopped", "spindle_ramping", "spindle_at_speed", "spindle_fault")[self.state], now_s)
         return list(self._due())
+
+    def suffer(self, _fault: Fault, on: bool) -> None:
+        """Two phases are exchanged, or put right."""
+        self.way = -1 if on else 1
+        self.samples.append((self.now_s, self.way * self.rpm))
 
     def fail(self) -> None:
         """The drive's own fault: it stops, and runs no more."""
@@ -85,7 +93,7 @@ class Drive:
 
     def status(self) -> Frame:
         """The status frame."""
-        data = struct.pack("<BBiBB", self.state, self.counter, round(self.rpm * 10), self.fault, 0)
+        data = struct.pack("<BBiBB", self.state, self.counter, round(self.way * self.rpm * 10), self.fault, 0)
         return 0x180 + self.node, data
 
     def _due(self) -> Iterator[Frame]:

@@ -98,6 +98,11 @@ class Arm:
         return math.hypot(*self.velocity) >= STILL_MM_S
 
     @property
+    def follows(self) -> bool:
+        """It is on its way along a line, at the trajectory's pace."""
+        return self._line is not None
+
+    @property
     def driven(self) -> bool:
         """It follows a line or a speed; one that brakes is not."""
         return self._line is not None or (self._target is not None and self._target != REST)

@@ -64,6 +64,10 @@ class Controls:
     watchdogs: dict[str, Watchdog] = field(default_factory=dict)
     rows: Rows = field(default_factory=list)
     """Motion since they were last taken, see ``bus.ROW``."""
+    shares: list[tuple[float, float]] = field(default_factory=list)
+    """(wall time, planned motion within a second of motion from then on) since they were last taken; ..."""
+    share: float = 1.0
+    """... and what it was then."""
     said: list[str] = field(default_factory=list)
     """``textmsg``."""
     program: Program | None = None

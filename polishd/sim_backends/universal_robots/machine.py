@@ -125,10 +125,14 @@ class Machine(Controls):
             self._run(self.program)
         if self.arm.driven and not self.driven_by:
             self.arm.brake()  # whoever drove it was killed
+        speed = self.slider * self.override.actual(self.wall_s())
+        share = 0.0 if self.override.stands else speed if self.arm.follows else 1.0
+        if share != (self.shares[-1][1] if self.shares else self.share):
+            self.shares.append((self.wall_s(), share))
         if self.override.stands:
             self.arm.stand()
         else:
-            self.arm.step(self.frame_s, self.slider * self.pace * self.override.actual(self.wall_s()))
+            self.arm.step(self.frame_s, speed * self.pace)
         x, y, z = self.arm.place.xyz_mm
         if self.arm.moves and self._outside() and self.safety_mode == NORMAL:
             self.protective_stop()

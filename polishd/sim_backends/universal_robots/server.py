@@ -126,6 +126,10 @@ class UniversalRobotServer:
         machine, link, now = self.machine, self._runtime.link, time.monotonic()
         rows = np.array(machine.rows).reshape(-1, 9)
         machine.rows.clear()
+        for at_s, share in machine.shares:
+            link.pace(share, at_s)
+            machine.share = share
+        machine.shares.clear()
         rows[rows[:, 0] >= self._blocks, 0] = -1.0  # of a script that is none of polishd's
         moved = bool(len(rows)) or machine.active
         if moved and not self._moved:

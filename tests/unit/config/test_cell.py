@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from polishd.config.cell import CellConfig, device_options, load_config
 from polishd.config.places import key_lines
 from polishd.config.process import ComplianceSection, HybridSection, ProcessSection
+from polishd.daemon.assembly import contact_limits
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.process import ComplianceOptions, ToolProcess
@@ -123,7 +124,11 @@ def test_values_of_a_config_never_change(tmp_path: Path, example: str) -> None:
 )
 def test_sections_have_the_keys_and_defaults_of_their_nouns(section: type[BaseModel], noun: Any) -> None:
     own = {"type"} if section is HybridSection else set()
-    own |= {"removal_model", "learns", "correction", "grid_mm", "tif"} if section is ProcessSection else set()
+    own |= (
+        {"removal_model", "learns", "correction", "grid_mm", "tif", "force_max_n"}
+        if section is ProcessSection
+        else set()
+    )
     named = {field.name: field.name.removesuffix("_cm2_per_n") for field in fields(noun)}
     assert set(section.model_fields) - own == set(named.values())
     for field in fields(noun):
@@ -149,6 +154,35 @@ def test_nouns_carry_the_configured_values(tmp_path: Path, example: str) -> None
     assert envelope.x_mm == config.machine.x_mm
 
 
+@pytest.mark.parametrize(
+    ("values", "most_n"),
+    [
+        ({"process.force_n": 12.0}, 18.0),
+        ({"process.force_n": 2.0}, 4.0),
+        ({"process.force_n": 12.0, "process.force_max_n": 15.5}, 15.5),
+    ],
+)
+def test_the_largest_force_is_half_as_much_again_and_at_least_two_newton_more(
+    tmp_path: Path, example: str, values: dict[str, Any], most_n: float
+) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(example)
+    config = load_config(path, values)
+    assert config.process.most_force_n == most_n
+    assert contact_limits(config).force_max_n == most_n
+
+
+def test_a_largest_force_that_regulation_may_have_is_refused(tmp_path: Path, example: str) -> None:
+    said = refused(tmp_path, example, {"process.force_max_n": 15.0})
+    assert "process.force_max_n: 15 N is within what regulation may do: 12 N + 25% (limits.force_band) = 15 N" in said
+
+
+def test_a_tool_has_a_largest_force_of_its_own(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(example + "\n[tools.soft]\nforce_n = 4.0\n[tools.hard]\nforce_n = 10.0\nforce_max_n = 13.0\n")
+    assert [turn.process.most_force_n for turn in load_config(path).turns] == [6.0, 13.0]
+
+
 WRONG = [
     ("process", "force_n", 'force_n = "12"', "process.force_n: must be a number, not the string '12'"),
     ("process", "force_n", "force_n = true", "process.force_n: must be a number, not the truth value true"),
@@ -156,6 +190,7 @@ WRONG = [
     ("process", "force_n", "force_n = inf", "process.force_n: inf is not allowed; must be a finite number"),
     ("process", "force_n", "force_n = -1", "process.force_n: -1 is out of range; must be greater than 0"),
     ("process", "force_n", "forc_n = 12.0", "process.forc_n: unknown key; did you mean 'force_n'?"),
+    ("touch_off", "force_n", "force_max_n = 1.0", "touch_off.force_max_n: 1.0 is out of range"),
     ("process", "dip_deg", "dip_deg = 90.0", "process.dip_deg: 90.0 is out of range; must be less than 90"),
     ("process", "correction", 'correction = "exakt"', "'power' or 'exact'; did you mean 'exact'?"),
     ("process", "correction", "correction = 1", "process.correction: 1 is not allowed; must be 'none'"),

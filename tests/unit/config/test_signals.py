@@ -51,6 +51,16 @@ def test_limits_reach_the_daemon(config: CellConfig) -> None:
     assert cell.uses("monitor.cabinet")
 
 
+def test_a_signal_may_measure_the_force_and_nothing_else_be_asked_of_it(tmp_path: Path) -> None:
+    text = EXAMPLE + '\n[signals.spindle_load]\nmonitor = "cabinet"\nsignal = "AI7"\nunit = "N"\nmeasures = "force"\n'
+    cell = build_cell(loaded(tmp_path, text), load_own())
+    (found,) = (limits for limits in cell.signals.limits if limits.measures_force)
+    assert (found.name, found.signal, found.in_contact) == ("spindle_load", "AI7", None)
+    assert str(found) == "spindle_load of monitor.cabinet: force on the part"
+    with pytest.raises(ConfigError, match=r"signals.spindle_load.unit: is 'kg', and a signal that measures the force"):
+        loaded(tmp_path, text.replace('unit = "N"', 'unit = "kg"'))
+
+
 def test_the_band_of_the_force_sensor_reaches_the_daemon(tmp_path: Path, config: CellConfig) -> None:
     limits = contact_limits(config)
     assert (limits.apart_n, limits.apart_s) == (1.0, 0.5)

@@ -198,6 +198,7 @@ def test_contact_limits(configured: Any) -> None:
         configured(process={"force_n": 9.0, "rpm": 800.0}, limits={"force_band": 0.1, "force_grace_s": 0.2})
     )
     assert (limits.force_n, limits.rpm, limits.force_band, limits.grace_s) == (9.0, 800.0, 0.1, 0.2)
+    assert (limits.force_max_n, limits.force_max_key) == (13.5, "process.force_max_n")
 
 
 # check and probe
@@ -208,6 +209,12 @@ def test_check_reads_and_computes(configured: Any, hooks: Hooks) -> None:
     config.program_path.write_bytes(demo_program(config))
     facts = checking.check_cell(config, hooks)
     assert facts["program"].startswith("program.rnc: ")
+    removal_nm = float(facts["removal of the program as it is"].split(" ")[0])
+    lie = facts["if the actuator misreads its force"]
+    assert lie.startswith("an actuator that presses 13 N and reads 12 N removes 8% more, ")
+    (one_nm, most_nm) = map(float, re.findall(r"([\d.]+) nm", lie))
+    assert (one_nm, most_nm) == pytest.approx((removal_nm / 12.0, 0.5 * removal_nm), abs=0.11)
+    assert "an independent [force_sensor]" in lie
     low, high = map(float, facts["compliance_um_per_n"].split(" to "))
     assert 0.5 < low < high < 3.0
     assert facts["host"] == host()

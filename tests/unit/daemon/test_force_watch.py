@@ -103,8 +103,41 @@ async def test_a_fault_of_the_sensor_ends_contact(fake: FakeCell, sensor: FakeFo
 
 async def test_a_sensor_that_reads_nothing_while_the_tool_lands(fake: FakeCell, sensor: FakeForceSensor) -> None:
     sensor.reads = lambda r: replace(r, force_n=0.0)
-    with pytest.raises(SafetyStop, match=r"the force sensor 0.00 N"):
+    with pytest.raises(SafetyStop, match=r"the actuator reads 12.00 N and the force sensor none"):
         await polish_for(fake, 5.0, LIMITS)
+    assert fake.events[-4:] == SAFE
+
+
+async def test_landing_waits_for_the_sensor_to_read_the_force_too(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    """The actuator says 12 N at once; by the sensor 12 N act 0.15 s later: nobody moves before."""
+    landed: list[float] = []
+
+    def late(reading: SensedForce) -> SensedForce:
+        if reading.force_n and not landed:
+            landed.append(reading.at_s)
+        full = bool(landed) and reading.at_s - landed[0] >= 0.15
+        return reading if full else replace(reading, force_n=min(reading.force_n, 8.0))
+
+    sensor.reads = late
+    async with contact(fake.cell, replace(LIMITS, apart_n=5.0), untold()):
+        began_s = fake.clock.at_s
+    assert began_s >= landed[0] + 0.15
+
+
+async def test_a_spike_that_only_the_sensor_reads_ends_contact_at_once(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, force_n=48.0) if "pressing" in fake.events else r
+    with pytest.raises(SafetyStop, match=r"the force sensor reads 48.00 N; .*; the actuator reads 12.00 N"):
+        await polish_for(fake, 5.0, replace(LIMITS, force_max_n=18.0))
+    assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+async def test_a_landing_that_only_the_sensor_feels_ends(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    """The actuator presses and reads none: it would press on until its landing is given up."""
+    fake.actuator.reads = lambda s: replace(s, force_n=0.0)
+    sensor.reads = lambda r: replace(r, force_n=9.0) if fake.actuator.position_mm >= 5.0 else r
+    with pytest.raises(ForcesApart, match=r"the force sensor reads 9.00 N and the actuator none \(0.00 N\)"):
+        await polish_for(fake, 5.0, replace(LIMITS, apart_s=5.0))
+    assert fake.events[:3] == INTO
     assert fake.events[-4:] == SAFE
 
 

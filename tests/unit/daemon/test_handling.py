@@ -179,6 +179,19 @@ async def test_more_force_than_the_band_ends_the_touch_off_as_it_ends_contact(be
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("who", ["actuator", "force sensor"])
+async def test_the_touch_off_has_a_largest_force_of_its_own(bench: Bench, who: str) -> None:
+    """2 N, whatever polishing presses with: one reading is enough."""
+    if who == "actuator":
+        bench.fake.actuator.reads = lambda s: replace(s, force_n=2.1) if s.setpoint_n == ASKED.force_n else s
+    else:
+        sensor = bench.fake.with_force_sensor()
+        sensor.reads = lambda r: replace(r, force_n=2.1) if r.force_n else r
+    with pytest.raises(SafetyStop, match=rf"the {who} reads 2.10 N; at most 2 N may act \(touch_off.force_max_n\)"):
+        await bench.polish(proving(bench))
+    assert CONTACT not in bench.fake.events
+
+
 async def test_a_position_counts_once_the_force_sensor_says_that_the_force_acts(bench: Bench) -> None:
     sensor, read = bench.fake.with_force_sensor(), list[float]()
 
@@ -193,10 +206,10 @@ async def test_a_position_counts_once_the_force_sensor_says_that_the_force_acts(
 
 
 async def test_a_force_sensor_watches_the_newton(bench: Bench) -> None:
-    """The actuator feels half of what acts: by its own word all is well, and what presses is more than a newton."""
+    """The actuator feels too little of what acts: by its own word all is well, and more than a newton presses."""
     sensor = bench.fake.with_force_sensor()
-    sensor.reads = lambda reading: replace(reading, force_n=2.0 * reading.force_n)
-    with pytest.raises(SafetyStop, match=r"by the force sensor 1\.60 N is outside 0\.8 N .* the actuator says 0\.80 N"):
+    sensor.reads = lambda reading: replace(reading, force_n=1.75 * reading.force_n)
+    with pytest.raises(SafetyStop, match=r"by the force sensor 1\.40 N is outside 0\.8 N .* the actuator says 0\.80 N"):
         await bench.polish(proving(bench))
     assert bench.fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
     assert CONTACT not in bench.fake.events

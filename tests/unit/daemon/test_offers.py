@@ -74,6 +74,7 @@ def test_a_recipe_is_the_same_wherever_its_files_lie_and_whatever_the_machine() 
     )
     assert recipe_of({**TERMS, **spot}) != recipe_of({**TERMS, "process.tif": {"file": "b", "sha256": "cd"}})
     assert recipe_of({**TERMS, "process.learns": "machine"}) == ""
+    assert recipe_of({**TERMS, "process.force_max_n": 15.0}) == recipe_of(TERMS), "a limit"
 
 
 def test_of_another_machine_no_rate_is_surer_than_of_none() -> None:

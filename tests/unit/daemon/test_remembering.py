@@ -112,6 +112,7 @@ async def test_the_last_lesson_counts(tmp_path: Path) -> None:
     ("key", "value", "remembers"),
     [
         ("process.force_n", 15.0, False),
+        ("process.force_max_n", 15.0, True),
         ("memory.tool", "bonnet 8", False),
         ("instrument.profile", "other.toml", False),
         ("kinematics.tool_length_mm", 400.0, False),

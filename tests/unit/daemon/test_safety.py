@@ -19,9 +19,11 @@ from polishd.daemon import time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.listening import heard, most_telling
 from polishd.daemon.safety import LOOK_S, ContactLimits, contact, make_safe
+from polishd.daemon.signals import Signals
 from polishd.daemon.touch import Touch
-from polishd.model.devices import ForceSample
+from polishd.model.devices import ForceSample, Signal
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
+from polishd.model.signal_limits import SignalLimits
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
 from polishd.ports.tap import heard_by, tap
 from tests.fakes.devices import FakeCell, FakeDevice, blank
@@ -173,6 +175,62 @@ async def test_force_out_of_band_for_less_and_more_than_its_grace(fake: FakeCell
     else:
         await polish_for(fake, 2.0)
     assert ("robot.make_safe" in fake.events) is stops
+
+
+CAPPED = replace(LIMITS, force_max_n=18.0)
+
+
+async def test_one_reading_above_the_largest_force_is_enough(fake: FakeCell) -> None:
+    spiked: list[float] = []
+
+    def reads(sample: ForceSample) -> ForceSample:
+        if "pressing" not in fake.events or spiked:
+            return sample
+        spiked.append(sample.at_s)
+        return replace(sample, force_n=48.0)
+
+    fake.actuator.reads = reads
+    left = left_at(fake)
+    with pytest.raises(SafetyStop, match=r"the actuator reads 48.00 N; at most 18 N may act \(process.force_max_n\)"):
+        await polish_for(fake, 2.0, CAPPED)
+    assert fake.events == [*INTO, "pressing", *SAFE]
+    assert left[0] - spiked[0] < 0.02
+
+
+async def test_a_landing_with_too_much_force_ends_at_once(fake: FakeCell) -> None:
+    """It never was in its band: no force that counts, for as long as a landing may take."""
+    fake.actuator.reads = lambda s: replace(s, force_n=49.0, in_contact=True) if fake.actuator.position_mm > 4 else s
+    with pytest.raises(SafetyStop, match=r"the actuator reads 49.00 N; at most 18 N may act"):
+        await polish_for(fake, 2.0, CAPPED)
+    assert fake.events == [*INTO, *SAFE]
+    assert fake.clock.at_s < 7.0, "landing 2 s, lift 4 s"
+
+
+async def test_a_landing_in_vain_says_what_was_read_last(fake: FakeCell) -> None:
+    fake.actuator.times = ActuatorTimes(landing_s=0.05)
+    fake.actuator.reads = lambda s: replace(s, force_n=3.0, in_contact=True)
+    with pytest.raises(SafetyStop, match=r"did not land: .*; the actuator reads 3.00 N, on the part"):
+        await polish_for(fake)
+
+
+async def test_a_signal_that_measures_the_force_has_the_same_limit(fake: FakeCell) -> None:
+    limits = SignalLimits("load", "monitor", "AI7", "N", None, 0.0, None, 0.0, "hold", measures_force=True)
+    fake.cell.signals = Signals([limits], {"monitor": 1.0})
+    fake.cell.signals.hear("monitor", Signal(0.0, "AI7", 30.0))  # nobody touches yet
+
+    async def told() -> None:
+        async with contact(fake.cell, CAPPED, untold()):
+            for value in (12.0, None, 17.9):
+                fake.cell.signals.hear("monitor", Signal(0.0, "AI7", value))
+            fake.cell.signals.hear("monitor", Signal(0.0, "AI6", 30.0))
+            await asyncio.sleep(0)
+            fake.events.append("so far")
+            fake.cell.signals.hear("monitor", Signal(0.0, "AI7", 30.0))
+            await asyncio.Event().wait()
+
+    with pytest.raises(SafetyStop, match=r"the signal load reads 30.00 N; at most 18 N may act"):
+        await told()
+    assert fake.events == [*INTO, "so far", *SAFE]
 
 
 @pytest.mark.parametrize("setpoint_n", [0.0, 12.0])

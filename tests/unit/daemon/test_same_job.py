@@ -185,10 +185,18 @@ def test_each_key_has_a_rule_and_each_rule_a_key(cell: Path) -> None:
         "tools.large.change_s",
         "tools.large.position_mm",
         "tools.large.rpm",
+        "tools.large.force_max_n",
     ]  # of a cell with several devices and tools, and people
     fits: Callable[[str, str], bool] = fnmatchcase
     assert [key for key in keys if not any(fits(key, one) for rule in RULES for one in rule.keys)] == []
     assert [one for rule in RULES for one in rule.keys if not any(fits(key, one) for key in keys)] == []
+
+
+def test_the_largest_force_may_change_and_the_force_not() -> None:
+    assert may_change("process.force_max_n")
+    assert may_change("tools.large.force_max_n")
+    assert may_change("touch_off.force_max_n")
+    assert not may_change("process.force_n")
 
 
 def test_what_has_no_rule_may_not_change() -> None:

@@ -141,6 +141,62 @@ def test_a_force_that_sticks_falls_until_it_lets_go() -> None:
     assert bench.coil.state == RETRACTED
 
 
+def fault(what: str, **keys: float) -> Fault:
+    return Fault.model_validate({"device": "actuator", "what": what, "at_s": 0.0, **keys})
+
+
+def test_a_spike_acts_at_once_is_read_and_goes_with_its_time() -> None:
+    bench = Bench().pressed()
+    spike = fault("spike", force_n=36.0, for_s=0.1)
+    bench.coil.suffer(spike, True)
+    bench.until(0.32)
+    assert bench.coil.force_n == pytest.approx(48.0)
+    assert bench.coil.measured_n == pytest.approx(48.0, rel=0.1)
+    bench.coil.suffer(spike, False)
+    bench.until(0.34)
+    assert bench.coil.force_n == pytest.approx(12.0)
+    bench.coil.suffer(fault("spike", force_n=-30.0), True)
+    bench.until(0.36)
+    assert bench.coil.force_n == 0.0
+
+
+def test_one_that_spikes_lets_go_when_it_is_retracted() -> None:
+    bench = Bench().pressed()
+    bench.coil.suffer(fault("spike", force_n=36.0), True)
+    bench.until(0.32)
+    bench.coil.retract()
+    bench.until(0.6)
+    assert (bench.coil.state, bench.coil.force_n) == (RETRACTED, 0.0)
+
+
+def test_one_that_presses_lands_with_that_force_whatever_is_asked() -> None:
+    bench = Bench()
+    bench.coil.suffer(fault("press", force_n=49.0), True)
+    bench.coil.set_force(0.8)
+    bench.coil.engage()
+    bench.until(0.6)
+    assert (bench.coil.state, bench.coil.force_n) == (CONTACT, 49.0)
+    bench.coil.retract()
+    bench.until(1.0)
+    assert (bench.coil.state, bench.coil.force_n) == (RETRACTED, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "acts_n", "reads_n"),
+    [
+        ({"offset_n": -4.0}, 16.0, 12.0),
+        ({"factor": 0.5}, 24.0, 12.0),
+        ({"factor": 0.0}, 12.0, 0.0),
+    ],
+)
+def test_one_that_lies_regulates_by_what_it_reads(keys: dict[str, float], acts_n: float, reads_n: float) -> None:
+    bench = Bench().pressed()
+    bench.coil.suffer(fault("lie", **keys), True)
+    bench.until(1.0)
+    assert bench.coil.force_n == pytest.approx(acts_n)
+    assert np.mean([bench.coil.measured_n for _ in range(500)]) == pytest.approx(reads_n, abs=0.6)
+
+
 @pytest.mark.parametrize("force", [-0.1, 50.1, float("nan")])
 def test_ranges(force: float) -> None:
     assert Bench().coil.set_force(force) == "range"

@@ -122,6 +122,16 @@ def test_one_that_saturates_does_not_say_so_and_one_beyond_its_range_does() -> N
     assert bench.cell.state == MEASURING
 
 
+def test_one_that_lies_or_spikes_reads_what_does_not_act() -> None:
+    bench = pressed()
+    lie = bench.suffers("lie", factor=0.5, offset_n=1.0)
+    assert bench.after(0.1) == pytest.approx(7.0)
+    bench.cell.suffer(lie, False)
+    assert bench.after(0.1) == pytest.approx(12.0)
+    bench.suffers("spike", force_n=40.0)
+    assert bench.after(0.1) == pytest.approx(52.0)
+
+
 # the monitor
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 import time
 from pathlib import Path
@@ -16,6 +17,7 @@ from polishd.sim_backends.faults.override import SpeedOverride
 from polishd.sim_backends.handover import ads
 from polishd.sim_backends.handover.modbus import ModbusServer
 from polishd.sim_backends.linuxcnc import pendant
+from polishd.sim_backends.plant.world import World
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.universal_robots import fields
 from polishd.sim_backends.universal_robots.machine import Machine
@@ -23,6 +25,7 @@ from tests.fakes.handover import FakePlc
 from tests.unit.sim_backends.test_sim_controller import Bench
 from tests.unit.sim_backends.test_sim_motion import LINE, loaded
 from tests.unit.sim_backends.test_sim_universal_robots import FRAME_S, machine, pose, run
+from tests.unit.sim_backends.test_sim_world import world
 
 SECOND = ["G1 X1 F60", "X2", "X3"]
 """A second a block."""
@@ -207,3 +210,55 @@ def test_the_configuration_wires_the_pendant(tmp_path: Path) -> None:
     assert "polishd-pendant.counts => halui.feed-override.counts" in hal
     assert "polishd-pendant.inhibit => motion.feed-inhibit" in hal
     assert (tmp_path / "machine" / "pendant.py").exists()
+
+
+def test_the_plant_keeps_what_is_removed_beyond_plan() -> None:
+    """Half as fast: as much again as planned; standing: all of it; pressing more: the difference; else nothing."""
+    whole, excess = removed(pressed(), share=1.0)
+    assert (whole > 50.0, excess) == (True, pytest.approx(0.0, abs=1e-9))
+    whole, excess = removed(pressed(), share=0.5)
+    assert excess == pytest.approx(whole / 2.0)
+    whole, excess = removed(pressed(), share=0.0)
+    assert excess == pytest.approx(whole)
+    whole, excess = removed(pressed(force_n=24.0), share=1.0)
+    assert 0.2 * whole < excess < 0.6 * whole
+
+
+def test_nothing_before_the_first_wrong_moment_counts() -> None:
+    plant = pressed()
+    plant.pace.step(0.0, 0.0)
+    plant.stand_until(0.5)
+    plant.integrate(0.5)
+    plant.mark_pit(0.5)
+    plant.mark_pit(0.7)
+    plant.stand_until(1.0)
+    plant.integrate(math.inf)
+    pit = plant.account.pit
+    assert pit is not None
+    told = pit.report(plant.part)
+    assert (told["from_s"], told["contact_s"]) == (0.5, pytest.approx(0.5))
+    whole = float((plant.part.start_nm - plant.part.height_nm).max())
+    assert told["peak_nm"] == pytest.approx(whole / 2.0, rel=0.01)
+    row, column = np.unravel_index(int(pit.excess_nm.argmax()), pit.excess_nm.shape)
+    assert told["at_mm"] == [plant.part.grid.x_mm[column], plant.part.grid.y_mm[row]]
+
+
+def pressed(force_n: float = 12.0) -> World:
+    """A tool on the part that is to press 12 N."""
+    plant = world(pose=(0.0, 0.0, 0.0, 15.0, 0.0))
+    plant.force.push([(0.0, force_n)], math.inf)
+    plant.set_point.step(0.0, 12.0)
+    return plant
+
+
+def removed(plant: World, share: float) -> tuple[float, float]:
+    """nm at the deepest place of a second in one block, and beyond plan where that share of it was planned."""
+    plant.mark_pit(0.0)
+    plant.pace.step(0.0, share)
+    edges = np.linspace(0.0, 1.0, 51)
+    pose = np.tile(plant.pose, (50, 1))
+    plant.move(np.column_stack([np.zeros(50), edges[:-1], edges[1:], np.diff(edges), pose]))
+    plant.integrate(math.inf)
+    assert plant.account.pit is not None
+    whole = float((plant.part.start_nm - plant.part.height_nm).max())
+    return whole, float(plant.account.pit.excess_nm.max())

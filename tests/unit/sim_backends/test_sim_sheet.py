@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from polishd.config.simulator import Fault
+from polishd.sim_backends.profiled.machine import Inverter
 from polishd.sim_backends.profiled.sheet import Sheet
 from tests.fakes.devices_by_profile import file_of
 
@@ -36,3 +38,11 @@ def test_a_drive_obeys_any_write_while_it_runs(
 ) -> None:
     found = Sheet.read(file_of("automationdirect_gs2")).written(register, stored)
     assert found == (order and (order[0], pytest.approx(order[1])))
+
+
+def test_an_inverter_without_an_encoder_does_not_know_that_its_motor_turns_the_other_way() -> None:
+    drive = Inverter(lambda *_, **__: None, 0.0, 3000.0, 2000.0, 2000.0, 10.0, {})
+    drive.suffer(Fault(device="spindle", what="reverse", at_s=0.0), True)
+    drive.order("forward", 1000.0)
+    drive.step(1.0)
+    assert (drive.values()["speed"], drive.samples[-1][1]) == (1000.0, -1000.0)

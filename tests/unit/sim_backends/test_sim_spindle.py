@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from polishd.config.simulator import Fault
 from polishd.sim_backends.can_hosts import Slcan, Socketcand, slcan_frame, slcan_line
 from polishd.sim_backends.spindle.drive import Drive
 from tests.unit.sim_backends.vectors import vectors
@@ -133,3 +134,11 @@ def test_socketcand_connection() -> None:
     assert host.feed(b"< send 205 2 1 FF >") == b"< frame 585 0.000000 01 >"
     assert heard == [(0x205, b"\x01\xff")]
     assert host.feed(b"< send 205 3 1 FF >< dance >") == b"< error malformed frame >< error unknown command >"
+
+
+def test_with_two_phases_exchanged_it_turns_the_other_way_and_its_encoder_reads_that() -> None:
+    bench = Bench()
+    bench.drive.suffer(Fault(device="spindle", what="reverse", at_s=0.0), True)
+    bench.until(0.6, run(1000))
+    assert bench.drive.samples[-1][1] == -1000.0
+    assert int.from_bytes(bench.drive.status()[1][2:6], "little", signed=True) == -10_000

@@ -1,0 +1,138 @@
+"""Cells of the campaign, and what goes wrong in each: a robot that stands or is slow, a force that is wrong."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles
+from polishd.console.simulator import simulated_cell
+from tests.campaigns.faults import links as f
+from tests.system import handover_rig, linuxcnc_rig
+from tests.system.cell_rig import Daemon, Sections, with_faults, with_keys, write_small
+from tests.system.test_profiled_cell import ACTUATOR, SIMULATED, with_section
+
+Fault = Mapping[str, Any]
+
+CONTACT_S = 1.5
+"""In contact before a fault."""
+JOB = {"tolerance_nm": 5.0, "max_cycles": 1}
+QUICK: Sections = {"spindle": {"spin_s": 0.5}, "interferometer": {"write_s": 0.02}}
+"""Before contact nothing is lost."""
+IN_CONTACT = {"contact_s": CONTACT_S}
+AT_LANDING = {"at_s": 0.0}
+
+MOTION: Mapping[str, Fault] = {
+    "stands, reports running": {"what": "stand", **IN_CONTACT},
+    "override 0 %": {"what": "override", "percent": 0.0, **IN_CONTACT},
+    "override 50 %": {"what": "override", "percent": 50.0, **IN_CONTACT},
+    "override to 50 % in 2 s": {"what": "override", "percent": 50.0, "ramp_s": 2.0, **IN_CONTACT},
+}
+SILENT: Mapping[str, Fault] = {
+    "override 50 %, not reported": {**MOTION["override 50 %"], "reported": False},
+    "override to 50 % in 2 s, not reported": {**MOTION["override to 50 % in 2 s"], "reported": False},
+}
+FORCE: Mapping[str, Fault] = {
+    "spike of 36 N": {"what": "spike", "force_n": 36.0, **IN_CONTACT},
+    "lands with 49 N": {"what": "press", "force_n": 49.0, **AT_LANDING},
+}
+LIE: Mapping[str, Fault] = {"presses 16 N, reads 12 N": {"what": "lie", "offset_n": -4.0, **IN_CONTACT}}
+TOUCH: Mapping[str, Fault] = {"touch-off with 33 N": {"what": "press", "force_n": 33.0, **AT_LANDING}}
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A cell with one robot link, or one actuator."""
+
+    device: str
+    write: Callable[[Path], DemoFiles]
+    faults: Mapping[str, Fault]
+    parts: tuple[str, ...]
+    """Sources that its results depend on, beside those that all share."""
+    linuxcnc: bool = False
+    unnoticed: tuple[str, ...] = field(default=())
+    """Faults that nothing in this cell can notice: the check says what they cost."""
+
+    def files(self, folder: Path, fault: str) -> DemoFiles:
+        """The cell with that fault in its script."""
+        files = self.write(folder)
+        sim = with_keys(files.sim.read_text(), QUICK)
+        files.sim.write_text(with_faults(sim, {"device": self.device, **self.faults[fault]}))
+        return files
+
+    @contextlib.contextmanager
+    def running(self, files: DemoFiles) -> Iterator[Callable[[], Daemon]]:
+        """Run its simulator at speed 1, and give what starts the daemon."""
+        if self.linuxcnc:
+            with linuxcnc_rig.linuxcnc_cell(files) as cell:
+                yield cell.daemon
+            return
+        options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "1"]
+        with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+            yield lambda: Daemon(files, "--no-hold")
+
+
+def _demo(write: Callable[[Path], DemoFiles], folder: Path) -> DemoFiles:
+    """The cell that the fault matrix has, for one pass."""
+    files = write(folder)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"job": JOB}))
+    return files
+
+
+def _modbus(folder: Path) -> DemoFiles:
+    return handover_rig.write_files(folder, "modbus", 30.0, **JOB)
+
+
+def _linuxcnc(folder: Path) -> DemoFiles:
+    files = write_small(folder, patient=False, **JOB)
+    linuxcnc_rig.take(files)
+    return files
+
+
+def _profiled(folder: Path) -> DemoFiles:
+    files = write_small(folder, **JOB)
+    cell = files.cell.read_text().replace('"spindle", ', '"spindle", "device_profiles", ')
+    files.cell.write_text(with_section(cell, "actuator", ACTUATOR))
+    files.sim.write_text(with_section(files.sim.read_text(), "actuator", SIMULATED["actuator"]))
+    return files
+
+
+def _touching(folder: Path) -> DemoFiles:
+    """With a touch-off before the pass: at most 1 N, at three places of the part's rim."""
+    return write_small(folder, patient=False, touch_off=True, **JOB)
+
+
+def _robot(write: Callable[[Path], DemoFiles], faults: Mapping[str, Fault], driver: str, simulator: str) -> Link:
+    parts = (f"polishd/drivers/{driver}", f"polishd/sim_backends/{simulator}")
+    return Link("robot", write, faults, parts)
+
+
+def _actuator(write: Callable[[Path], DemoFiles], faults: Mapping[str, Fault] = FORCE, **how: Any) -> Link:
+    return Link("actuator", write, faults, ("polishd/drivers/profiled", "polishd/sim_backends/actuator"), **how)
+
+
+ALL = {**MOTION, **SILENT}
+LINKS: Mapping[str, Link] = {
+    "robot link": _robot(partial(_demo, f._small), ALL, "robot_link", "robot"),
+    "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
+    "handover, OPC UA": _robot(partial(_demo, lambda out: f._plc(out, "opcua")), ALL, "handover", "handover"),
+    "handover, ADS": _robot(partial(_demo, lambda out: f._plc(out, "ads")), ALL, "handover", "handover"),
+    "handover, Modbus": _robot(_modbus, ALL, "handover", "handover"),
+    "LinuxCNC": Link(
+        "robot", _linuxcnc, MOTION, ("polishd/drivers/linuxcnc", "polishd/sim_backends/linuxcnc"), linuxcnc=True
+    ),
+    "actuator, Modbus RTU": _actuator(partial(_demo, f._small), {**FORCE, **LIE}, unnoticed=tuple(LIE)),
+    "actuator, Modbus TCP": _actuator(partial(_demo, lambda out: f._actuator(out, "modbus_tcp"))),
+    "actuator, lines": _actuator(partial(_demo, lambda out: f._actuator(out, "serial"))),
+    "actuator, CiA 402": Link(
+        "actuator", partial(_demo, f._cia402), FORCE, ("polishd/drivers/cia402", "polishd/sim_backends/cia402")
+    ),
+    "actuator, profile": _actuator(_profiled),
+    "actuator beside a force sensor": _actuator(partial(_demo, f._sensed), {**FORCE, **LIE}),
+    "actuator, touch-off": _actuator(_touching, TOUCH),
+}
+CASES = [(name, fault) for name, link in LINKS.items() for fault in link.faults]

@@ -1,0 +1,124 @@
+"""One fault in contact at speed 1: when it was noticed, when the force was off, and what the part lost beyond plan.
+
+Times are of the simulators' own log, the removal is the plant's own account (``pit`` of dwell_account.json), the bound
+is what ``polishd check --json`` prints for the cell.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from polishd.console.demo_files import DemoFiles
+from tests.campaigns.faults.judge import OFF, REACTIONS, UP, first, load
+from tests.campaigns.pits.cases import LINKS
+from tests.system.cell_rig import events, summary, whole_account
+from tests.system.sim_rig import wait_for
+
+MOST_NM = 150.0
+"""No row above it."""
+WITHIN = 1.2
+"""Times the bound, at most."""
+END_S = 300.0
+"""Of a pass at speed 1, on a machine that is busy."""
+LIE = "if the actuator misreads its force"
+"""Fact of ``check``: what an actuator costs that presses up to process.force_max_n and reads the set point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A row of the table. Times in s from the first wrong moment; None: it was not noticed."""
+
+    link: str
+    fault: str
+    noticed: str
+    """The daemon's reason."""
+    notice_s: float | None
+    no_force_s: float | None
+    removed_nm: float
+    """Beyond plan at the worst place."""
+    bound_nm: float
+    wrong: list[str]
+    load: float
+
+
+def measure(link: str, fault: str, folder: Path) -> Finding:
+    """Bring a cell into contact, and let it happen."""
+    chosen = LINKS[link]
+    files = chosen.files(folder, fault)
+    checked = check(files)
+    with chosen.running(files) as daemon, daemon() as process:
+        wait_for(lambda: events(files, "tool_landed") or process.process.poll() is not None, "contact", END_S)
+        assert events(files, "tool_landed"), process.output.read_text()
+        wait_for(lambda: process.process.poll() is not None, f"the end of the pass after: {fault}", END_S)
+        wait_for(lambda: _rests(files), "the cell to rest", END_S)
+        pit = whole_account(files)["pit"]
+        log = events(files)
+    return _finding(link, fault, files, log, pit, checked)
+
+
+def check(files: DemoFiles) -> Mapping[str, Any]:
+    """Answer of ``polishd check --json``."""
+    command = [sys.executable, "-m", "polishd.cli", "check", str(files.cell), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=END_S)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return dict(json.loads(done.stdout))
+
+
+def bound_nm(checked: Mapping[str, Any], *, unnoticed: bool) -> float:
+    """Removal that the check states: of a standing robot, or of a lying actuator that nothing can notice."""
+    if not unnoticed:
+        return float(checked["pit"]["removal_nm"])
+    more = re.findall(r"removes ([\d.]+) nm more", checked[LIE])
+    return float(more[-1])
+
+
+def _rests(files: DemoFiles) -> bool:
+    """The tool is up, and nothing moves."""
+    last = {event["event"]: k for k, event in enumerate(events(files))}
+    up = max(last.get(name, -1) for name in UP)
+    return up > last.get("tool_landed", -1) and last.get("motion_stopped", -1) > last.get("motion_started", -1)
+
+
+def _finding(
+    link: str,
+    fault: str,
+    files: DemoFiles,
+    log: Sequence[Mapping[str, Any]],
+    pit: Mapping[str, Any] | None,
+    checked: Mapping[str, Any],
+) -> Finding:
+    begun_s, landed_s = first(log, {"fault_begins"}), first(log, {"tool_landed"})
+    wrong_s = max(begun_s or 0.0, landed_s or 0.0)
+    after = [event for event in log if event["mono_s"] >= wrong_s]
+    unnoticed = fault in LINKS[link].unnoticed
+    reason = str(summary(files)["reason"])
+    notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
+    removed_nm = max(pit["peak_nm"], 0.0) if pit else 0.0
+    limit_nm = bound_nm(checked, unnoticed=unnoticed)
+    wrong = []
+    if begun_s is None:
+        wrong.append("contact ended before the fault")
+    if notice_s is None and not unnoticed:
+        wrong.append("not noticed")
+    if removed_nm > MOST_NM:
+        wrong.append(f"{removed_nm:.0f} nm, more than {MOST_NM:g} nm")
+    if removed_nm > WITHIN * limit_nm:
+        wrong.append(f"{removed_nm / limit_nm:.2f} times the bound")
+    return Finding(
+        link,
+        fault,
+        reason.replace(f"{files.out}/", ""),
+        None if notice_s is None else round(notice_s - wrong_s, 3),
+        None if off_s is None else round(off_s - wrong_s, 3),
+        round(removed_nm, 1),
+        round(limit_nm, 1),
+        wrong,
+        load(),
+    )

@@ -1,0 +1,64 @@
+"""A real LinuxCNC in contact, with its own feed override turned at a pendant, and feed inhibited by an interlock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.console.demo_files import DemoFiles
+from tests.interop.peers import Peer
+from tests.system.cell_rig import events, summary, whole_account, with_faults, write_small
+from tests.system.linuxcnc_rig import linuxcnc_cell, take
+from tests.system.sim_rig import wait_for
+from tests.system.test_daemon import require_safe_order
+
+PEER = Peer("LinuxCNC", "linuxcncrsh", "controller (feed override, feed inhibit)", "Debian", "linuxcnc-uspace")
+pytestmark = [PEER.needed, pytest.mark.system, pytest.mark.timeout(300)]
+
+SAFETY, DEVICE = 7, 5
+MOST_NM = 150.0
+
+
+def polished(folder: Path, **fault: Any) -> tuple[DemoFiles, int, str]:
+    """The files, the daemon's exit code and its words, of a pass in which that happens to the robot."""
+    files = write_small(folder, patient=False, tolerance_nm=5.0, max_cycles=1)
+    take(files)
+    files.sim.write_text(with_faults(files.sim.read_text(), {"device": "robot", **fault}))
+    with linuxcnc_cell(files) as cell, cell.daemon() as daemon:
+        wait_for(lambda: daemon.process.poll() is not None, "the daemon's end", 200.0)
+        return files, daemon.wait(), daemon.output.read_text()
+
+
+def require_left(files: DemoFiles) -> None:
+    """The tool is off before motion is stopped, and the part has lost no more than it may."""
+    log = events(files)
+    assert "fault_begins" in [event["event"] for event in log]
+    require_safe_order(log)
+    pit = whole_account(files)["pit"]
+    assert 0.0 < pit["peak_nm"] < MOST_NM
+
+
+@pytest.mark.parametrize("percent", [0.0, 50.0])
+def test_a_feed_override_turned_in_contact_is_read_and_contact_left(tmp_path: Path, percent: float) -> None:
+    files, code, said = polished(tmp_path / "cell", what="override", percent=percent, contact_s=1.5)
+    assert code == SAFETY, said
+    assert f"speed override is {percent:.0f}%" in summary(files)["reason"]
+    require_left(files)
+
+
+def test_a_feed_that_is_inhibited_is_no_progress_and_contact_left(tmp_path: Path) -> None:
+    """LinuxCNC reports its program as running, at 100 %."""
+    files, code, said = polished(tmp_path / "cell", what="stand", contact_s=1.5)
+    assert code == SAFETY, said
+    assert "robot does not advance" in summary(files)["reason"]
+    require_left(files)
+
+
+def test_a_low_feed_override_refuses_contact(tmp_path: Path) -> None:
+    files, code, said = polished(tmp_path / "cell", what="override", percent=50.0, at_s=0.0)
+    assert code in {SAFETY, DEVICE}, said
+    assert "speed override is 50%" in summary(files)["reason"]
+    assert "robot.least_override" in summary(files)["reason"]
+    assert not events(files, "tool_landed", "engage")
