@@ -98,6 +98,9 @@ class RobotSection(DeviceSection):
     least_override: Annotated[float, Field(ge=0, le=1)] = 0.95
     """Least speed override at the controller, where it can be read: below it contact is refused, or left, for slower
     motion removes more than planned. [1]"""
+    no_progress_s: Annotated[float, Field(gt=0, le=10)] | None = None
+    """Time beyond a block's expected time without any progress, after which the robot counts as standing and contact is
+    left. Left out: the age of its reports and 0.2 s. `polishd check` prints what a standing tool removes in it."""
 
 
 class ForceSensorSection(DeviceSection):

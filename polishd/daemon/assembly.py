@@ -160,5 +160,6 @@ def contact_limits(config: CellConfig) -> ContactLimits:
         apart_n=apart[0],
         apart_s=apart[1],
         least_override=robot.least_override if isinstance(robot, RobotSection) else 0.0,
+        no_progress_s=robot.no_progress_s if isinstance(robot, RobotSection) else None,
         excess_nm=config.limits.excess_nm,
     )

@@ -112,7 +112,7 @@ def _along(
         **({"feed hold at the controller": pit} if pit else {}),
         **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
     }
-    return facts, stall_removal(cell.limits, recipe, program)
+    return facts, stall_removal(cell.limits, recipe, program, contact_limits(config).no_progress_s)
 
 
 def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:

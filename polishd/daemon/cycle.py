@@ -87,6 +87,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
 
 def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncContextManager[Stream]:
     """The robot, with the plan, and what it says told to whoever watches."""
+    limits = job.tools.now.contact
     return streaming(
         plan,
         cell.robot,
@@ -95,7 +96,7 @@ def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncCo
         least_s=cell.limits.buffer_s,
         heard=cell.robot_told,
         ended=cell.ended,
-        limits=ProgressLimits.of(cell.limits, job.tools.now.contact.least_override),
+        limits=ProgressLimits.of(cell.limits, limits.least_override, limits.no_progress_s),
         excess=excess,
     )
 

@@ -24,7 +24,7 @@ MOST_STEP_S = 0.1
 """Most that passes between two such looks, as it is counted: time in which this process did not run does not count."""
 AWAY_S = 300.0
 """Longest without progress while the tool is up: a way to the part has blocks whose time is not planned."""
-RECENT_S = 1.0
+RECENT_S = 0.4
 """Time over which it is averaged how slow the motion is."""
 SLOW = 0.2
 """Share by which motion is slower than planned from which on the excess is looked at ahead of the tool."""
@@ -43,9 +43,10 @@ class ProgressLimits:
     least_override: float = 0.0
 
     @classmethod
-    def of(cls, limits: TimeLimits, least_override: float) -> ProgressLimits:
-        """Return them for a cell with these time limits."""
-        return cls(limits.no_progress_s, limits.robot.stop_s, limits.actuator.release_s, least_override)
+    def of(cls, limits: TimeLimits, least_override: float, no_progress_s: float | None = None) -> ProgressLimits:
+        """Return them for a cell with these time limits; ``no_progress_s`` in the place of the derived one."""
+        late_s = limits.no_progress_s if no_progress_s is None else no_progress_s
+        return cls(late_s, limits.robot.stop_s, limits.actuator.release_s, least_override)
 
 
 class Progress:
@@ -136,12 +137,8 @@ class Progress:
         if standing_s <= 0.0 or self._reported is None or self._point >= self._block.size:
             return
         if found := self._reported.beyond(self._point, standing_s):
-            raise SafetyStop(_slow(found, self._executed))
-
-    def require_override(self, robot: RobotProgress) -> None:
-        """SafetyStop where the controller reports a speed override below ``robot.least_override``."""
-        if words := low_override(robot, self._limits.least_override):
-            raise SafetyStop(words)
+            beyond = f", {found.excess_nm:.1f} nm beyond the plan, at most {found.limit_nm:.1f} nm (limits.excess_nm)"
+            raise SafetyStop(self._stands(f"expected {expected_s:.2f} s", stood_s, beyond))
 
     @property
     def worst(self) -> float:
@@ -174,7 +171,7 @@ class Progress:
 
     def _ahead(self, excess: ExcessMap, point: int, slow: float) -> Excess | None:
         """Excess that there will be when the force is off, should the motion stay as slow."""
-        left_s = self._limits.release_s + STEP_S
+        left_s = self._limits.release_s + LOOK_S
         counted: list[tuple[int, float]] = []
         for later in range(point + 1, excess.n):
             if left_s <= 0.0:
@@ -189,9 +186,9 @@ class Progress:
             excess.add(later, -more_s)
         return found
 
-    def _stands(self, expected: str, stood_s: float) -> str:
+    def _stands(self, expected: str, stood_s: float, beyond: str = "") -> str:
         return (
-            f"robot does not advance: block {self._executed} {expected}, no progress for {stood_s:.1f} s; feed "
+            f"robot does not advance: block {self._executed} {expected}, no progress for {stood_s:.1f} s{beyond}; feed "
             "override, interlock or a stopped controller. Check the robot's controller"
         )
 

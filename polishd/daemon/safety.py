@@ -56,6 +56,8 @@ class ContactLimits:
     """Dotted config key that changes it."""
     least_override: float = 0.0
     """Of the robot's speed, where it can be read."""
+    no_progress_s: float | None = None
+    """Beyond a block's expected time, until the robot counts as standing; None: by the age of its reports."""
     excess_nm: float | None = None
     """Most that slow motion may remove beyond the plan at any place; None: by tolerance and plan."""
 

@@ -58,15 +58,18 @@ class StallRemoval:
         )
 
 
-def stall_removal(limits: TimeLimits, recipe: Recipe, program: Program) -> StallRemoval:
-    """Return the bound for the program at its own times.
+def stall_removal(
+    limits: TimeLimits, recipe: Recipe, program: Program, no_progress_s: float | None = None
+) -> StallRemoval:
+    """Return the bound for the program at its own times; ``no_progress_s`` in the place of the derived one.
 
     Of a dwell the time at the point itself is no standstill: the tool is to stand there.
     """
     expected_s = delivered_time_s(program, program.time_s, envelope_of(recipe, program))
     moving_s = expected_s - program.time_s if program.encoding == "dwell" else expected_s
     block_s = float(moving_s.max(initial=0.0))
-    return StallRemoval(block_s + late_s(block_s) + limits.no_progress_s, limits.actuator.release_s, peak_nm_s(recipe))
+    extra_s = limits.no_progress_s if no_progress_s is None else no_progress_s
+    return StallRemoval(block_s + late_s(block_s) + extra_s, limits.actuator.release_s, peak_nm_s(recipe))
 
 
 def tolerance_nm(recipe: Recipe) -> float | None:

@@ -25,6 +25,8 @@ Ended = Callable[[asyncio.Task[None]], None]
 CHUNK = 128
 """Blocks handed over at once."""
 WATCH_S = 0.1
+SLOW_LOOKS = 2
+"""Looks in a row at a speed override that is too low: one alone may show the machine accelerate."""
 STANDS = 3
 """So many looks in a row at a robot that stands are no accident of timing."""
 
@@ -86,14 +88,16 @@ class Stream:
 
         The same where it reports a speed override that is too low, once the tool is on its way to the part.
         """
-        standing = 0
+        standing = slow = 0
         while True:
             await self._clock.sleep(WATCH_S)
             robot = await self._robot.progress()
             self._heard(robot)
             self._progress.reported(robot.executed, self._clock.now_s())
-            if self._lands:
-                self._progress.require_override(robot)
+            words = low_override(robot, self._limits.least_override) if self._lands else ""
+            slow = slow + 1 if words else 0
+            if slow >= SLOW_LOOKS:
+                raise SafetyStop(words)
             self._check_supply()
             stands = self._target is not None and robot.state != "running" and robot.executed < self._target
             standing = standing + 1 if stands else 0

@@ -29,7 +29,7 @@ REPORT = ', "run_report"'
 """Takes seconds: only where somebody looks at it."""
 
 PATIENT: Sections = {
-    "robot": {"silence_s": 6.0, "watchdog_s": 20.0},
+    "robot": {"silence_s": 6.0, "watchdog_s": 20.0, "no_progress_s": 5.0},
     "actuator": {"silence_s": 3.0, "watchdog_ms": 5000},
     "spindle": {"silence_s": 6.0, "watchdog_s": 6.0},
     "job": {"lookahead_s": 12.0},

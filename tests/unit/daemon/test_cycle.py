@@ -326,7 +326,7 @@ async def test_a_robot_that_says_no_more_leaves_a_bound(bench: Bench) -> None:
     bench.fake.actuator.acts.before["make_safe"] = lambda: (cut(), setattr(bench.fake.robot, "stands", True))
     bench.fake.actuator.reads = lambda s: replace(s, fault=4) if bench.fake.robot.done > 100 else s
     with pytest.raises(LinkError, match="gone"):
-        await bench.polish()
+        await bench.polish(bench.job(contact=SLOW))
     (record,) = bench.journal.passes
     assert record.uncertain is not None
     first, end = record.uncertain
