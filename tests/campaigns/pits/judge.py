@@ -10,7 +10,7 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from typing import Any
 from polishd.console.demo_files import DemoFiles
 from tests.campaigns.faults.judge import OFF, REACTIONS, UP, first, load
 from tests.campaigns.pits.cases import LINKS
-from tests.system.cell_rig import events, summary, whole_account
+from tests.system.cell_rig import account, events, summary
 from tests.system.sim_rig import wait_for
 
 MOST_NM = 150.0
@@ -58,9 +58,7 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
         assert events(files, "tool_landed"), process.output.read_text()
         wait_for(lambda: process.process.poll() is not None, f"the end of the pass after: {fault}", END_S)
         wait_for(lambda: _rests(files), "the cell to rest", END_S)
-        pit = whole_account(files)["pit"]
-        log = events(files)
-    return _finding(link, fault, files, log, pit, checked)
+    return _finding(link, fault, files, account(files)["pit"], checked)  # whole, once the simulator has ended
 
 
 def check(files: DemoFiles) -> Mapping[str, Any]:
@@ -90,17 +88,18 @@ def _finding(
     link: str,
     fault: str,
     files: DemoFiles,
-    log: Sequence[Mapping[str, Any]],
     pit: Mapping[str, Any] | None,
     checked: Mapping[str, Any],
 ) -> Finding:
+    log = events(files)
     begun_s, landed_s = first(log, {"fault_begins"}), first(log, {"tool_landed"})
     wrong_s = max(begun_s or 0.0, landed_s or 0.0)
     after = [event for event in log if event["mono_s"] >= wrong_s]
     unnoticed = fault in LINKS[link].unnoticed
     reason = str(summary(files)["reason"])
     notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
-    removed_nm = max(pit["peak_nm"], 0.0) if pit else 0.0
+    assert pit is not None, "the plant knows of no fault"
+    removed_nm = max(pit["peak_nm"], 0.0)
     limit_nm = bound_nm(checked, unnoticed=unnoticed)
     wrong = []
     if begun_s is None:
