@@ -159,7 +159,7 @@ def _check(
     journal: sqlite3.Connection, path: Path, schemas: Mapping[int, Mapping[str, str]], clock: _Clock
 ) -> CheckResult:
     (version,) = journal.execute("PRAGMA user_version").fetchone()
-    found = {name: sql for name, sql in journal.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL")}
+    found = dict(journal.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL"))
     has_checksums = any("row_crc" in str(sql) for sql in found.values())
     if version not in schemas:
         if version < min(schemas) and (has_checksums or (version == 0 and found)):

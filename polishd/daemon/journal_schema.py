@@ -26,7 +26,6 @@ from polishd.model.errors import ConfigError, JournalDamage
 log = logging.getLogger(__name__)
 
 SCHEMA_VERSION = 6
-FIRST_WITH_CHECKSUMS = 6
 
 QUEUE_4 = """
 CREATE TABLE queue (
@@ -70,7 +69,7 @@ PHASE = (
     "id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, phase TEXT NOT NULL, "
     "started REAL NOT NULL, ended REAL, outcome TEXT, error TEXT"
 )
-PASS = (
+OF_PASS = (
     "job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL, "
     "boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL, "
     "facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT, plan TEXT NOT NULL DEFAULT '', "
@@ -94,7 +93,7 @@ TABLES = (
     _table("job", JOB)
     + _table("map", MAP)
     + _table("phase", PHASE)
-    + _table("pass", PASS, "PRIMARY KEY (job, cycle)")
+    + _table("pass", OF_PASS, "PRIMARY KEY (job, cycle)")
     + _table("segment", SEGMENT, "PRIMARY KEY (job, cycle, seq)", " WITHOUT ROWID")
     + _table("event", EVENT)
     + _table("queue", QUEUED)
@@ -136,7 +135,7 @@ ALTER TABLE segment ADD COLUMN sensor_force_n REAL;
 """
 
 _CHILDREN: Mapping[str, str] = {
-    "map": MAP, "phase": PHASE, "pass": PASS, "segment": SEGMENT, "event": EVENT, "queue": QUEUED
+    "map": MAP, "phase": PHASE, "pass": OF_PASS, "segment": SEGMENT, "event": EVENT, "queue": QUEUED
 }  # fmt: skip
 
 
@@ -229,11 +228,11 @@ def require_sound(path: Path) -> None:
 def _remedy(path: Path, damage: Damage) -> str:
     drop = ""
     if damage.where and damage.table in DISPENSABLE:
-        sql = f"DELETE FROM {damage.table} WHERE {damage.where}"
+        sql = f"DELETE FROM {damage.table} WHERE {damage.where}"  # noqa: S608 - a command that is shown
         drop = f', delete that row (no pass depends on it: sqlite3 {shlex.quote(str(path))} "{sql}")'
     return (
-        f"To do: check the disk and the memory of this computer, then restore {path.parent} from a backup{drop}, or move "
-        f"{path.name}, {path.name}-wal and {CommitRecord.NAME} aside to begin with an empty journal"
+        f"To do: check the disk and the memory of this computer, then restore {path.parent} from a backup{drop}, or "
+        f"move {path.name}, {path.name}-wal and {CommitRecord.NAME} aside to begin with an empty journal"
     )
 
 
@@ -305,7 +304,7 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         copy_whole(connection, old_copy(path, version))
     if version != SCHEMA_VERSION:
         script = "".join(STEPS[step] for step in range(version, SCHEMA_VERSION)) if version else SCHEMA
-        script += f"INSERT INTO commits (id, journal, count) VALUES (1, '{secrets.token_hex(8)}', 0);"
+        script += f"INSERT INTO commits (id, journal, count) VALUES (1, '{secrets.token_hex(8)}', 0);"  # noqa: S608
         connection.executescript(f"BEGIN IMMEDIATE; {script} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
         sync_folder(path.parent)
 
