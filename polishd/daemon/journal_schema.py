@@ -69,7 +69,7 @@ PHASE = (
     "id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, phase TEXT NOT NULL, "
     "started REAL NOT NULL, ended REAL, outcome TEXT, error TEXT"
 )
-OF_PASS = (
+RUN = (
     "job INTEGER NOT NULL REFERENCES job, cycle INTEGER NOT NULL, program_sha256 TEXT NOT NULL, "
     "boot_id TEXT NOT NULL, blocks INTEGER NOT NULL, contact_from INTEGER NOT NULL, contact_to INTEGER NOT NULL, "
     "facts TEXT NOT NULL, started REAL NOT NULL, ended REAL, how TEXT, plan TEXT NOT NULL DEFAULT '', "
@@ -93,7 +93,7 @@ TABLES = (
     _table("job", JOB)
     + _table("map", MAP)
     + _table("phase", PHASE)
-    + _table("pass", OF_PASS, "PRIMARY KEY (job, cycle)")
+    + _table("pass", RUN, "PRIMARY KEY (job, cycle)")
     + _table("segment", SEGMENT, "PRIMARY KEY (job, cycle, seq)", " WITHOUT ROWID")
     + _table("event", EVENT)
     + _table("queue", QUEUED)
@@ -135,7 +135,7 @@ ALTER TABLE segment ADD COLUMN sensor_force_n REAL;
 """
 
 _CHILDREN: Mapping[str, str] = {
-    "map": MAP, "phase": PHASE, "pass": OF_PASS, "segment": SEGMENT, "event": EVENT, "queue": QUEUED
+    "map": MAP, "phase": PHASE, "pass": RUN, "segment": SEGMENT, "event": EVENT, "queue": QUEUED
 }  # fmt: skip
 
 
