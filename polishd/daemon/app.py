@@ -22,6 +22,7 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
 from polishd.daemon.daemon import Daemon, to_the_end
+from polishd.daemon.damaged import DamagedCell, hold_damaged
 from polishd.daemon.desk import Desk
 from polishd.daemon.endings import keep_ending, keeping, now
 from polishd.daemon.journal import Journal
@@ -39,7 +40,7 @@ from polishd.daemon.states import State
 from polishd.daemon.supervisor import Supervisor
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.loader import Hooks
-from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.errors import ConfigError, JournalDamage, PolishdError
 from polishd.model.events import Event
 from polishd.model.program import Program
 from polishd.recipe.accepting import require_acceptable
@@ -74,7 +75,7 @@ class Stopping:
 
     supervisor: Supervisor
     asked: bool = False
-    daemons: list[Daemon] = field(default_factory=list)
+    daemons: list[Daemon | DamagedCell] = field(default_factory=list)
 
     def ask(self) -> None:
         """Stop all."""
@@ -84,7 +85,7 @@ class Stopping:
             daemon.stop()
 
     @contextmanager
-    def telling(self, daemon: Daemon) -> Iterator[None]:
+    def telling(self, daemon: Daemon | DamagedCell) -> Iterator[None]:
         """That one is to be stopped, too."""
         self.daemons.append(daemon)
         if self.asked:
@@ -116,7 +117,8 @@ class _Ready:
     """Of the cell's own job, of each tool; None where a queue is worked."""
     cell: Cell
     notifiers: Sequence[Notifier]
-    journal: Journal
+    journal: Journal | JournalDamage
+    """JournalDamage: the cell comes up held, and none of its devices is opened."""
     kept: ExitStack
     context: Context
     """Its tasks and threads run in it; its log knows its lines by it."""
@@ -134,7 +136,7 @@ async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dic
         ready = []
         for run in cells:
             context = copy_context()
-            ready.append(context.run(_made_ready, run, context, kept.enter_context(ExitStack())))
+            ready.append(context.run(_made_ready, run, context, kept.enter_context(ExitStack()), holds=holds))
         stopping = Stopping(Supervisor(len(ready)))
         with loop_first(), stopping.signals():
             async with asyncio.TaskGroup() as group:
@@ -147,10 +149,10 @@ async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dic
 
 def _written(cells: Sequence[_Ready], within_s: float) -> bool:
     """Whether no journal has waited for longer than that for its disk."""
-    return all(one.journal.unsaved_s < within_s for one in cells)
+    return all(one.journal.unsaved_s < within_s for one in cells if isinstance(one.journal, Journal))
 
 
-def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
+def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool) -> _Ready:
     config, hooks = run.config, run.hooks
     work = None if run.queue else _own_work(config, hooks)
     if run.queue and config.profile_path is not None:  # where it names none, each job names its own
@@ -168,7 +170,13 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack) -> _Ready:
         raise unusable(config.state_dir, error) from error
     if run.record is not None:
         kept.enter_context(recording_to(place(run.record, config), config))
-    journal = kept.enter_context(_journal(config, work[1][0]) if work else Journal.of_cell(config.state_dir))
+    journal: Journal | JournalDamage
+    try:
+        journal = kept.enter_context(_journal(config, work[1][0]) if work else Journal.of_cell(config.state_dir))
+    except JournalDamage as damage:
+        if not holds:
+            raise
+        journal = damage
     return _Ready(run, work, cell, notifiers, journal, kept, context)
 
 
@@ -189,8 +197,10 @@ async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, A
     """One cell to its end, which is no other's."""
     try:
         with ready.kept:
+            if isinstance(ready.journal, JournalDamage):
+                return await _hold(ready, stopping, ready.journal)
             try:
-                return await _run_job(ready, stopping, holds=holds)
+                return await _run_job(ready, ready.journal, stopping, holds=holds)
             except Exception:
                 log.exception("the daemon could not begin, or not end as it should")
                 raise
@@ -204,8 +214,19 @@ def _name(ready: _Ready) -> str:
     return f"{ready.run.config.cell.name} ({ready.run.config.path.name})"
 
 
-async def _run_job(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
-    config, hooks, journal = ready.run.config, ready.run.hooks, ready.journal
+async def _hold(ready: _Ready, stopping: Stopping, damage: JournalDamage) -> JournalDamage:
+    """The cell is held over its journal until it is stopped, and ends with that error."""
+    log.error("%s", damage)
+    cell = DamagedCell(ready.run.config, damage)
+    listeners = (ready.run.hooks.on_event, ready.run.show)
+    with stopping.telling(cell):
+        hears = stopping.supervisor.hears(_name(ready))
+        await hold_damaged(ready.run.config, ready.notifiers, cell, damage, listeners=listeners, sink=hears)
+    return damage
+
+
+async def _run_job(ready: _Ready, journal: Journal, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
+    config, hooks = ready.run.config, ready.run.hooks
     if ready.work is None:
         return await run_queue(
             config,

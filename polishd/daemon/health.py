@@ -157,10 +157,13 @@ class Health:
 
 def _left(state_dir: Path, run_dir: Path, writes: Writes) -> dict[str, Figure]:
     """Room for what a pass and its job still write, and memory."""
-    found = [
-        Figure(room.name, room.left_mb, room.needed_mb, f"make room on the disk of {room.folder}", least=True)
-        for room in rooms(state_dir, run_dir, writes)
-    ]
+    found = []
+    for room in rooms(state_dir, run_dir, writes):
+        advice = f"make room on the disk of {room.folder}"
+        found.append(Figure(room.name, room.left_mb, room.needed_mb, advice, least=True))
+        if room.left_files is not None:
+            advice = f"delete files on the disk of {room.folder}, which runs out of inodes (df -i shows them)"
+            found.append(Figure(room.files_name, room.left_files, room.needed_files, advice, least=True))
     if (memory := _memory_mb()) is not None:
         total_mb, left_mb = memory
         advice = "end other programs on this computer"

@@ -20,8 +20,9 @@ from typing import Any, NoReturn, Self
 
 import numpy as np
 
+from polishd.daemon.journal_check import CommitRecord
 from polishd.daemon.journal_schema import Connect, connect, copy_job, open_file
-from polishd.model.errors import SafetyStop
+from polishd.model.errors import ConfigError, SafetyStop
 from polishd.model.surface import FloatArray
 
 COMMIT_S = 0.25
@@ -43,6 +44,8 @@ class Store:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
+        self._record = CommitRecord(path)
+        self._journal_id, self._commits = "", 0
         self._use = threading.RLock()
         self._buffer: list[Row] = []
         self._pending = threading.Condition()
@@ -57,6 +60,11 @@ class Store:
     def open(cls, path: Path, connect: Connect = connect) -> Self:
         """The store on its file, ready; ConfigError where the file cannot be used."""
         store = cls(path, open_file(path, connect))
+        try:
+            store._begin_record()
+        except (sqlite3.Error, OSError) as error:
+            store._connection.close()
+            raise ConfigError(f"{path}: the journal cannot be used: {error}; mend the disk, or its rights") from error
         store._thread.start()
         return store
 
@@ -151,6 +159,7 @@ class Store:
                 self.write()
         finally:
             self._connection.close()
+            self._record.close()
 
     @contextmanager
     def _sound(self) -> Iterator[None]:
@@ -170,11 +179,19 @@ class Store:
         try:
             for sql, values in rows:
                 self._connection.execute(sql, values)
+            self._connection.execute("UPDATE commits SET count = count + 1")
             self._connection.execute("COMMIT")
         except sqlite3.Error:
             if self._connection.in_transaction:
                 self._connection.execute("ROLLBACK")
             raise
+        self._commits += 1
+        self._record.write(self._journal_id, self._commits)
+
+    def _begin_record(self) -> None:
+        self._record = CommitRecord.open(self.path)
+        ((self._journal_id, self._commits),) = self._connection.execute("SELECT journal, count FROM commits")
+        self._record.write(self._journal_id, self._commits)
 
     def _commit_groups(self) -> None:
         while True:

@@ -5,6 +5,7 @@ Those marked * leave the daemon held where no pass was under way: a person mends
 
 PolishdError
   ConfigError      nothing was opened: mend the file                    (3)
+    JournalDamage  the journal of a cell is damaged: its daemon comes up held
   PluginError      nothing was opened: mend or drop the plugin          (3)
   ProgramError     nothing was written: mend the RNC program            (9)
   PlanRefused      nothing moved: the plan is not safe                  (4)
@@ -45,6 +46,10 @@ class ConfigError(PolishdError):
     """The configuration is wrong; nothing was opened."""
 
     exit_code = 3
+
+
+class JournalDamage(ConfigError):
+    """Rows, pages or commits of a cell's journal are damaged; it is left as it is, and nothing was opened."""
 
 
 class PluginError(PolishdError):

@@ -19,6 +19,8 @@ CSV_BYTES = 80
 """A block in ``executed.csv``."""
 SPARE_MB = 64.0
 """What is written beside the blocks: WAL, log, the arrays of a measurement, pictures and pages of the report."""
+SPARE_FILES = 128
+"""Files that a pass and the end of its job make on each disk; one file takes one inode. A test counts them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,22 +49,34 @@ class Room:
     """The nearest that exists."""
     left_mb: float
     needed_mb: float
+    files_name: str
+    """The figure of its free inodes."""
+    left_files: int | None
+    """Inodes that are free; None where the file system has no fixed number of them (btrfs)."""
+    needed_files: int
+
+    @property
+    def has_inodes(self) -> bool:
+        """The files that are to be made find their inodes."""
+        return self.left_files is None or self.left_files >= self.needed_files
 
     @property
     def fits(self) -> bool:
         """What is to be written fits."""
-        return self.left_mb >= self.needed_mb
+        return self.left_mb >= self.needed_mb and self.has_inodes
 
 
 def rooms(state_dir: Path, run_dir: Path, writes: Writes) -> tuple[Room, Room]:
     """Of the state folder's disk and of the run folder's; both of the sum, where it is one disk. OSError."""
     state, run = _there(state_dir), _there(run_dir)
     state_mb, run_mb = writes.state_mb, writes.run_mb
+    files = SPARE_FILES
     if state.stat().st_dev == run.stat().st_dev:
         state_mb = run_mb = state_mb + run_mb
+        files = 2 * SPARE_FILES
     return (
-        Room("state_disk_mb", state, _left_mb(state), state_mb),
-        Room("run_disk_mb", run, _left_mb(run), run_mb),
+        _room("state_disk", state, state_mb, files),
+        _room("run_disk", run, run_mb, files),
     )
 
 
@@ -80,6 +94,12 @@ def why_not(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str
         return ""
     keys = {"state_disk_mb": "cell.state_dir", "run_disk_mb": "cell.run_dir"}
     for room in found:
+        if not room.has_inodes:
+            return (
+                f"a pass needs {room.needed_files} free inodes on the disk of {room.folder}, which has "
+                f"{room.left_files}: delete files there (df -i shows the inodes), or set {keys[room.name]} to a folder "
+                "on another disk"
+            )
         if not room.fits:
             return (
                 f"a pass of {blocks} blocks needs {room.needed_mb:.0f} MB on the disk of {room.folder}, which has "
@@ -102,9 +122,11 @@ def pass_words(state_dir: Path, run_dir: Path, blocks: int, passes: int) -> str:
     return f"{sizes}; {journal_mb + rest_mb:.0f} MB for all {passes} passes of the job"
 
 
-def _left_mb(folder: Path) -> float:
+def _room(name: str, folder: Path, needed_mb: float, needed_files: int) -> Room:
     disk = os.statvfs(folder)
-    return disk.f_bavail * disk.f_frsize / MB
+    left_files = int(disk.f_favail) if disk.f_files else None
+    left_mb = disk.f_bavail * disk.f_frsize / MB
+    return Room(f"{name}_mb", folder, left_mb, needed_mb, f"{name}_files", left_files, needed_files)
 
 
 def _there(folder: Path) -> Path:

@@ -9,10 +9,12 @@ import hashlib
 import os
 import stat
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from heapq import nlargest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +23,8 @@ from polishd.files import sync_folder, write_atomic
 from polishd.hookspecs import looks_like
 
 SNIFFED_BYTES = 4096
+LEAST_LOOKS = 100
+"""So many of the newest files, and so many others, are looked at in a poll, however slow the folder is."""
 UNFINISHED = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".swp", "~")
 """Names under which writers keep what they have not finished."""
 
@@ -49,17 +53,71 @@ def identity(path: Path) -> Identity | None:
     return Identity(found.st_size, found.st_mtime_ns, found.st_ino)
 
 
+def _names(folder: Path, but: Iterable[Path]) -> list[str]:
+    """Names that may be maps: none hidden, unfinished, or in ``but``. OSError as it comes."""
+    left_out = {path.name for path in but if path.parent == folder}
+    with os.scandir(folder) as entries:
+        names = [entry.name for entry in entries]
+    return [
+        name
+        for name in names
+        if not name.startswith(".") and not name.lower().endswith(UNFINISHED) and name not in left_out
+    ]
+
+
 def candidates(folder: Path, but: Iterable[Path]) -> dict[Path, Identity]:
     """Files that may be maps, by name: none hidden, unfinished, or in ``but``. OSError as it comes."""
-    left_out = set(but)
-    found = {}
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.name.lower().endswith(UNFINISHED) or path in left_out:
-            continue
-        seen = identity(path)
-        if seen is not None:
-            found[path] = seen
-    return found
+    paths = [folder / name for name in sorted(_names(folder, but))]
+    return {path: seen for path in paths if (seen := identity(path)) is not None}
+
+
+class FolderListing:
+    """Files of a folder that may be maps, over polls. However many there are, a poll takes bounded time.
+
+    Names that were not there at the poll before come first, then the newest files, then names that were never looked
+    at, then the files that were not looked at for longest.
+    """
+
+    def __init__(self, folder: Path, but: Sequence[Path]) -> None:
+        self._folder, self._but = folder, but
+        self._known: dict[str, Identity | None] = {}
+        """In the order in which they were looked at; None: no regular file."""
+        self._before: set[str] | None = None
+        """Names of the last poll."""
+
+    def __len__(self) -> int:
+        """Return the number of names that are there."""
+        return len(self._before or ())
+
+    def look(self, within_s: float) -> tuple[dict[Path, Identity], set[Path]]:
+        """Return the files that were looked at now, the newest first, and the others that are there still.
+
+        OSError as it comes.
+        """
+        end_s = time.monotonic() + within_s
+        least = 2 * LEAST_LOOKS
+        names = _names(self._folder, self._but)
+        there = set(names)
+        self._known = {name: seen for name, seen in self._known.items() if name in there}
+        found: dict[Path, Identity] = {}
+        looked: set[str] = set()
+        dated = ((seen.mtime_ns, name) for name, seen in self._known.items() if seen is not None)
+        newest = [name for _, name in nlargest(LEAST_LOOKS, dated)]
+        came = there - self._before if self._before is not None else ()
+        unknown = (name for name in names if name not in self._known)
+        self._before = there
+        for name in dict.fromkeys([*came, *newest, *unknown, *self._known]):
+            if len(looked) >= least and time.monotonic() > end_s:
+                break
+            path = self._folder / name
+            seen = identity(path)
+            self._known.pop(name, None)
+            self._known[name] = seen
+            looked.add(name)
+            if seen is not None:
+                found[path] = seen
+        others = {self._folder / name for name, seen in self._known.items() if seen is not None and name not in looked}
+        return dict(sorted(found.items(), key=lambda one: (-one[1].mtime_ns, one[0].name))), others
 
 
 @dataclass(slots=True)
@@ -70,6 +128,8 @@ class Watched:
     since_s: float
     not_before_s: float
     polls: int = 1
+    reads: int = 0
+    """How often it was read and left where it is."""
 
 
 class Settled:
@@ -80,9 +140,12 @@ class Settled:
         self._seconds = seconds
         self._watched: dict[Path, Watched] = {}
 
-    def poll(self, found: Mapping[Path, Identity], now_s: float) -> list[Path]:
-        """Take in what a scan found; the files at rest, in its order, but those that were put off."""
-        watched = {}
+    def poll(self, found: Mapping[Path, Identity], now_s: float, others: Collection[Path] = ()) -> list[Path]:
+        """Take in what a scan found; the files at rest, but those that were put off.
+
+        ``others`` are there and were not looked at. Files that were read least often come first, then the scan's order.
+        """
+        watched = {path: self._watched[path] for path in others if path in self._watched}
         for path, identity in found.items():
             before = self._watched.get(path)
             if before is None or before.identity != identity:
@@ -91,7 +154,11 @@ class Settled:
                 before.polls += 1
                 watched[path] = before
         self._watched = watched
-        return [path for path, one in watched.items() if one.polls >= self._polls and now_s >= one.not_before_s]
+        rested = [path for path in found if self._is_at_rest(watched[path], now_s)]
+        return sorted(rested, key=lambda path: watched[path].reads)
+
+    def _is_at_rest(self, one: Watched, now_s: float) -> bool:
+        return one.polls >= self._polls and now_s >= one.not_before_s
 
     def rest_s(self, now_s: float, most_s: float) -> float:
         """Seconds until the next file will have rested long enough; at most ``most_s``."""
@@ -102,6 +169,7 @@ class Settled:
         """It was read and is not whole: look again after as long a rest, or when it changes."""
         if path in self._watched:
             self._watched[path].not_before_s = now_s + self._seconds
+            self._watched[path].reads += 1
 
     def quiet_s(self, path: Path, now_s: float) -> float:
         """Seconds since the file last changed."""

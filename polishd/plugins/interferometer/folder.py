@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import errno
 import json
+import logging
 import os
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -32,6 +35,8 @@ from polishd.plugins.interferometer import files
 from polishd.plugins.interferometer.judge import Rules, require_new, require_plausible, source_of
 from polishd.plugins.interferometer.taken import Ask, Given, Taken
 
+T = TypeVar("T")
+
 TORN_AFTER = 10
 """An unreadable file may still grow: it is refused only after so many times ``stable_s`` without a change."""
 MOST_TIMES = 3
@@ -40,6 +45,19 @@ PERMANENT = {
     errno.EXDEV, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EROFS, errno.EINVAL, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
 """What waiting does not mend. All else may pass: a share that is away, a file that is locked, a full disk."""
+
+LOOK_S, READ_S = 0.5, 1.0
+"""Longest that one poll looks at names, and begins to read files, s: what is left comes with the next polls."""
+CROWDED = 1000
+"""With more files than that in the folder ``status`` says that they delay a map."""
+ANSWER_S = 2.0
+"""Longest that ``status`` waits for the file system, s."""
+WITHDRAW_S = 1.0
+"""Longest that the end of a wait is held up by the request that it takes back, s."""
+SILENT_S = 10.0
+"""A file system that does not answer for so long is said to be silent."""
+
+log = logging.getLogger(__name__)
 
 ConfigPath = Annotated[Path, Field(strict=False)]
 Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
@@ -86,6 +104,63 @@ class Waiting:
     """A map of another part came."""
     trouble: str = ""
     """What keeps the folder from being served now."""
+    listing: files.FolderListing | None = None
+    crowded: bool = False
+    """It was said that the folder holds too many files."""
+
+
+class FolderThread:
+    """Runs what touches the folder, one call at a time, in a thread that nothing waits for at the end.
+
+    A share that hangs takes this thread and no other one: not the event loop, and none of those that journal and health
+    need. While a call hangs, no further one begins.
+    """
+
+    def __init__(self) -> None:
+        self._call: asyncio.Future[Any] | None = None
+        self._began_s = 0.0
+
+    @property
+    def busy_s(self) -> float:
+        """For how long the call that is under way has been so, s; 0 where none is."""
+        return 0.0 if self._call is None or self._call.done() else time.monotonic() - self._began_s
+
+    async def run(self, work: Callable[..., T], *arguments: Any, within_s: float = SILENT_S) -> T:
+        """Return what ``work`` returns. TimeoutError where that, or the call before it, takes longer."""
+        end_s = time.monotonic() + within_s
+        while self._call is not None and not self._call.done():
+            await self._ended(self._call, end_s)
+        loop, context = asyncio.get_running_loop(), copy_context()
+        call: asyncio.Future[T] = loop.create_future()
+        call.add_done_callback(
+            lambda done: done.cancelled() or done.exception()
+        )  # also where nobody awaits it any more
+        self._call, self._began_s = call, time.monotonic()
+
+        def tell(result: T | None, error: BaseException | None) -> None:
+            if error is None:
+                call.set_result(cast(T, result))
+            else:
+                call.set_exception(error)
+
+        def act() -> None:
+            result, error = None, None
+            try:
+                result = context.run(work, *arguments)
+            except BaseException as raised:  # noqa: BLE001 - it is raised where the call is awaited
+                error = raised
+            with suppress(RuntimeError):  # the loop has ended meanwhile
+                loop.call_soon_threadsafe(tell, result, error)
+
+        threading.Thread(target=act, name="maps folder", daemon=True).start()
+        await self._ended(call, end_s)
+        return call.result()
+
+    @staticmethod
+    async def _ended(call: asyncio.Future[Any], end_s: float) -> None:
+        done, _ = await asyncio.wait({call}, timeout=max(end_s - time.monotonic(), 0.0))
+        if not done:
+            raise TimeoutError
 
 
 class WatchedFolder:
@@ -104,14 +179,19 @@ class WatchedFolder:
         self._taken: Taken | None = None
         self._record = context.state_dir / "maps_taken.json"
         self._polling = threading.Lock()
+        self._thread, self._ends = FolderThread(), FolderThread()
+        self._waits = 0
         self._trouble = ""
 
     async def open(self) -> None:
         """Check the folder and read which maps were taken before. LinkError where the folder cannot be used."""
-        problem = await asyncio.to_thread(self._problem)
-        if problem:
-            raise LinkError(f"{problem}. To do: make it, mount it, or correct [metrology] folder.")
-        await asyncio.to_thread(self._load)
+        try:
+            problem = await self._thread.run(self._problem)
+            if problem:
+                raise LinkError(f"{problem}. To do: make it, mount it, or correct [metrology] folder.")
+            await self._thread.run(self._load)
+        except TimeoutError:
+            raise LinkError(f"{self._silent(SILENT_S)}. To do: check the mount and its server.") from None
 
     async def close(self) -> None:
         """Nothing is held open."""
@@ -122,7 +202,13 @@ class WatchedFolder:
 
     async def status(self) -> DeviceStatus:
         """Ready where the folder is there, can be written to, and has room; always safe."""
-        problem = await asyncio.to_thread(self._problem)
+        busy_s = self._thread.busy_s
+        try:
+            problem = await self._thread.run(self._problem, within_s=ANSWER_S) if not busy_s else ""
+        except TimeoutError:
+            problem = self._silent(ANSWER_S)
+        if busy_s > SILENT_S:
+            problem = self._silent(busy_s)
         state = "absent" if problem else "in trouble" if self._trouble else "watching"
         return DeviceStatus(ready=state == "watching", safe=True, state=state, detail=problem or self._trouble)
 
@@ -138,23 +224,47 @@ class WatchedFolder:
         options = self._options
         wait = Waiting(after, files.Settled(options.stable_polls, options.stable_s))
         start_s = time.monotonic()
+        self._waits += 1
         try:
             while (now_s := time.monotonic()) - start_s < options.timeout_s:
-                found = await asyncio.to_thread(self._poll, wait, now_s)
+                left_s = start_s + options.timeout_s - now_s
+                try:
+                    found = await self._thread.run(self._poll, wait, now_s, within_s=min(SILENT_S, left_s))
+                except TimeoutError:  # a map that is claimed after this comes first with the next poll
+                    self._notice(wait, self._silent(self._thread.busy_s))
+                    continue
                 if found is not None:
                     self._load().handed(found.sha256)
                     return found
-                await asyncio.sleep(wait.settled.rest_s(time.monotonic(), options.poll_s))
+                end_s = time.monotonic()
+                rest_s = wait.settled.rest_s(end_s, options.poll_s)
+                await asyncio.sleep(max(rest_s, end_s - now_s))  # a crowded folder takes half of a processor at most
         finally:
-            if self._request is not None:  # one that nobody took must not be served when nobody waits for its map
-                with suppress(OSError):
-                    self._request.unlink(missing_ok=True)
+            self._waits -= 1
+            if self._request is not None:
+                with suppress(TimeoutError):  # it is done when the file system answers again
+                    await self._ends.run(self._withdraw, within_s=WITHDRAW_S)
         told = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
         kind = WrongPart if wait.another_part else SurfaceError
         raise kind(
             f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {told}. "
             f"To do: look at the instrument{f' and into {self._refused}' if wait.refused else ''}."
         )
+
+    def _withdraw(self) -> None:
+        """A request that was not served must not be when its map is not waited for any more."""
+        with self._polling, suppress(OSError):
+            if self._request is not None and self._waits == 0:
+                self._request.unlink(missing_ok=True)
+
+    def _silent(self, silent_s: float) -> str:
+        return f"{self._folder}: the file system has not answered for {silent_s:.0f} s"
+
+    def _notice(self, wait: Waiting, trouble: str) -> None:
+        """Keep it for ``status``; the log has each kind once a wait."""
+        if not wait.trouble:
+            log.warning("%s", trouble)
+        wait.trouble = self._trouble = trouble
 
     def _problem(self) -> str:
         try:
@@ -240,16 +350,38 @@ class WatchedFolder:
     def _scan(self, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
         """The trusted map that was measured first, claimed."""
         self._demand(wait, ask)
-        found = self._candidates()
+        if wait.listing is None:
+            wait.listing = files.FolderListing(self._folder, [self._request] if self._request else [])
+        found, others = wait.listing.look(LOOK_S)
         best: tuple[tuple[float, int, str], Path, SurfaceMap] | None = None
-        for path in wait.settled.poll(found, now_s):
+        rested = wait.settled.poll(found, now_s, others)
+        began_s, reads = time.monotonic(), 0
+        for path in rested:
+            if reads and time.monotonic() - began_s > READ_S:
+                break
+            reads += 1
             surface = self._judged(path, found[path], wait, ask, now_s)
             if surface is not None:
                 at = surface.measured_at
                 seen = found[path]
                 key = (at.timestamp() if at else seen.mtime_ns / 1e9, seen.mtime_ns, path.name)
                 best = min(filter(None, (best, (key, path, surface))), key=lambda one: one[0])
+        self._say_crowded(wait, unread=len(rested) - reads)
         return self._claim(best[1], found[best[1]], best[2], ask) if best else None
+
+    def _say_crowded(self, wait: Waiting, unread: int) -> None:
+        """Say that files which are no maps delay one that is."""
+        count = len(wait.listing or ())
+        if not unread and count <= CROWDED:
+            return
+        said = (
+            f"{self._folder}: holds {count} files, which delay a map: they are read a few at a time, the newest first. "
+            "Move files that are no maps out of it"
+        )
+        wait.trouble = wait.trouble or said
+        if not wait.crowded:
+            log.warning("%s", said)
+        wait.crowded = True
 
     def _judged(self, path: Path, seen: files.Identity, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
         """The map where it is to be taken; None where it is put away, or cannot be told yet."""

@@ -18,7 +18,7 @@ from polishd.daemon.health import Figure, Health
 from polishd.model.cycle import Outcome
 from polishd.model.errors import DeviceRefused, HostFault, LinkError
 from polishd.model.events import Held
-from polishd.recipe.disk import SPARE_MB, Writes
+from polishd.recipe.disk import SPARE_FILES, SPARE_MB, Writes
 from tests.unit.daemon.small import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
 
@@ -28,10 +28,12 @@ class Disk:
 
     def __init__(self) -> None:
         self.left_mb = 1e6
+        self.free_inodes = self.inodes = 1_000_000
 
     def statvfs(self, folder: Path) -> Any:
         assert folder.exists()
-        return SimpleNamespace(f_bavail=self.left_mb * 1e6 / 4096, f_frsize=4096)
+        room = {"f_bavail": self.left_mb * 1e6 / 4096, "f_frsize": 4096}
+        return SimpleNamespace(**room, f_favail=self.free_inodes, f_files=self.inodes)
 
 
 async def at_once(work: Callable[..., Any], *arguments: Any) -> Any:
@@ -91,6 +93,44 @@ async def test_a_disk_that_is_full_at_the_start_holds_before_anything_is_measure
         figures = (await running.daemon.status())["health"]
         assert figures["run_disk_mb"]["fits"] is False
         assert figures["memory_mb"]["fits"] is True
+
+
+async def test_a_disk_that_runs_out_of_inodes_in_contact_is_left_as_a_full_one(bench: Bench, disk: Disk) -> None:
+    async with Running(bench) as running:
+        await running.in_contact()
+        disk.free_inodes = 3
+        reason = await lifted_and_held(running)
+        assert reason.startswith("HostFault: state_disk_files 3, at least 256: delete files on the disk of")
+        with pytest.raises(DeviceRefused, match="the cell stays held: HostFault: state_disk_files 3"):
+            await running.daemon.handlers["resume"]()
+
+
+async def test_no_free_inodes_at_the_start_hold_before_anything_is_measured(bench: Bench, disk: Disk) -> None:
+    disk.free_inodes = 0
+    async with Running(bench) as running:
+        await running.held()
+        assert "state_disk_files 0, at least 256" in running.daemon.reason
+        assert bench.moved() == []
+        assert "metrology.next_map" not in bench.fake.events
+
+
+async def test_a_file_system_that_counts_no_inodes_is_no_alarm(bench: Bench, disk: Disk) -> None:
+    disk.free_inodes = disk.inodes = 0
+    async with Running(bench) as running:
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+        assert "state_disk_files" not in (await running.daemon.status())["health"]
+
+
+def all_below(folder: Path) -> Iterator[Path]:
+    """Files and folders, whatever their depth."""
+    yield from folder.rglob("*")
+
+
+async def test_a_job_makes_fewer_files_than_are_kept_free_for_a_pass(bench: Bench, tmp_path: Path) -> None:
+    async with Running(bench) as running:
+        assert await running.outcome() is Outcome.IN_TOLERANCE
+    assert bench.journal.passes
+    assert 5 < sum(1 for _ in all_below(tmp_path)) < SPARE_FILES
 
 
 async def test_a_pass_that_would_fill_the_disk_is_refused_before_contact(bench: Bench, disk: Disk) -> None:
@@ -187,4 +227,5 @@ def test_what_must_be_left_falls_as_blocks_are_done(tmp_path: Path) -> None:
 
 def test_memory_is_not_judged_where_the_kernel_does_not_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "_memory_mb", lambda: None)
-    assert set(health._left(tmp_path, tmp_path, Writes.of(0))) == {"state_disk_mb", "run_disk_mb"}
+    figures = {f"{disk}_disk_{unit}" for disk in ("state", "run") for unit in ("mb", "files")}
+    assert set(health._left(tmp_path, tmp_path, Writes.of(0))) <= figures

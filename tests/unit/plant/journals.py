@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from contextlib import closing
 from pathlib import Path
 
 from polishd.daemon.journal import JOURNAL_NAME
+from polishd.daemon.journal_schema import connect
 from polishd.daemon.journal_store import Store
 
 JOBS = ((1, "lens", "A-1", 100.0, 200.0, "in_tolerance"), (2, "mirror", "A-2", 300.0, 400.0, "cycles_used"),
@@ -22,7 +22,7 @@ def write_journal(state_dir: Path) -> None:
     """As a daemon would have left it."""
     state_dir.mkdir(parents=True, exist_ok=True)
     Store.open(state_dir / JOURNAL_NAME).close()
-    with closing(sqlite3.connect(state_dir / JOURNAL_NAME)) as journal, journal:
+    with closing(connect(state_dir / JOURNAL_NAME)) as journal:
         for row in JOBS:
             sql = (
                 "INSERT INTO job (id, name, part_id, terms, started, ended, outcome) VALUES (?, ?, ?, 'null', ?, ?, ?)"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sqlite3
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from polishd.daemon.journal import JOURNAL_NAME
+from polishd.daemon.journal_schema import connect
 from polishd.model.errors import ConfigError
 from polishd.plant.work import MOST_ENDED, Figure, read_work
 from tests.unit.plant.journals import write_journal
@@ -57,5 +57,5 @@ def test_without_a_journal_there_are_no_jobs_and_one_that_cannot_be_read_is_refu
 
 
 def _write(state_dir: Path, sql: str) -> None:
-    with closing(sqlite3.connect(state_dir / JOURNAL_NAME)) as journal, journal:
+    with closing(connect(state_dir / JOURNAL_NAME)) as journal:
         journal.execute(sql)

@@ -64,7 +64,7 @@ def test_settled_counts_polls_and_seconds() -> None:
     assert settled.poll({a: other, b: one}, 6.3) == [a, b]
     settled.put_off(a, 6.3)
     assert settled.poll({a: other, b: one}, 7.0) == [b]
-    assert settled.poll({a: other, b: one}, 7.3) == [a, b]
+    assert settled.poll({a: other, b: one}, 7.3) == [b, a], "what was read before comes last"
     settled.put_off(a, 7.3)
     assert settled.poll({a: one, b: one}, 7.4) == [b]
     assert settled.poll({}, 7.5) == []

@@ -20,7 +20,9 @@ def left_mb(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     found: dict[str, float] = {}
 
     def statvfs(folder: Path) -> Any:
-        return SimpleNamespace(f_bavail=found.get(folder.name, 1e6) * 1e6 / 4096, f_frsize=4096)
+        blocks = found.get(folder.name, 1e6) * 1e6 / 4096
+        inodes = found.get(f"{folder.name} inodes", 1e6)
+        return SimpleNamespace(f_bavail=blocks, f_frsize=4096, f_favail=inodes, f_files=found.get("inodes in all", 2e6))
 
     monkeypatch.setattr(os, "statvfs", statvfs)
     return found
@@ -66,6 +68,25 @@ def test_earlier_passes_of_the_job_count(tmp_path: Path, left_mb: dict[str, floa
     left_mb[tmp_path.name] = 2 * SPARE_MB + 281
     with pytest.raises(HostFault, match="needs 608 MB"):
         disk.require_room(tmp_path, tmp_path, 1_000_000, before=2_000_000)
+
+
+def test_a_pass_is_refused_where_the_disk_has_no_free_inodes(tmp_path: Path, left_mb: dict[str, float]) -> None:
+    left_mb[f"{tmp_path.name} inodes"] = 2 * disk.SPARE_FILES - 1
+    with pytest.raises(HostFault) as refused:
+        disk.require_room(tmp_path, tmp_path, 1000)
+    assert str(refused.value) == (
+        f"a pass needs 256 free inodes on the disk of {tmp_path}, which has 255: delete files there (df -i shows the "
+        "inodes), or set cell.state_dir to a folder on another disk; nothing was moved"
+    )
+    left_mb[f"{tmp_path.name} inodes"] += 1
+    disk.require_room(tmp_path, tmp_path, 1000)
+
+
+def test_a_file_system_without_a_number_of_inodes_refuses_nothing(tmp_path: Path, left_mb: dict[str, float]) -> None:
+    """As btrfs, which reports 0 inodes in total and 0 that are free."""
+    left_mb |= {f"{tmp_path.name} inodes": 0, "inodes in all": 0}
+    disk.require_room(tmp_path, tmp_path, 1000)
+    assert [room.left_files for room in disk.rooms(tmp_path, tmp_path, Writes.of(0))] == [None, None]
 
 
 def test_a_disk_that_cannot_be_asked_refuses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

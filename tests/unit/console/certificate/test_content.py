@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -17,6 +16,7 @@ from polishd.console.certificate.content import Asked, Drawn, content_of
 from polishd.console.certificate.model import Content
 from polishd.console.certificate.sources import find_run, read_rows
 from polishd.console.demo_files import DemoFiles
+from polishd.daemon.journal_schema import connect
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
 from polishd.model.surface import FloatArray
@@ -149,7 +149,7 @@ def test_a_map_that_is_gone_is_said_and_the_journals_figures_stay(whole: Path, w
 
 
 def test_a_profile_that_measures_otherwise_would_give_a_second_figure(whole: Path) -> None:
-    with sqlite3.connect(whole / "journal.sqlite") as journal:
+    with closing(connect(whole / "journal.sqlite")) as journal:
         journal.execute("""UPDATE job SET terms = json_set(terms, '$."part.alignment"', 'power')""")
     journal.close()
     content = drawn(whole).content
@@ -198,7 +198,7 @@ def broken_journal(run: Path) -> None:
 
 
 def an_early_job(run: Path) -> None:
-    with sqlite3.connect(run / "journal.sqlite") as journal:
+    with closing(connect(run / "journal.sqlite")) as journal:
         journal.execute("UPDATE job SET terms = 'null'")
     journal.close()
 
@@ -237,7 +237,7 @@ def test_by_its_cell_a_run_is_the_same(whole_files: DemoFiles) -> None:
 
 def test_the_journals_hash_is_of_every_row(whole: Path) -> None:
     before = read_rows(whole)
-    with sqlite3.connect(whole / "journal.sqlite") as journal:
+    with closing(connect(whole / "journal.sqlite")) as journal:
         journal.execute("UPDATE segment SET force_n = 12.5 WHERE cycle = 0 AND seq = 3")
     journal.close()
     after = read_rows(whole)
