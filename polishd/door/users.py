@@ -15,6 +15,7 @@ from pathlib import Path
 from polishd.config.cell import CellConfig
 from polishd.files import make_folder, write_atomic
 from polishd.model.errors import ConfigError
+from polishd.secret import require_private
 
 FILE_NAME = "web-users.json"
 MOST_CHARACTERS = 200
@@ -91,6 +92,7 @@ class Users:
 
     def _read(self) -> Mapping[str, Mapping[str, str]]:
         try:
+            require_private(self.path)
             found = json.loads(self.path.read_text(encoding="utf-8"))
             return {str(name): {"role": Role(one["role"]).value, **one} for name, one in found.items()}
         except FileNotFoundError:

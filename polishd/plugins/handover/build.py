@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from polishd.api import ConfigError, DeviceContext, read_secret
+from polishd.secret import require_private
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
@@ -72,6 +73,7 @@ def _papers(options: HandoverOptions, base_dir: Path) -> Papers | None:
         if not (name and (base_dir / Path(name).expanduser()).is_file()):
             said = f"{name!r} is no file" if name else "is missing"
             raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
+    require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
     return Papers(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 

@@ -260,6 +260,19 @@ def test_beyond_this_computer_only_with_tls_and_users(tmp_path: Path) -> None:
         app.serve(load_config(files.cell))
 
 
+@pytest.mark.parametrize("mode", [0o640, 0o660, 0o662, None])
+def test_a_tls_key_that_others_may_read_is_refused(tmp_path: Path, mode: int | None) -> None:
+    files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
+    files.cell.write_text(files.cell.read_text().replace("port = 8750", 'cert = "a.pem"\nkey = "b.pem"'))
+    key = files.cell.parent / "b.pem"
+    if mode is not None:
+        key.touch()
+        key.chmod(mode)
+    says = r"cell\.toml:\d+: web\.key: " + ("mode .*Run: chmod 600 " if mode else ".*No such file")
+    with pytest.raises(ConfigError, match=says):
+        app.serve(load_config(files.cell))
+
+
 @pytest.fixture
 def listening(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """The real server, as a process."""
