@@ -68,9 +68,11 @@ def _from_file(place: str, path: Path) -> str:
 
 
 _WORKERS_NAMES = frozenset(
-    "HOME LANG LANGUAGE LD_LIBRARY_PATH LOGNAME MPLBACKEND MPLCONFIGDIR PATH SHELL TEMP TERM TMP TMPDIR TZ USER "
-    "VIRTUAL_ENV".split()
-)
+    {
+        "HOME", "LANG", "LANGUAGE", "LD_LIBRARY_PATH", "LOGNAME", "MPLBACKEND", "MPLCONFIGDIR", "PATH", "SHELL", "TEMP",
+        "TERM", "TMP", "TMPDIR", "TZ", "USER", "VIRTUAL_ENV",
+    }
+)  # fmt: skip
 _WORKERS_PREFIXES = (
     "COVERAGE_", "CUDA_", "EMC2_", "HDF5_", "JAX_", "LC_", "LINUXCNC", "MKL_", "NUMBA_", "NUMEXPR_", "OMP_",
     "OPENBLAS_", "PYTHON", "XDG_", "XLA_",

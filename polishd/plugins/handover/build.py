@@ -10,7 +10,6 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from polishd.api import ConfigError, DeviceContext, read_secret
-from polishd.secret import require_private
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
@@ -22,6 +21,7 @@ from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.address import tcp_address
 from polishd.plugins.handover.options import HandoverOptions
+from polishd.secret import require_private
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
 EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}

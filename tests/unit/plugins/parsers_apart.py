@@ -18,7 +18,6 @@ from polishd.api import BadMap, SurfaceMap
 from polishd.model.map_history import MapInput, MapStep
 from polishd.model.surface import MaskCount
 
-
 EVERYTHING = SurfaceMap(
     height_nm=np.array([[1.0, np.nan], [-3.5, 4.0]]),
     pitch_mm=0.25,
@@ -50,7 +49,7 @@ class Evil:
         return Path.touch, (self.path.with_suffix(".run"),)
 
 
-def parse(path: Path) -> SurfaceMap:
+def parse(path: Path) -> SurfaceMap:  # noqa: C901
     """Do what the file's text says."""
     match path.read_text().strip():
         case "map":

@@ -53,7 +53,7 @@ def serve(line: Connection) -> None:
             answer = json.dumps([reason, 0, None]).encode()
         line.send_bytes(answer)
         if heights.size:
-            line.send_bytes(memoryview(heights.reshape(-1).view(np.uint8)))
+            line.send_bytes(heights.reshape(-1).view(np.uint8).data)
         signal.alarm(0)
 
 
