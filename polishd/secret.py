@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import shlex
 import stat
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -12,6 +15,7 @@ from pydantic import BeforeValidator
 from polishd.model.errors import ConfigError
 
 HIDDEN = "***"
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 def _place(value: Any) -> Any:
@@ -29,6 +33,19 @@ SecretPlace = Annotated[str, BeforeValidator(_place)]
 """A key of a pydantic model: ``file:NAME`` (relative to the cell's file) or ``env:VARIABLE``."""
 
 
+def require_private(path: Path, where: str = "") -> None:
+    """Refuse a file with a secret that its group or others may read, change or run. ConfigError; OSError as it comes.
+
+    ``where``: what begins the message.
+    """
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & _OTHERS:
+        raise ConfigError(
+            f"{where}mode {mode:04o} of {path} gives its secret to others than its owner. Run: "
+            f"chmod {mode & stat.S_IRWXU & ~stat.S_IXUSR | stat.S_IRUSR:o} {shlex.quote(str(path))}"
+        )
+
+
 def read_secret(place: str, base_dir: Path) -> str:
     """The secret, without blanks around it. ConfigError, which quotes the place, where there is none to be read."""
     kind, _, name = place.partition(":")
@@ -42,13 +59,37 @@ def read_secret(place: str, base_dir: Path) -> str:
 
 def _from_file(place: str, path: Path) -> str:
     try:
-        if stat.S_IMODE(path.stat().st_mode) & stat.S_IROTH:
-            raise ConfigError(f"{place!r}: everybody may read {path}; take that away: chmod 600 {path}")
+        require_private(path, f"{place!r}: ")
         return path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{place!r}: cannot be read: {path}: {error.strerror}; write the secret there") from error
     except UnicodeDecodeError:
         raise ConfigError(f"{place!r}: {path} is no UTF-8 text; write the secret there") from None
+
+
+_WORKERS_NAMES = frozenset(
+    {
+        "HOME", "LANG", "LANGUAGE", "LD_LIBRARY_PATH", "LOGNAME", "MPLBACKEND", "MPLCONFIGDIR", "PATH", "SHELL", "TEMP",
+        "TERM", "TMP", "TMPDIR", "TZ", "USER", "VIRTUAL_ENV",
+    }
+)  # fmt: skip
+_WORKERS_PREFIXES = (
+    "COVERAGE_", "CUDA_", "EMC2_", "HDF5_", "JAX_", "LC_", "LINUXCNC", "MKL_", "NUMBA_", "NUMEXPR_", "OMP_",
+    "OPENBLAS_", "PYTHON", "XDG_", "XLA_",
+)  # fmt: skip
+
+
+def environment_without_secrets(more: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
+    """Return the environment for a worker that reads foreign files: what Python and its libraries need, and ``more``.
+
+    Everything else may be a secret that a config keeps in ``env:VARIABLE``.
+    """
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name in _WORKERS_NAMES or name.startswith(_WORKERS_PREFIXES)
+    }
+    return kept | dict(more)
 
 
 def hide(text: str, *secrets: str) -> str:

@@ -6,6 +6,7 @@ Calls wait for the daemon; a program with an event loop makes them in a thread (
 from __future__ import annotations
 
 import json
+import logging
 import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ from typing import Any
 from polishd.daemon.sockets import SOCKET_NAME, address_of
 from polishd.daemon.verbs import SUBSCRIBE, VERBS
 from polishd.model.errors import LinkError, NoDaemon, ProtocolError
+
+log = logging.getLogger(__name__)
 
 ANSWER_S = 30.0
 ORDER_S = 300.0
@@ -38,14 +41,18 @@ def request(
 
 
 def subscribe(state_dir: Path, within_s: float = ANSWER_S) -> Iterator[dict[str, Any]]:
-    """Events from now on, each ``{"name", "cycle", "data"}``; ends with the daemon."""
+    """Yield events from now on, each ``{"name", "cycle", "data"}``; ends with the daemon.
+
+    A line that holds no event is logged and passed by. NoDaemon, LinkError or ProtocolError where it cannot begin.
+    """
     with _asked(state_dir, SUBSCRIBE, NOTHING, within_s) as connection, connection.makefile("rb") as lines:
         answer = _answer(lines.readline(), state_dir)
         if not answer.get("ok"):
             raise ProtocolError(f"the daemon refused: {answer.get('error')}")
         connection.settimeout(None)
         while line := lines.readline():
-            yield _answer(line, state_dir)["event"]
+            if (event := _event(line, state_dir)) is not None:
+                yield event
 
 
 @contextmanager
@@ -74,12 +81,25 @@ def _asked(state_dir: Path, verb: str, args: Mapping[str, Any], within_s: float)
             raise LinkError(f"{state_dir}: the daemon hung up: {error}; look at its log") from error
 
 
+def _event(line: bytes, state_dir: Path) -> dict[str, Any] | None:
+    """Return the event of a line; None, and a warning in the log, where it holds none."""
+    try:
+        event = _answer(line, state_dir).get("event")
+    except ProtocolError as error:
+        log.warning("%s", error)
+        return None
+    if not (isinstance(event, dict) and isinstance(event.get("name"), str) and isinstance(event.get("data"), dict)):
+        log.warning("%s: the daemon sent a line without an event: %r", state_dir, line[:80])
+        return None
+    return event
+
+
 def _answer(line: bytes, state_dir: Path) -> dict[str, Any]:
     if not line:
         raise LinkError(f"{state_dir}: the daemon hung up before it answered; look at its log")
     try:
         answer = json.loads(line)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ProtocolError(f"{state_dir}: the daemon's answer is not JSON: {line[:80]!r}") from error
     if not isinstance(answer, dict):
         raise ProtocolError(f"{state_dir}: the daemon's answer is no object: {line[:80]!r}")

@@ -18,6 +18,7 @@ from polishd.daemon.compute_worker import LENGTH, pack, unpack
 from polishd.model.errors import ComputeError
 from polishd.process.dwell.limit import backstop_s
 from polishd.recipe.limit import Limit
+from polishd.secret import environment_without_secrets
 
 T = TypeVar("T")
 
@@ -121,7 +122,7 @@ class Compute:
         self._refuse_closed()
         folders = [folder or str(Path.cwd()) for folder in sys.path]
         environment = {
-            **os.environ,
+            **environment_without_secrets(),
             **dict.fromkeys(_THREAD_VARIABLES, str(self._threads)),
             "PYTHONPATH": os.pathsep.join(folders),
         }

@@ -19,8 +19,10 @@ from polishd.daemon.safety import contact, told_first
 from polishd.daemon.stream import Stream, streaming
 from polishd.daemon.touch import Touch
 from polishd.model.cycle import Outcome, Phase
+from polishd.model.errors import ToolStop
 from polishd.model.program import Plan
 from polishd.process.excess import ExcessMap
+from polishd.recipe.decisions import Accept, AnotherPass, Diverge, PassesUsed, Stalled, ToolWorn, passes_used
 from polishd.recipe.dwell_step import require_certificate
 
 
@@ -43,15 +45,13 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             async with journal.phase(cycle, Phase.LEARN):
                 await job.learn(cycle, surface, again)
         job.tools.take()  # of several tools
-        if job.judging.accepts(surface):
-            return Outcome.IN_TOLERANCE
-        if job.judging.diverges(surface):
-            return Outcome.DIVERGED
-        if cycle == job.last_cycle:
-            return job.judging.used_up
-        if job.stalled:
-            return Outcome.STALLED
-        job.require_tool()
+        match job.decide(cycle, surface):
+            case ToolWorn(why):
+                raise ToolStop(why)
+            case Accept() | Diverge() | Stalled() | PassesUsed() as decision:
+                return decision.outcome
+            case AnotherPass():
+                pass
         async with journal.phase(cycle, Phase.SOLVE):
             solved = await job.solve(cycle, surface)
             require_certificate(solved.dwell.certificate, job.recipe)
@@ -82,7 +82,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                     await job.cut_off(cycle)
                 raise
             await job.end_pass(cycle)
-    return job.judging.used_up
+    return passes_used(job.judging.recipe).outcome
 
 
 def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncContextManager[Stream]:

@@ -22,7 +22,7 @@ from polishd.daemon.watching import watch
 from polishd.model import events
 from polishd.model.cause import Named
 from polishd.model.devices import RobotProgress
-from polishd.model.errors import GateStop, PlanRefused, SafetyStop, ToolStop
+from polishd.model.errors import GateStop, PlanRefused, SafetyStop
 from polishd.model.events import Event
 from polishd.model.finding import Finding
 from polishd.model.limits import Envelope
@@ -34,6 +34,7 @@ from polishd.process.excess import ExcessMap
 from polishd.process.executed import executed_s
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.decisions import Decision, worthless_pass
 from polishd.recipe.disk import require_room
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
@@ -189,15 +190,9 @@ class Job:
                 self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return False
 
-    @property
-    def stalled(self) -> bool:
-        """Whether passes bring so little that no more should be made."""
-        return any(found.kind == "stall" for found in self.findings)
-
-    def require_tool(self) -> None:
-        """ToolStop where the last pass shows that the tool is no longer what plans count with."""
-        if of_tool := [found.what for found in self.findings if found.stops == "cell"]:
-            raise ToolStop("; ".join(of_tool))
+    def decide(self, cycle: int, surface: Measured) -> Decision:
+        """Decide what follows that cycle's measurement, once its pass was learned from."""
+        return self.judging.decide(surface, self.findings, self.last_cycle - cycle)
 
     async def solve(self, cycle: int, surface: Measured) -> Solved:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
@@ -228,7 +223,7 @@ class Job:
         """
         if self.tools.left:
             return False
-        if found := self.judging.worthless(self._planned[cycle].forecast):
+        if found := worthless_pass(self.judging.recipe, self._planned[cycle].forecast):
             self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
 

@@ -70,8 +70,10 @@ class Service:
         await asyncio.gather(*sessions, return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        while line := await reader.readline():
+        while (line := await _line(reader)) != b"":
             try:
+                if line is None:
+                    raise ValueError(f"a request is at most {LINE_BYTES} bytes long")
                 verb, arguments = read_request(line, [*self._handlers, SUBSCRIBE])
             except ValueError as refusal:
                 await _send(writer, {"ok": False, "error": str(refusal)})
@@ -101,7 +103,7 @@ class Service:
             await _send(writer, {"ok": True})
             async with asyncio.TaskGroup() as group:
                 teller = group.create_task(_tell(events, writer), name="tell subscriber")
-                hung_up = group.create_task(reader.read(LINE_BYTES), name="subscriber hangs up")
+                hung_up = group.create_task(_until_hung_up(reader, writer), name="subscriber hangs up")
                 await asyncio.wait({teller, hung_up}, return_when=asyncio.FIRST_COMPLETED)
                 teller.cancel()
                 hung_up.cancel()
@@ -139,6 +141,30 @@ def _bind(path: Path) -> socket.socket:
         raise ConfigError(f"{path}: the socket cannot be made: {error}; change cell.state_dir") from error
     server.setblocking(False)
     return server
+
+
+async def _line(reader: asyncio.StreamReader) -> bytes | None:
+    """Return the next line, empty at the end; None in the place of one that is too long, which is dropped."""
+    is_too_long = False
+    while True:
+        try:
+            line = await reader.readuntil(b"\n")
+        except asyncio.IncompleteReadError as error:
+            line = error.partial
+        except asyncio.LimitOverrunError as error:
+            is_too_long = True
+            await reader.readexactly(error.consumed)
+            continue
+        return None if is_too_long and line else line
+
+
+async def _until_hung_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Answer each line of a subscriber by an error, until it hangs up: it goes on to hear events."""
+    try:
+        while await _line(reader) != b"":
+            await _send(writer, {"ok": False, "error": "this connection is for events: ask on another one"})
+    except OSError:
+        log.debug("a subscriber hung up")
 
 
 async def _tell(events: AsyncIterator[Any], writer: asyncio.StreamWriter) -> None:

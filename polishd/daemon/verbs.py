@@ -93,8 +93,8 @@ def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, An
 
     known = list(offered)
     try:
-        request = json.loads(line)
-    except ValueError:
+        request = _unicode(json.loads(line))
+    except (ValueError, RecursionError):
         request = None
     verb, given = (request.get("verb"), request.get("args", {})) if isinstance(request, dict) else (None, {})
     if not isinstance(verb, str) or not isinstance(given, dict) or set(request) - {"verb", "args"}:
@@ -114,3 +114,12 @@ def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, An
         if type(value) is not kinds[name] and (type(value), kinds[name]) != (int, float):
             raise ValueError(f"{verb}: {name} must be {_WORDS[kinds[name]]}, not {json.dumps(value)}")
     return verb, given
+
+
+def _unicode(value: Any) -> Any:
+    """Return the same with each lone surrogate of its text as its escape: no file and no database takes one."""
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
+    if isinstance(value, dict):
+        return {_unicode(key): _unicode(one) for key, one in value.items()}
+    return [_unicode(one) for one in value] if isinstance(value, list) else value

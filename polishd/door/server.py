@@ -18,6 +18,7 @@ from polishd.door.connections import Bounded
 from polishd.door.finite import finite
 from polishd.door.guard import refusal
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.secret import require_private
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +30,8 @@ NONE = ("none of that job", "no such map")
 
 def serve(app: ASGIApp, document: Document, web: WebSection) -> None:
     """Until Ctrl-C or SIGTERM, where that section of that file says."""
+    if web.key is not None:
+        _require_private_key(document, web.key)
     files = [None if name is None else str(document.resolve(name)) for name in (web.cert, web.key)]
     settings = uvicorn.Config(
         app,
@@ -47,6 +50,19 @@ def serve(app: ASGIApp, document: Document, web: WebSection) -> None:
         ws="none",
     )
     _Server(settings).run()
+
+
+def _require_private_key(document: Document, key: str) -> None:
+    """ConfigError, with the key's line, where the file cannot be read or others may read it."""
+    path = document.resolve(key)
+    try:
+        require_private(path)
+    except OSError as error:
+        raise document.error(
+            "web.key", f"{path} cannot be read: {error.strerror}. Name the certificate's key"
+        ) from None
+    except ConfigError as error:
+        raise document.error("web.key", str(error)) from None
 
 
 class _Server(uvicorn.Server):

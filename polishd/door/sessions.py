@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from starlette.requests import Request
 
 from polishd.door.limits import Lockout
-from polishd.door.users import User, Users
+from polishd.door.users import User, Users, named_by
 
 COOKIE = "polishd"
 MOST_SESSIONS = 1000
@@ -44,15 +44,29 @@ class Sessions:
         return session
 
     def user_of(self, token: str, address: str, *, exempt: bool = False) -> User | None:
-        """Whose token it is; a wrong one counts against the address that it came from."""
-        if self.lockout.locked(address) and not exempt:
-            return None
+        """Return whose token it is; a wrong one counts against the user that it names, at the address it came from."""
         user = self._users.of_token(token)
         if user is None:
-            self.lockout.wrong(address)
-        else:
-            self.lockout.right(address)
+            self.lockout.wrong(address, named_by(token))
+            return None
+        if self._locked(user, token, address) and not exempt:
+            return None
+        self.lockout.right(address, user.name)
         return user
+
+    def locked(self, token: str, address: str) -> bool:
+        """Return whether that token is not taken at that address now, right or wrong."""
+        return self._locked(self._users.of_token(token), token, address)
+
+    def bucket(self, token: str, address: str) -> str:
+        """Return to whose rate a request with that token counts: its user's, or its address's."""
+        user = self._users.of_token(token)
+        return f"address {address}" if user is None else f"user {user.name}"
+
+    def _locked(self, user: User | None, token: str, address: str) -> bool:
+        if user is None:
+            return self.lockout.locked(address, named_by(token))
+        return not self.lockout.knows(address, user.name) and self.lockout.locked(address, user.name)
 
     def begin(self, user: User) -> tuple[str, Session]:
         """A new one, and its cookie's value."""
@@ -76,7 +90,9 @@ def forged(request: Request, session: Session) -> str:
     """Why a request that changes something is not of our own page; empty where it is, or of a program."""
     if foreign_origin(request):
         return "it comes from another site's page"
-    if session.csrf and not hmac.compare_digest(request.headers.get("x-csrf-token", ""), session.csrf):
+    if session.csrf and not hmac.compare_digest(
+        request.headers.get("x-csrf-token", "").encode(), session.csrf.encode()
+    ):
         return "x-csrf-token is missing or wrong; GET /api/session tells it"
     return ""
 

@@ -15,10 +15,12 @@ from pathlib import Path
 from polishd.config.cell import CellConfig
 from polishd.files import make_folder, write_atomic
 from polishd.model.errors import ConfigError
+from polishd.secret import require_private
 
 FILE_NAME = "web-users.json"
 MOST_CHARACTERS = 200
 """Of a token that is looked at."""
+NAME = r"[\w.-]{1,64}"
 
 
 class Role(StrEnum):
@@ -75,9 +77,9 @@ class Users:
 
     def add(self, name: str, role: Role) -> str:
         """A new token for that name, in the place of an older one. ConfigError where the name is none."""
-        if not re.fullmatch(r"[\w.-]{1,64}", name, re.ASCII):
+        if not re.fullmatch(NAME, name, re.ASCII):
             raise ConfigError(f"{name!r} is no name of a user: up to 64 letters, digits, '.', '_' and '-'")
-        token = secrets.token_urlsafe(32)
+        token = f"{name}.{secrets.token_urlsafe(32)}"
         self._write({**self._read(), name: {"role": role.value, "token_sha256": _digest(token)}})
         return token
 
@@ -90,6 +92,7 @@ class Users:
 
     def _read(self) -> Mapping[str, Mapping[str, str]]:
         try:
+            require_private(self.path)
             found = json.loads(self.path.read_text(encoding="utf-8"))
             return {str(name): {"role": Role(one["role"]).value, **one} for name, one in found.items()}
         except FileNotFoundError:
@@ -104,6 +107,12 @@ class Users:
         write_atomic(self.path, json.dumps(users, indent=1).encode() + b"\n", mode=0o600)
 
 
+def named_by(token: str) -> str:
+    """Return the user whom a token names; of one that names none, a short hash in the place of a name."""
+    name, _, _ = token.rpartition(".")
+    return name if re.fullmatch(NAME, name, re.ASCII) else f"#{_digest(token[:MOST_CHARACTERS])[:16]}"
+
+
 def _digest(token: str) -> str:
-    """Of 256 random bits no slow hash is needed: nobody guesses them."""
-    return hashlib.sha256(token.encode()).hexdigest()
+    """Of 256 random bits no slow hash is needed: nobody guesses them. Text that is no Unicode has a hash, too."""
+    return hashlib.sha256(token.encode(errors="surrogatepass")).hexdigest()

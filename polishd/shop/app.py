@@ -17,6 +17,7 @@ from starlette.routing import Route
 
 from polishd.config.shop import ShopFile
 from polishd.door import server as door
+from polishd.door.finite import json_object, require_unicode
 from polishd.door.guard import Guard, hosts_of, refusal
 from polishd.door.limits import Rate
 from polishd.door.server import HANDLERS, answered
@@ -160,12 +161,9 @@ def _remove(sql: Transaction, who: str, said: dict[str, Any]) -> Any:
 
 
 def _json(body: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(body) if body else {}
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise ConfigError("the body is no JSON object")
+    found = json_object(body)
+    if b"\\u" in body:  # without such an escape there is nothing but Unicode in it
+        require_unicode(json.dumps(found, ensure_ascii=False), "the body")
     return found
 
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import json
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from polishd.config.cell import CellConfig
 from polishd.daemon import client
+from polishd.door.finite import json_object, require_unicode
 from polishd.door.guard import refusal
+from polishd.door.limits import Rate, Shares
 from polishd.door.sessions import COOKIE, Session, Sessions, address_of, foreign_origin
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
 from polishd.web.disk import Disk
@@ -21,6 +24,8 @@ from polishd.web.watcher import Watcher
 
 MOST_REASON = 500
 MOST_WATCHERS = 200
+MOST_OF_USER = 10
+"""Event streams of one user: each page has one."""
 MOST_NUMBER = 1 << 53
 MAPS = ("measured", "predicted", "removal")
 
@@ -32,19 +37,22 @@ class Api:
         self._config, self.sessions = config, sessions
         self._disk, self._orders = Disk(config.state_dir), Orders(config.state_dir)
         self.watcher = Watcher(config.state_dir)
+        self._streams = Shares(MOST_OF_USER, MOST_WATCHERS)
 
     # who asks
 
-    async def sign_in(self, request: Request) -> Response:
+    async def sign_in(self, request: Request, rate: Rate) -> Response:
         """A cookie for a token."""
         if foreign_origin(request):
             return refusal(403, "it comes from another site's page")
-        address = address_of(request)
-        if self.sessions.lockout.locked(address):
-            return refusal(429, "too many wrong tokens came from there; wait a minute")
-        user = self.sessions.user_of(_text(await _json(request), "token"), address)
+        address, token = address_of(request), _text(await _json(request), "token", whatever=True)
+        if not rate.takes(self.sessions.bucket(token, address)):
+            return refusal(429, "too many requests")
+        if self.sessions.locked(token, address):
+            return refusal(429, "too many wrong tokens came from this address: wait a minute and sign in again")
+        user = self.sessions.user_of(token, address)
         if user is None:
-            return refusal(401, "that is nobody's token")
+            return refusal(401, "the token is wrong: check it, or have a new one made with polishd web --add-user")
         cookie, session = self.sessions.begin(user)
         answer = JSONResponse(_who(session))
         secure = request.url.scheme == "https"
@@ -122,17 +130,17 @@ class Api:
         """All values in force; what is secret stands in no config."""
         return self._config.effective()
 
-    async def events(self, _request: Request, _session: Session) -> Any:
+    async def events(self, _request: Request, session: Session) -> Any:
         """For as long as the page is there."""
-        if self.watcher.pages >= MOST_WATCHERS:
-            return refusal(503, f"{MOST_WATCHERS} watch already")
+        if (why := self._streams.refusal(session.user.name)) is not None:
+            return refusal(*why)
 
         async def messages() -> Any:
             with self.watcher.page() as page:
                 async for message in page:
                     yield message
 
-        return StreamingResponse(messages(), media_type="text/event-stream")
+        return _Stream(messages(), self._streams.one(session.user.name))
 
     # what is wanted
 
@@ -190,6 +198,19 @@ class Api:
             return _failed(error)
 
 
+class _Stream(StreamingResponse):
+    """Server-sent events; its share of the user's streams is held from the answer's head to its end."""
+
+    def __init__(self, messages: AsyncIterator[str], share: AbstractContextManager[None]) -> None:
+        super().__init__(messages, media_type="text/event-stream")
+        self._share = share
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send until either side ends."""
+        with self._share:
+            await super().__call__(scope, receive, send)
+
+
 def _failed(error: PolishdError) -> JSONResponse:
     status = 503 if isinstance(error, NoDaemon) else 504 if isinstance(error, LinkError) else 502
     return refusal(status, str(error))
@@ -216,16 +237,7 @@ def _number(request: Request, name: str) -> int:
 
 
 async def _json(request: Request) -> dict[str, Any]:
-    body = await request.body()
-    if not body:
-        return {}
-    try:
-        found = json.loads(body)
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise ConfigError("the body is no JSON object")
-    return found
+    return json_object(await request.body())
 
 
 def _whole(said: Any) -> bool:
@@ -233,10 +245,15 @@ def _whole(said: Any) -> bool:
     return type(said) in {int, float} and 0 <= said <= MOST_NUMBER and said == int(said)
 
 
-def _text(said: Mapping[str, Any], key: str, default: str | None = None) -> str:
-    """ConfigError where it is missing and there is no default, or is no text."""
+def _text(said: Mapping[str, Any], key: str, default: str | None = None, *, whatever: bool = False) -> str:
+    """Return that text. ConfigError where it is missing and there is no default, is no text, or no Unicode.
+
+    ``whatever``: text that is no Unicode is taken, too.
+    """
     if not isinstance(found := said.get(key, default), str):
         raise ConfigError(f"{key} must be given: a text" if key not in said else f"{key} must be a text")
+    if not whatever:
+        require_unicode(found, key)
     return found
 
 

@@ -47,9 +47,7 @@ def application(config: CellConfig) -> ASGIApp:
             yield
 
     async def sign_in(request: Request) -> Response:
-        if not rate.takes(f"address {address_of(request)}"):
-            return refusal(429, "too many requests")
-        return await answered(api.sign_in(request))
+        return await answered(api.sign_in(request, rate))
 
     async def described(_request: Request) -> Response:
         return JSONResponse(document())

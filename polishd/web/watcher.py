@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -18,6 +19,8 @@ from polishd.daemon import client
 from polishd.daemon.last_word import last_ending
 from polishd.door.finite import finite
 from polishd.model.errors import NoDaemon, PolishdError
+
+log = logging.getLogger(__name__)
 
 LOOK_S = 0.5
 """Between two questions."""
@@ -98,6 +101,9 @@ class Watcher:
             return "none", None
         except PolishdError:
             return "silent", None
+        except Exception:  # whatever the daemon sent: this thread goes on
+            log.exception("asking the daemon failed; the watcher asks again")
+            return "silent", None
 
     def _listen_on(self) -> None:
         while not self._ended.is_set():
@@ -106,9 +112,11 @@ class Watcher:
                     if self._ended.is_set():
                         return
                     self._in_loop(self._happened, event)
-                self._look.set()  # it has ended: that is told at once
-            except (PolishdError, OSError):
-                self._look.set()
+            except (PolishdError, OSError) as error:
+                log.debug("no events: %s", error)
+            except Exception:  # whatever the daemon sent: this thread goes on
+                log.exception("listening to the daemon failed; the watcher listens again")
+            self._look.set()  # it has ended: that is told at once
             self._ended.wait(LOOK_S)
 
     def _told(self, daemon: str, answer: dict[str, Any] | None) -> None:

@@ -6,7 +6,6 @@ import base64
 import binascii
 import hashlib
 import json
-import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,12 +17,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from polishd.console.certificate.model import Seal, Signature
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
+from polishd.secret import require_private
 
 ID_DIGITS = 16
 SEAL = "seal"
 PUBLIC = ".pub"
 """What the public key's file is called beside the private one's."""
-_READABLE = stat.S_IRWXG | stat.S_IRWXO
 _PEM = serialization.Encoding.PEM
 
 
@@ -100,8 +99,7 @@ def make_key(path: Path) -> str:
 def private_key(path: Path) -> Ed25519PrivateKey:
     """The shop's key; ConfigError where it cannot be read, others may read it, or it is none."""
     content = _read(path)
-    if stat.S_IMODE(path.stat().st_mode) & _READABLE:
-        raise ConfigError(f"{path}: others may read the shop's key, and sign with it; take that away: chmod 600 {path}")
+    require_private(path, "the shop's key: ")
     try:
         key = serialization.load_pem_private_key(content, password=None)
     except TypeError:

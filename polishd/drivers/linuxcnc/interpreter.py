@@ -6,7 +6,6 @@ same package runs the same interpreter and hands over doubles and line numbers, 
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import threading
@@ -18,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, NamedTuple
 
 from polishd.model.errors import ProgramError
+from polishd.secret import environment_without_secrets
 
 LIMIT_S = 900.0
 """Longest run: a million lines take 8 s, and a loop without an end would take for ever."""
@@ -106,7 +106,7 @@ def _folder(program: bytes | Path) -> Iterator[str]:
 
 def _home(folder: str) -> dict[str, str]:
     """It maps ~/.tool.mmap: two at once, or one beside a running LinuxCNC, would tread on each other."""
-    return {**os.environ, "HOME": folder}
+    return environment_without_secrets({"HOME": folder})
 
 
 def _command(*, exact: bool) -> list[str]:

@@ -21,6 +21,7 @@ from polishd.drivers.handover.remote import Ftp, Place, Sftp
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.address import tcp_address
 from polishd.plugins.handover.options import HandoverOptions
+from polishd.secret import require_private
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
 EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
@@ -72,6 +73,7 @@ def _papers(options: HandoverOptions, base_dir: Path) -> Papers | None:
         if not (name and (base_dir / Path(name).expanduser()).is_file()):
             said = f"{name!r} is no file" if name else "is missing"
             raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
+    require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
     return Papers(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 
 from polishd.api import Event, PolishdError, events, hookimpl
+from polishd.secret import environment_without_secrets
 
 POLISHD_API = 1
 
@@ -31,7 +32,13 @@ def _draw(*arguments: str) -> None:
     command = [sys.executable, "-P", "-m", __name__, *arguments]
     # in a group of its own: Ctrl-C is the daemon's to answer
     drawn = subprocess.run(
-        command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False, process_group=0
+        command,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        process_group=0,
+        env=environment_without_secrets(),
     )
     if drawn.returncode:
         raise PolishdError(f"no report in {arguments[0]}: {drawn.stderr.strip()}")

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, Any, cast
 
 from polishd.model.errors import ConfigError
+from polishd.secret import environment_without_secrets
 from polishd.workbench.studies.case import Case
 
 COMMAND = (sys.executable, "-m", "polishd.workbench.studies.child")
@@ -63,7 +64,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
-            env={**os.environ, **ONE_THREAD, "PYTHONHASHSEED": "0"},
+            env=environment_without_secrets({**ONE_THREAD, "PYTHONHASHSEED": "0"}),
             start_new_session=True,  # its plant is killed with it, and Ctrl-C is its owner's
         )
         self._rest = b""

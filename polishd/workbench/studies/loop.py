@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,9 +28,20 @@ from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.process import motion, naming
 from polishd.process.contact import relative_removal
-from polishd.process.findings import diverged, findings, followed, worthless
+from polishd.process.findings import findings, followed
 from polishd.process.identification.touch import WANTED
 from polishd.recipe import dwell_step, steps
+from polishd.recipe.decisions import (
+    Accept,
+    AnotherPass,
+    Decision,
+    Diverge,
+    PassesUsed,
+    Stalled,
+    ToolWorn,
+    decide,
+    worthless_pass,
+)
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.making import make_recipe
@@ -244,14 +255,18 @@ class _Job:
                     series = followed(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
                     account.name(one.kind for one in found)
-            ended = _judged(surface, account, found)
-            if ended is not None or len(account.rms_nm) > self.passes:
-                return ended or _Ended(Outcome.CYCLES_USED.value)
+            match decision_of(recipe, surface, account.rms_nm, found, self.passes):
+                case ToolWorn(why):
+                    return _Ended(TOOL, why)
+                case Accept() | Diverge() | Stalled() | PassesUsed() as decision:
+                    return _Ended(decision.outcome.value)
+                case AnotherPass():
+                    pass
             solved = dwell_step.solve(recipe, program, surface, believed, None if last is None else last[0].kept)
             require_certificate(solved.dwell.certificate, recipe)
             plan = steps.rewrite(recipe, program, solved, program.name)
             planned = self._planned(plan, solved, surface)
-            if planned.forecast is not None and worthless(planned.forecast, recipe.finding):
+            if worthless_pass(recipe, planned.forecast):
                 return _Ended(Outcome.STALLED.value)
             last = (planned, *self._execute(plan))
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
@@ -364,17 +379,14 @@ def _remembering(recipe: Recipe) -> Recipe:
     return replace(recipe, model=replace(model, effect=effect))
 
 
-def _judged(surface: Measured, account: _Account, found: tuple[Finding, ...]) -> _Ended | None:
-    """Where the daemon's job would end, and None where it would go on."""
-    if holds(surface.judged):
-        return _Ended(Outcome.IN_TOLERANCE.value)
-    if diverged(account.rms_nm[:-1], surface.figure_nm):
-        return _Ended(Outcome.DIVERGED.value)
-    if any(one.kind == "stall" for one in found):
-        return _Ended(Outcome.STALLED.value)
-    if of_tool := [one.what for one in found if one.stops == "cell"]:
-        return _Ended(TOOL, "; ".join(of_tool))
-    return None
+def decision_of(
+    recipe: Recipe, surface: Measured, rms_nm: Sequence[float], found: Sequence[Finding], passes: int
+) -> Decision:
+    """Decide what follows a measurement, as the daemon's job does.
+
+    ``rms_nm``: of all measurements, this one the last; ``passes``: that the job may make.
+    """
+    return decide(recipe, rms_nm[:-1], surface, found, passes + 1 - len(rms_nm))
 
 
 def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:

@@ -42,6 +42,7 @@ def test_a_file_of_users_that_cannot_be_read_lets_nobody_in(polishd: Polishd, ce
     path = users_path(load_config(cell))
     path.parent.mkdir(exist_ok=True)
     path.write_text('{"anna": {"role": "king", "token_sha256": "00"}}')
+    path.chmod(0o600)
     refused = polishd("web", cell)
     assert (refused.code, "cannot be read" in refused.err) == (3, True)
 

@@ -55,6 +55,13 @@ def alive(pid: int) -> bool:
         return False
 
 
+async def test_the_worker_inherits_no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MAIL_PASSWORD", "s3cret")
+    async with Compute() as compute:
+        assert await compute(os.getenv, "MAIL_PASSWORD") is None
+        assert await compute(os.getenv, "PATH") == os.environ["PATH"]
+
+
 @pytest.mark.full
 async def test_what_a_dwell_was_solved_with_stays_in_the_worker(compute: Compute) -> None:
     recipe, program = small_recipe(), small_program()

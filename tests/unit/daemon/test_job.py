@@ -20,6 +20,7 @@ from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Line
 from polishd.process.findings import DIVERGED_RATIO
 from polishd.recipe import steps
+from polishd.recipe.decisions import Accept, AnotherPass, Diverge
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.records import Measured
 from tests.rs274 import RS274
@@ -203,7 +204,7 @@ async def test_the_move_to_a_dwell_counts_for_its_point(tmp_path: Path, journal:
 
 @pytest.mark.parametrize(("rms_nm", "accepted"), [(0.4, True), (0.7, False)])
 async def test_accepts(job: Job, rms_nm: float, accepted: bool) -> None:
-    assert job.judging.accepts(await measure(job, 0, rms_nm)) is accepted
+    assert isinstance(job.decide(0, await measure(job, 0, rms_nm)), Accept) is accepted
 
 
 async def test_the_tolerance_may_be_for_a_band(tmp_path: Path, journal: Journal) -> None:
@@ -211,7 +212,7 @@ async def test_the_tolerance_may_be_for_a_band(tmp_path: Path, journal: Journal)
     measured = await job.measured(0, small_map())
     assert measured.stats.band_rms_nm is not None
     assert measured.stats.band_rms_nm < 15.0 < measured.stats.rms_nm
-    assert job.judging.accepts(measured)
+    assert job.decide(0, measured) == Accept()
 
 
 async def test_a_part_is_accepted_when_all_lines_hold(tmp_path: Path, journal: Journal) -> None:
@@ -219,13 +220,13 @@ async def test_a_part_is_accepted_when_all_lines_hold(tmp_path: Path, journal: J
     job = small_job(tmp_path, journal, recipe=small_recipe(tolerance_nm=None, tolerance=lines))
     measured = await job.measured(0, small_map())
     assert [one.holds for one in measured.judged] == [True, False]
-    assert not job.judging.accepts(measured)
+    assert job.decide(0, measured) == AnotherPass()
     (entry,) = job.summary()["cycles"]
     assert [(one["what"], one["holds"]) for one in entry["judged"]] == [
         ("RMS of periods above 18 mm", True),
         ("PV", False),
     ]
-    assert job.judging.accepts(await job.measured(1, small_map(4.0)))
+    assert job.decide(1, await job.measured(1, small_map(4.0))) == Accept()
 
 
 async def test_what_was_judged_is_what_a_restart_knows(tmp_path: Path, journal: Journal) -> None:
@@ -235,18 +236,18 @@ async def test_what_was_judged_is_what_a_restart_knows(tmp_path: Path, journal: 
 
 
 async def test_diverges_against_the_best_so_far(job: Job) -> None:
-    assert not job.judging.diverges(await measure(job, 0, 20.0)), "the first has nothing to be worse than"
-    assert not job.judging.diverges(await measure(job, 1, 10.0))
-    assert not job.judging.diverges(await measure(job, 2, 10.0 * DIVERGED_RATIO * 0.99))
-    assert job.judging.diverges(await measure(job, 3, 10.0 * DIVERGED_RATIO * 1.01))
+    assert job.decide(0, await measure(job, 0, 20.0)) == AnotherPass(), "the first has nothing to be worse than"
+    assert job.decide(1, await measure(job, 1, 10.0)) == AnotherPass()
+    assert job.decide(2, await measure(job, 2, 10.0 * DIVERGED_RATIO * 0.99)) == AnotherPass()
+    assert job.decide(3, await measure(job, 3, 10.0 * DIVERGED_RATIO * 1.01)) == Diverge()
 
 
 async def test_a_pass_that_was_torn_off_is_nobodys_divergence(job: Job, journal: Journal) -> None:
     await measure(job, 0, 10.0)
     journal.begin_pass(0, "sha", "boot", 10)
     journal.end_pass(0, "interrupted")
-    assert not job.judging.diverges(await measure(job, 1, 30.0)), "it left a step"
-    assert job.judging.diverges(await measure(job, 2, 60.0)), "but from there on it counts"
+    assert job.decide(1, await measure(job, 1, 30.0)) == AnotherPass(), "it left a step"
+    assert job.decide(2, await measure(job, 2, 60.0)) == Diverge(), "but from there on it counts"
 
 
 @pytest.mark.parametrize("how", ["done", "interrupted"])

@@ -111,6 +111,7 @@ async def test_errors_are_answers(daemon: Path, caplog: pytest.LogCaptureFixture
         b"null",
         b'{"verb": "status", "args": []}',
         b'{"verb": "status", "arg": {}}',
+        b"[" * 100_000,
     ],
 )
 async def test_what_is_no_request_is_answered_and_the_session_goes_on(daemon: Path, line: bytes) -> None:
@@ -141,15 +142,34 @@ async def test_arguments_that_a_verb_has_not_are_refused(
     assert await ask(daemon, verb, **args) == {"ok": False, "error": says}
 
 
-async def test_endless_line_ends_the_session_only(daemon: Path) -> None:
+async def test_a_line_that_is_too_long_is_answered_and_the_session_goes_on(daemon: Path) -> None:
     reader, writer = await asyncio.open_unix_connection(daemon / "polishd.sock")
-    writer.write(b"x" * (3 * LINE_BYTES))
-    try:
-        assert await reader.read() == b""
-    except ConnectionResetError:
-        assert reader.at_eof() or reader.exception() is not None
+    for end in (b"\n", b'{"verb": "hold"}\n'):
+        writer.write(b"x" * (3 * LINE_BYTES) + end + b'{"verb": "status"}\n')
+        first, second = json.loads(await reader.readline()), json.loads(await reader.readline())
+        assert first == {"ok": False, "error": f"a request is at most {LINE_BYTES} bytes long"}
+        assert second["ok"]
+    writer.write(b"x" * (2 * LINE_BYTES))
+    writer.write_eof()
+    assert json.loads(await reader.read())["error"] == f"a request is at most {LINE_BYTES} bytes long"
     writer.close()
-    assert (await ask(daemon, "status"))["ok"]
+
+
+async def test_a_subscriber_that_sends_lines_is_answered_and_goes_on_to_hear(daemon: Path, bus: EventBus) -> None:
+    reader, writer = await asyncio.open_unix_connection(daemon / "polishd.sock")
+    writer.write(b'{"verb": "subscribe"}\n')
+    assert json.loads(await reader.readline()) == {"ok": True}
+    for line in (b"what?", b'{"verb": "status"}', b"\xff" * (2 * LINE_BYTES)):
+        writer.write(line + b"\n")
+        refused = json.loads(await reader.readline())
+        assert refused == {"ok": False, "error": "this connection is for events: ask on another one"}
+        bus.publish(Held(error="a scratch", kind="LinkError"))
+        assert json.loads(await reader.readline())["event"]["name"] == "held"
+    writer.close()
+
+
+async def test_half_a_character_reaches_who_obeys_as_its_escape(daemon: Path) -> None:
+    assert await ask(daemon, "hold", reason="a \ud800 scratch") == {"ok": True, "reason": "a \\ud800 scratch"}
 
 
 async def test_a_waiting_verb_holds_up_no_other(daemon: Path) -> None:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,38 @@ def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
     np.testing.assert_array_equal(surface.height_nm, [[0, 1, 2], [3, 4, 5]])
     surface.height_nm[0, 0] = 7.0
     assert int(surface.part_id) != os.getpid()
+
+
+@pytest.mark.full
+def test_all_that_a_map_says_of_itself_arrives(tmp_path: Path) -> None:
+    surface, sent = read(tmp_path, "all"), parsers_apart.EVERYTHING
+    np.testing.assert_array_equal(surface.height_nm, sent.height_nm)
+    for one in fields(SurfaceMap):
+        if one.name != "height_nm":
+            assert getattr(surface, one.name) == getattr(sent, one.name), one.name
+    assert read(tmp_path, "half").part_id == "a\\udcffb"
+
+
+def test_a_worker_that_a_file_has_taken_over_runs_nothing_in_the_daemon(tmp_path: Path) -> None:
+    with pytest.raises(BadMap, match="answered what is no map"):
+        read(tmp_path, "pickle")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.bin"]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("what", ["no map", "huge"])
+def test_an_answer_that_is_no_map_is_refused(tmp_path: Path, what: str) -> None:
+    with pytest.raises(BadMap, match="answered what is no map"):
+        read(tmp_path, what)
+    assert read(tmp_path, "map").pitch_mm == 0.5
+
+
+def test_a_worker_inherits_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("SHOP_TOKEN", "MAIL_PASSWORD", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "s3cret")
+    names = read(tmp_path, "environment", is_kept=False).part_id.split()
+    assert "PATH" in names
+    assert not {"SHOP_TOKEN", "MAIL_PASSWORD", "AWS_SECRET_ACCESS_KEY"} & set(names)
 
 
 @pytest.mark.full

@@ -12,7 +12,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from polishd.config.shop import ShopFile, load_shop
-from polishd.door.limits import WRONG
+from polishd.door.limits import BUDGET, WRONG
 from polishd.door.users import Role
 from polishd.model.errors import ConfigError
 from polishd.shop.app import application, cells_of, people_of, serve
@@ -115,9 +115,14 @@ def test_a_token_is_for_its_own_side_alone(shop: Asked) -> None:
 
 
 def test_guessing_tokens_locks_the_address_out(shop: Asked) -> None:
-    for _ in range(WRONG):
+    for _ in range(WRONG + 1):
         assert shop.ask("wrong", "POST", "cell/claim", {}).status_code == 401
-    assert shop.ask("north", "POST", "cell/claim", {"request": "r1"}).status_code == 401
+    assert shop.ask("north", "POST", "cell/claim", {"request": "r1"}).status_code == 200
+    for k in range(BUDGET):
+        shop.tokens["guess"] = f"guess{k}"
+        assert shop.ask("guess", "POST", "cell/claim", {}).status_code == 401
+    assert shop.ask("south", "POST", "cell/claim", {"request": "r2"}).status_code == 401
+    assert shop.ask("north", "POST", "cell/claim", {"request": "r3"}).status_code == 200
 
 
 @pytest.mark.parametrize(

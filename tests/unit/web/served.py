@@ -48,8 +48,12 @@ class Answers:
 
     def tell(self, event: dict[str, Any]) -> None:
         """Those who listen hear of it."""
+        self.say(json.dumps({"event": event}))
+
+    def say(self, line: str) -> None:
+        """Those who listen are sent that line."""
         for subscriber in self.subscribers:
-            subscriber.write(json.dumps({"event": event}).encode() + b"\n")
+            subscriber.write(line.encode() + b"\n")
             subscriber.flush()
 
 

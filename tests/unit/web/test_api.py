@@ -111,7 +111,7 @@ def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
         codes = {web.ask("GET", "/api/state", Role.WATCH).status_code for _ in range(150)}
         assert codes == {200, 429}
         for _ in range(10):
-            web.client.get("/api/state", headers={"Authorization": "Bearer wrong"})
+            web.client.get("/api/state", headers={"Authorization": "Bearer engineer-person.wrong"})
         assert web.ask("GET", "/api/state", Role.ENGINEER).status_code == 401
         for role in Role:
             for verb in ("hold", "stop"):

@@ -15,8 +15,8 @@ from polishd.config.cell import load_config
 from polishd.config.web import WebSection
 from polishd.console.demo_files import write_demo
 from polishd.daemon.journal import Journal
-from polishd.door import guard
-from polishd.door.limits import LOCKED_S, WRONG, Lockout, Rate
+from polishd.door import guard, sessions
+from polishd.door.limits import BUDGET, LOCKED_S, WRONG, Lockout, Rate
 from polishd.door.users import Role, Users, users_path
 from polishd.model.concern import NOT_ASKED
 from polishd.model.errors import ConfigError
@@ -98,23 +98,92 @@ def test_the_cookie_is_for_this_page_alone(web: Served) -> None:
     assert web.client.get("/api/session").status_code == 401
 
 
-def test_guessing_tokens_locks_the_address_out(web: Served) -> None:
-    codes = [web.client.post("/api/session", json={"token": f"guess{k}"}).status_code for k in range(WRONG + 2)]
-    assert codes == [401] * WRONG + [429] * 2
-    right = {"token": web.tokens[Role.ENGINEER]}
-    assert web.client.post("/api/session", json=right).status_code == 429
+def codes(web: Served, *tokens: str) -> list[int]:
+    """What each sign-in is answered."""
+    return [web.client.post("/api/session", json={"token": token}).status_code for token in tokens]
 
 
-def test_the_lockout_ends_by_itself_and_a_session_outlives_it() -> None:
+def test_guessing_one_users_token_locks_that_user_out_and_no_other(web: Served) -> None:
+    """All come from one address, as behind a proxy."""
+    guesses = [f"operate-person.guess{k}" for k in range(WRONG + 2)]
+    assert codes(web, *guesses) == [401] * WRONG + [429] * 2
+    assert codes(web, web.tokens[Role.OPERATE]) == [429]
+    assert codes(web, web.tokens[Role.ENGINEER], web.tokens[Role.WATCH]) == [200, 200]
+
+
+def test_guessing_anybodys_token_uses_up_the_budget_of_the_address(web: Served) -> None:
+    assert codes(web, web.tokens[Role.WATCH]) == [200]
+    guesses = [f"guess{k}" for k in range(BUDGET + 2)]
+    assert codes(web, *guesses) == [401] * BUDGET + [429] * 2
+    assert codes(web, web.tokens[Role.ENGINEER]) == [429]  # who has not been there
+    assert codes(web, web.tokens[Role.WATCH]) == [200]  # who has
+
+
+def test_a_program_with_a_stale_token_every_five_seconds_locks_nobody_else_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(sessions, "Lockout", lambda: Lockout(lambda: now[0]))
+    stale = {"Authorization": "Bearer " + "x" * 43}
+    with served(tmp_path) as web:
+        for k in range(100):
+            now[0] = 5.0 * k
+            assert web.client.get("/api/state", headers=stale).status_code == 401
+            if k % 20 == 0:
+                assert codes(web, web.tokens[Role.ENGINEER]) == [200]
+                assert web.ask("GET", "/api/state", Role.OPERATE).status_code == 200
+        assert codes(web, "y" * 43, web.tokens[Role.WATCH]) == [401, 200]
+
+
+def test_who_is_signed_in_is_never_locked_out(web: Served) -> None:
+    good = web.sign_in(Role.OPERATE)
+    assert web.ask("GET", "/api/state", Role.ENGINEER).status_code == 200
+    guesses = [f"{name}-person.guess{k}" for k in range(BUDGET) for name in ("operate", "engineer")]
+    assert set(codes(web, *guesses)) == {401, 429}
+    assert web.client.post("/api/orders/resume", json={}, headers=good).status_code == 200
+    assert web.ask("GET", "/api/state", Role.ENGINEER).status_code == 200
+    assert codes(web, web.tokens[Role.OPERATE]) == [200]
+
+
+def test_the_lockout_ends_by_itself() -> None:
     now = [0.0]
     lockout = Lockout(lambda: now[0])
     for _ in range(WRONG):
-        assert not lockout.locked("a")
-        lockout.wrong("a")
-    assert lockout.locked("a")
-    assert not lockout.locked("b")
+        assert not lockout.locked("a", "ada")
+        lockout.wrong("a", "ada")
+    assert lockout.locked("a", "ada")
+    assert not lockout.locked("a", "bob")
+    assert not lockout.locked("b", "ada")
     now[0] = LOCKED_S + 1
-    assert not lockout.locked("a")
+    assert not lockout.locked("a", "ada")
+    for k in range(BUDGET):
+        assert not lockout.locked("a", f"#{k}")
+        lockout.wrong("a", f"#{k}")
+    assert lockout.locked("a", "bob")
+    assert not lockout.locked("b", "bob")
+    now[0] += LOCKED_S / BUDGET + 0.01
+    assert not lockout.locked("a", "bob")
+
+
+@pytest.mark.parametrize("token", ["\\ud800", "x\\udfffy", "anna.\\ud83d"])
+def test_a_token_with_half_a_character_is_a_wrong_one(web: Served, token: str) -> None:
+    said = web.client.post("/api/session", content=b'{"token": "%s"}' % token.encode())
+    assert said.status_code == 401, said.text
+
+
+def test_half_a_character_in_any_text_is_refused_and_a_hold_is_obeyed_all_the_same(web: Served) -> None:
+    body = b'{"reason": "\\ud800", "job": "\\ud800", "where": "first", "program_sha256": "\\ud800"}'
+    for path in ("orders/resume", "approve", "queue/move", "queue/remove"):
+        said = web.ask("POST", f"/api/{path}", content=body)
+        assert (said.status_code, "half a character" in said.text) == (400, True), path
+    assert web.ask("POST", "/api/orders/hold", content=body).status_code == 200
+    assert [verb for verb, _ in web.daemon.asked] == ["hold"]
+
+
+def test_a_csrf_token_that_is_not_ascii_is_a_wrong_one(web: Served) -> None:
+    good = web.sign_in()
+    wrong = {**good, "x-csrf-token": "ä".encode("latin-1")}
+    assert web.client.post("/api/orders/resume", json={}, headers=wrong).status_code == 403
 
 
 def test_a_rate_fills_again() -> None:
@@ -188,6 +257,19 @@ def test_beyond_this_computer_only_with_tls_and_users(tmp_path: Path) -> None:
     keys = 'address = "0.0.0.0"\ncert = "a.pem"\nkey = "b.pem"'
     files.cell.write_text(files.cell.read_text().replace("port = 8750", keys))
     with pytest.raises(ConfigError, match="there are no users"):
+        app.serve(load_config(files.cell))
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o660, 0o662, None])
+def test_a_tls_key_that_others_may_read_is_refused(tmp_path: Path, mode: int | None) -> None:
+    files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
+    files.cell.write_text(files.cell.read_text().replace("port = 8750", 'cert = "a.pem"\nkey = "b.pem"'))
+    key = files.cell.parent / "b.pem"
+    if mode is not None:
+        key.touch()
+        key.chmod(mode)
+    says = r"cell\.toml:\d+: web\.key: " + ("mode .*Run: chmod 600 " if mode else ".*No such file")
+    with pytest.raises(ConfigError, match=says):
         app.serve(load_config(files.cell))
 
 

@@ -7,8 +7,9 @@ import socket
 import ssl
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from polishd.config.cell import load_config
 from polishd.console.demo_files import write_demo
 from polishd.door.users import Role, Users, users_path
+from polishd.web.api import MOST_OF_USER
 from tests.patience import SOON_S
 from tests.unit.web.served import answering
 
@@ -49,6 +51,31 @@ def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> 
             heard += part
         assert b"content-type: text/event-stream" in heard.lower()
         assert heard.count(b"event: state") >= 1
+
+
+def test_one_user_holds_ten_streams_and_leaves_the_others_theirs(tmp_path: Path) -> None:
+    cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+    cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))
+    users = Users(users_path(load_config(cell)))
+    tokens = {name: users.add(name, Role.WATCH) for name in ("anna", "bob")}
+    with ExitStack() as stack:
+        at = stack.enter_context(serving(cell))
+
+        def stream(name: str) -> tuple[socket.socket, bytes]:
+            watcher = stack.enter_context(socket.create_connection(at, SOON_S))
+            head = f"GET /api/events HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {tokens[name]}\r\n\r\n"
+            watcher.sendall(head.encode())
+            return watcher, watcher.recv(12)
+
+        mine = [stream("anna") for _ in range(MOST_OF_USER)]
+        assert {said for _, said in mine} == {b"HTTP/1.1 200"}
+        assert stream("anna")[1] == b"HTTP/1.1 429"
+        assert stream("bob")[1] == b"HTTP/1.1 200"
+        mine[0][0].close()
+        end_s = time.monotonic() + SOON_S
+        while stream("anna")[1] != b"HTTP/1.1 200":  # the server has still to see that it was closed
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
 
 
 @pytest.mark.full

@@ -74,5 +74,56 @@ async def test_events_reach_every_page_and_one_that_does_not_read_is_let_go(
     assert (watcher.pages, watcher.number) == (0, 3)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "what?", "{}", "[]", '{"event": 3}', '{"event": {}}', '{"event": {"name": "held", "data": 3}}', "[" * 100_000,
+        '{"ok": false, "error": "a request is one JSON object a line"}',
+    ],
+)  # fmt: skip
+async def test_a_malformed_line_is_passed_by_and_the_next_event_is_heard(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, line: str
+) -> None:
+    with answering(tmp_path) as daemon:
+        async with watching(tmp_path) as watcher:
+            with watcher.page() as page:
+                await until(page, "up")
+                while not daemon.subscribers:  # noqa: ASYNC110 -- pytest's timeout is the limit
+                    await asyncio.sleep(0.01)
+                daemon.say(line)
+                daemon.tell({"name": "held", "cycle": 1, "data": {}})
+                async with asyncio.timeout(SOON_S):
+                    while not (message := await anext(page)).startswith("event: happened"):
+                        pass
+                assert '"held"' in message
+                assert len(daemon.subscribers) == 1  # the same subscription
+    assert [record.levelname for record in caplog.records if "daemon" in record.message] == ["WARNING"]
+
+
+async def test_whatever_goes_wrong_while_it_asks_or_listens_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(module, "LOOK_S", 0.01)
+    request, subscribe = client.request, client.subscribe
+
+    def fails(*_: object) -> Any:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(client, "request", fails)
+        patch.setattr(client, "subscribe", fails)
+        async with watching(tmp_path) as watcher:
+            with watcher.page() as page:
+                await until(page, "silent")
+                while "the watcher listens again" not in caplog.text:  # noqa: ASYNC110 -- pytest's timeout is the limit
+                    await asyncio.sleep(0.01)
+                patch.setattr(client, "request", request)
+                patch.setattr(client, "subscribe", subscribe)
+                with answering(tmp_path) as daemon:
+                    await until(page, "up")
+                    while not daemon.subscribers:  # noqa: ASYNC110 -- pytest's timeout is the limit
+                        await asyncio.sleep(0.01)
+
+
 def test_what_json_has_not_is_null() -> None:
     assert finite({1: [float("inf"), (1.5, "x", None, True)]}) == {"1": [None, [1.5, "x", None, True]]}

@@ -3,28 +3,43 @@
 HDF5 2.0 allocates the length a text states before it looks, walks some broken heaps for ever, and crashes on others.
 A worker parses the file within bounds of memory and time and hands the map back; where it does not, the file is a
 BadMap, and the next file gets a new worker. A worker is kept for the next file, as it takes half a second to start.
+
+Both sides speak JSON and plain arrays: what a file makes of the worker runs nothing in the daemon. The worker inherits
+no secrets.
 """
 
 from __future__ import annotations
 
 import atexit
 import errno
+import json
 import os
-import pickle
 import resource
 import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from multiprocessing import ProcessError
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import NonNegativeInt, TypeAdapter
 
 from polishd.api import BadMap, SurfaceMap
+from polishd.model.map_history import MapStep
+from polishd.model.surface import DateFrom, MaskCount
+from polishd.secret import environment_without_secrets
 
 WORKER = "polishd.plugins.interferometer.formats.apart_worker"
 STARTS_WITHIN_S = 60.0
+DIES_WITHIN_S = 10.0
+"""From the end of its line to its own."""
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -39,6 +54,35 @@ class Bounds(NamedTuple):
     wall_s: float = 60.0
     is_kept: bool = True
     """Whether the worker may read the next file too."""
+
+
+MOST_HEAD_BYTES = 1 << 22
+"""Of a map without its heights, as JSON."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapHead:
+    """A map without its heights, as the worker states it: fields of ``SurfaceMap``."""
+
+    shape: tuple[NonNegativeInt, NonNegativeInt]
+    """Rows and columns of the heights, which follow as 64-bit floats."""
+    has_path: bool
+    pitch_mm: float | None = None
+    part_id: str = ""
+    instrument: str = ""
+    taken_at: datetime | None = None
+    date_from: DateFrom = "header"
+    sha256: str = ""
+    format: str = ""
+    factors: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    unsaid: frozenset[str] = frozenset()
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    orientation: str = ""
+    fiducials_px: tuple[tuple[float, float], ...] = ()
+    reader_version: int = 0
+    masks: tuple[MaskCount, ...] = ()
+    history: MapStep | None = None
 
 
 USUAL = Bounds()
@@ -92,6 +136,9 @@ def limit(what: int, most: int) -> None:
     resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
+_HEAD = TypeAdapter(MapHead)
+
+
 class _Worker:
     """The process and the line to it."""
 
@@ -108,7 +155,7 @@ class _Worker:
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                     pass_fds=(theirs.fileno(),),
-                    env=os.environ | _THREADS,
+                    env=environment_without_secrets(_THREADS),
                 )
             except OSError as error:
                 ours.close()
@@ -134,22 +181,37 @@ class _Worker:
 
     def read(self, module: str, path: Path, bounds: Bounds) -> SurfaceMap:
         self.is_idle = False
+        whole = path.absolute()  # the process may have moved since it started
         try:
-            self._line.send((module, path.absolute(), bounds))  # the process may have moved since it started
+            self._line.send_bytes(json.dumps([module, str(whole), bounds]).encode())
             if not self._line.poll(bounds.wall_s):
                 raise BadMap(f"{path}: was not read within {bounds.wall_s:g} s")
-            reason, number, head, sizes = self._line.recv()
-            buffers = [bytearray(size) for size in sizes]
-            for buffer in buffers:
-                self._line.recv_bytes_into(buffer)
+            reason, number, head = self._answer()
+            surface = None if head is None else self._map(head, whole)
         except (EOFError, OSError) as error:
             raise BadMap(f"{path}: the process that reads it {self._end()}: the file is broken") from error
+        except (ValueError, TypeError, MemoryError, RecursionError, ProcessError) as error:
+            why = f"the process that reads it answered what is no map ({type(error).__name__})"
+            raise BadMap(f"{path}: {why}: the file is broken") from error
         self.is_idle = True
-        if reason:
-            reason = reason.replace(str(path.absolute()), str(path), 1)  # as it was named
+        if surface is None:
+            reason = reason.replace(str(whole), str(path), 1)  # as it was named
             raise BadMap(reason) from (OSError(number, os.strerror(number), str(path)) if number else None)
-        surface: SurfaceMap = pickle.loads(head, buffers=buffers)  # noqa: S301  our own process wrote it
         return surface
+
+    def _answer(self) -> tuple[str, int, MapHead | None]:
+        """Return why there is no map, the system's number of an error behind it, and the map's head."""
+        reason, number, head = json.loads(self._line.recv_bytes(MOST_HEAD_BYTES))
+        if not isinstance(reason, str) or not isinstance(number, int) or bool(reason) == (head is not None):
+            raise ValueError("neither a reason nor a map")
+        return reason, number, None if head is None else _HEAD.validate_python(head)
+
+    def _map(self, head: MapHead, whole: Path) -> SurfaceMap:
+        height_nm = np.empty(head.shape, dtype=np.float64)
+        if height_nm.size and self._line.recv_bytes_into(height_nm.reshape(-1).view(np.uint8)) != height_nm.nbytes:
+            raise ValueError("fewer heights than its shape has")
+        fields = {name: getattr(head, name) for name in MapHead.__slots__ if name not in {"shape", "has_path"}}
+        return SurfaceMap(height_nm, path=whole if head.has_path else None, **fields)
 
     def kill(self) -> None:
         self._process.kill()
@@ -157,7 +219,10 @@ class _Worker:
         self._line.close()
 
     def _end(self) -> str:
-        code = self._process.wait()
+        try:
+            code = self._process.wait(DIES_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            return "hung up"
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
 
 

@@ -85,7 +85,7 @@ def test_a_key_that_others_may_read_signs_nothing(tmp_path: Path, mode: int) -> 
     path = tmp_path / "shop.key"
     seal.make_key(path)
     path.chmod(mode)
-    with pytest.raises(ConfigError, match="others may read the shop's key"):
+    with pytest.raises(ConfigError, match=rf"the shop's key: mode {mode:04o} of .*Run: chmod 600 {path}"):
         seal.private_key(path)
 
 

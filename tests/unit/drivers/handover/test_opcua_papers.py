@@ -132,3 +132,16 @@ def test_papers_that_are_not_complete_are_refused_before_anything_is_opened(
     )
     with pytest.raises(ConfigError, match=says):
         build(options, DeviceContext(folder, folder, "P", []))
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o660, 0o662])
+def test_a_private_key_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
+    names = {"certificate": "polishd.pem", "private_key": "polishd.key", "server_certificate": "server.pem"}
+    for name in names.values():
+        (tmp_path / name).touch()
+    (tmp_path / "polishd.key").chmod(mode)
+    options = HandoverOptions(
+        profile="plc-opcua", address="opc.tcp://10.0.0.7:4840", delivery="folder:programs", **names
+    )
+    with pytest.raises(ConfigError, match=r"private_key 'polishd\.key': mode 06\d\d of .*Run: chmod 600 "):
+        build(options, DeviceContext(tmp_path, tmp_path, "P", []))

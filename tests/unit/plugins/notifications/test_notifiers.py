@@ -291,7 +291,7 @@ def test_wrong_options(kind: str, keys: dict[str, Any], says: str) -> None:
     ("kind", "keys", "says"),
     [
         ("email", {"password": "file:none"}, "'file:none': cannot be read: .*No such file"),
-        ("email", {"password": "file:open"}, "'file:open': everybody may read .*chmod 600"),
+        ("email", {"password": "file:open"}, "'file:open': mode 0644 of .* gives its secret to others.*: chmod 600 "),
         ("email", {"password": "file:empty"}, "'file:empty': holds no secret"),
         ("email", {"password": "file:binary"}, "'file:binary': .* is no UTF-8 text"),
         ("email", {"password": "env:NO_SUCH_VARIABLE"}, "'env:NO_SUCH_VARIABLE': holds no secret"),
