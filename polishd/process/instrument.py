@@ -86,11 +86,18 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
         _all_said(name, surface)
         return
     _of_this_instrument(name, surface, instrument)
+    if not partly:
+        require_answered(surface, instrument)
+    _require_pitch(name, surface, instrument)
+
+
+def require_answered(surface: SurfaceMap, instrument: Instrument) -> None:
+    """BadMap where neither the map, nor the profile, says all that polishing takes of it."""
+    name = surface.path.name if surface.path is not None else "the map"
     unanswered = sorted(_asked(surface) - _answered(instrument))
-    if unanswered and not partly:
+    if unanswered:
         raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
                      f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
-    _require_pitch(name, surface, instrument)
 
 
 def _asked(surface: SurfaceMap) -> frozenset[str]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -19,6 +19,10 @@ from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
 from polishd.workbench.maps.masks import Mask, masked
 from polishd.workbench.maps.options import ReadOptions
+
+if TYPE_CHECKING:  # these verbs start in half the time without
+    from polishd.config.cell import CellConfig
+    from polishd.process.absolute import SystemMap
 
 PROFILED = "its history says that a profile is in it: not applied again"
 """The warning of a map that was turned and scaled before."""
@@ -39,6 +43,8 @@ class MapSource:
     """Laid over each map, as the profile turns it."""
     partly: bool = True
     """The profile need not say all that a file leaves open: enough to look."""
+    system: SystemMap | None = None
+    """The instrument's own error, taken off each map that still has it."""
 
     @classmethod
     def of(
@@ -49,32 +55,52 @@ class MapSource:
         masks: Sequence[str] | None = None,
         *,
         partly: bool = True,
+        system: bool = True,
     ) -> MapSource:
-        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
+        """The cell's plugins and its instrument's profile, without a cell polishd's own plugins.
+
+        ``profile`` is taken instead of the cell's. ``system``: take the profile's system map off, where it names one.
+
+        Raises:
+            ConfigError, PluginError: a file is broken.
 
         ``as_format``: read files as this format or ending, whatever they are called; BadParameter where it is none. Of
         a mask, as ``--mask`` has it, that is none: what ``Mask.of`` raises.
         """
-        readers = readers_for(cell)
+        config, readers = _of_cell(cell)
         asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
-        instrument = None
-        if profile is not None:
+        instrument = system_map = None
+        path = config.profile_path if profile is None and config is not None else profile
+        if path is not None:
             from polishd.config.profile import load_profile
+            from polishd.recipe.making import system_of_profile
 
-            instrument = load_profile(profile).instrument
-        source = cls(readers, asked, instrument, partly=partly)
+            given = load_profile(path)
+            instrument = given.instrument
+            own = {} if cell is None else {"cell": cell.name}
+            system_map = system_of_profile(given, readers.values(), **own) if system else None
+        source = cls(readers, asked, instrument, partly=partly, system=system_map)
         return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
 
     @classmethod
-    def by(cls, asked: ReadOptions) -> MapSource:
+    def by(cls, asked: ReadOptions, *, system: bool = True) -> MapSource:
         """As the command line asks; errors: those of ``of``."""
-        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks, system=system)
 
     @property
     def options(self) -> dict[str, Any]:
         """How maps are read, for a history: values of JSON."""
         told: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
-        return told | ({"profile": self.instrument.name} if self.instrument is not None else {})
+        told |= {"profile": self.instrument.name} if self.instrument is not None else {}
+        return told | ({"system": self.system.surface.sha256} if self.system is not None else {})
+
+    @property
+    def read_by(self) -> str:
+        """How maps are read, in a line for people."""
+        if self.instrument is None:
+            return "maps are taken as their files say: no instrument's profile is named"
+        less = "" if self.system is None else ", less its system map"
+        return f"maps are read by the profile {self.instrument.name!r}{less}"
 
     def read(self, path: Path) -> SurfaceMap:
         """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
@@ -90,23 +116,35 @@ class MapSource:
         return masked(surface, self.masks)
 
     def _as_profiled(self, surface: SurfaceMap, instrument: Instrument) -> SurfaceMap:
-        """Once: what a verb made of profiled maps is taken as it is."""
-        if self.partly and surface.history is not None and surface.history.profiled:
-            return replace(surface, warnings=(*surface.warnings, PROFILED))
-        from polishd.process.instrument import as_profiled
+        """Once: what a verb made of profiled maps is taken as it is, and so what the system map is off already."""
+        step = surface.history
+        if self.partly and step is not None and step.profiled:
+            surface = replace(surface, warnings=(*surface.warnings, PROFILED))
+        else:
+            from polishd.process.instrument import as_profiled
 
-        return as_profiled(surface, instrument, partly=self.partly)
+            surface = as_profiled(surface, instrument, partly=self.partly)
+        if self.system is None or (step is not None and step.less_system):
+            return surface
+        factors = {**surface.factors, "system": self.system.surface.sha256}
+        return replace(self.system.off(surface), factors=factors)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
     """The readers of the cell's plugins by name, in the order in which they are asked; without a cell polishd's own."""
+    return _of_cell(cell)[1]
+
+
+def _of_cell(cell: Path | None) -> tuple[CellConfig | None, Mapping[str, SurfaceReader]]:
+    """The cell, None without one, and the readers."""
     if cell is not None:
         from polishd.hooks.cell import load_cell
 
-        return load_cell(cell)[1].surface_readers()
+        config, hooks = load_cell(cell)
+        return config, hooks.surface_readers()
     from polishd.hooks.loader import load_plugins
 
-    return load_plugins([READERS]).surface_readers()
+    return None, load_plugins([READERS]).surface_readers()
 
 
 def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:

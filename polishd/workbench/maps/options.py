@@ -13,10 +13,12 @@ from polishd.workbench.options import Picture
 
 # readable=False, here and in cli.py: what cannot be read is exit code 8, as what is broken is; typer would make it 2
 Profile = Annotated[
-    Path | None, Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False)
+    Path | None,
+    Option(metavar="P.toml", help="The instrument's profile: apply it first, and its system map.", readable=False),
 ]
 OfCell = Annotated[
-    Path | None, Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False)
+    Path | None,
+    Option("--cell", metavar="CELL.toml", help="Read as this cell does: plugins, profile, system map.", readable=False),
 ]
 AsFormat = Annotated[
     str | None, Option("--format", metavar="NAME", help="Read as this format, or ending, whatever a file is called.")
