@@ -15,6 +15,7 @@ from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
+from polishd.plugins.interferometer.formats.scales import IN_UNITS, NO_PITCH, nm_per, pitch
 from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
 from polishd.workbench.maps.masks import Mask, masked
@@ -45,6 +46,8 @@ class MapSource:
     """The profile need not say all that a file leaves open: enough to look."""
     system: SystemMap | None = None
     """The instrument's own error, taken off each map that still has it."""
+    units: tuple[str | None, str] | None = None
+    """Of places and heights, of files that do not say theirs."""
 
     @classmethod
     def of(
@@ -54,6 +57,7 @@ class MapSource:
         as_format: str | None = None,
         masks: Sequence[str] | None = None,
         *,
+        units: str | None = None,
         partly: bool = True,
         system: bool = True,
     ) -> MapSource:
@@ -79,19 +83,20 @@ class MapSource:
             instrument = given.instrument
             own = {} if cell is None else {"cell": cell.name}
             system_map = system_of_profile(given, readers.values(), **own) if system else None
-        source = cls(readers, asked, instrument, partly=partly, system=system_map)
+        source = cls(readers, asked, instrument, partly=partly, system=system_map, units=_units(units))
         return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
 
     @classmethod
     def by(cls, asked: ReadOptions, *, system: bool = True) -> MapSource:
         """As the command line asks; errors: those of ``of``."""
-        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks, system=system)
+        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks, units=asked.units, system=system)
 
     @property
     def options(self) -> dict[str, Any]:
         """How maps are read, for a history: values of JSON."""
         told: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
         told |= {"profile": self.instrument.name} if self.instrument is not None else {}
+        told |= {"units": [one for one in self.units if one]} if self.units is not None else {}
         return told | ({"system": self.system.surface.sha256} if self.system is not None else {})
 
     @property
@@ -111,6 +116,8 @@ class MapSource:
         if odd:
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.asked)
+        if self.units is not None:
+            surface = _in_units(surface, *self.units)
         if self.instrument is not None:
             surface = self._as_profiled(surface, self.instrument)
         return masked(surface, self.masks)
@@ -145,6 +152,44 @@ def _of_cell(cell: Path | None) -> tuple[CellConfig | None, Mapping[str, Surface
     from polishd.hooks.loader import load_plugins
 
     return None, load_plugins([READERS]).surface_readers()
+
+
+def _units(text: str | None) -> tuple[str | None, str] | None:
+    """Of ``--units``; BadParameter where they are none of length."""
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if len(words) > 2 or any(nm_per(word) is None for word in words):
+        raise typer.BadParameter(
+            f"--units {text!r}: two units of length, of places and heights, as mm,nm; or one, of heights"
+        )
+    return (words[0] if len(words) == 2 else None), words[-1]
+
+
+def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceMap:
+    """The map with the units that its file does not say."""
+    nm, mm = nm_per(height) or 1.0, None if lateral is None else nm_per(lateral)
+    pitches = surface.factors.get(IN_UNITS)
+    answered = {"unit"} & surface.unsaid
+    found = NO_PITCH
+    if mm is not None and pitches is not None and surface.pitch_mm is None:
+        answered = answered | {"pitch"}
+        found = pitch(surface.path or Path(), *(value * mm / 1e6 for value in pitches))
+    if not answered:
+        return replace(surface, warnings=(*surface.warnings, f"--units {height}: not used: the file says its own"))
+    settled = {surface.doubts.get(key) for key in answered}
+    left = {key: words for key, words in surface.doubts.items() if key not in answered}
+    new = dict(found.doubts) if "pitch" in answered else {}
+    return replace(
+        surface,
+        height_nm=surface.height_nm * nm if "unit" in answered else surface.height_nm,
+        pitch_mm=found.mm if "pitch" in answered else surface.pitch_mm,
+        pitches_mm=found.both_mm if "pitch" in answered else surface.pitches_mm,
+        factors={**surface.factors, "units": [lateral, height]},
+        unsaid=(surface.unsaid - answered) | new.keys(),
+        doubts=left | new,
+        warnings=(*(words for words in surface.warnings if words not in settled), *new.values()),
+    )
 
 
 def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:

@@ -33,6 +33,14 @@ Masks = Annotated[
         "not: before it takes what lies outside, px: means pixels.",
     ),
 ]
+Units = Annotated[
+    str | None,
+    Option(
+        "--units",
+        metavar="XY,Z",
+        help="Units of a file that does not say them: of places and heights, as mm,nm; one alone is of heights.",
+    ),
+]
 BANDS = "33,0.12"
 Trim = Annotated[int, Option(min=0, max=1000, metavar="N", help="Pixels to take off every edge of the data.")]
 Bands = Annotated[str, Option(metavar="MM,...", help="Periods between the bands, falling.")]
@@ -49,6 +57,7 @@ class ReadOptions:
     profile: Profile = None
     cell: OfCell = None
     as_format: AsFormat = None
+    units: Units = None
     masks: Masks = None
 
 
