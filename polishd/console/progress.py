@@ -32,6 +32,13 @@ def progress(cells: Sequence[tuple[str, Path]]) -> Iterator[list[Show]]:
         yield [_Line(bar, f"{name}: " if name else "", cell).show for name, cell in cells]
 
 
+def _trouble(name: str, data: Mapping[str, Any]) -> str:
+    if name == "map_refused":
+        return f"waiting for another map: {data['file']} is refused: {data['reason']}. To do: {data['todo']}"
+    who = data.get("kind") or data.get("notifier") or data["signal"]
+    return f"{who}: {data.get('error') or data['what']}"
+
+
 class _Line:
     """One cell's bar."""
 
@@ -59,9 +66,8 @@ class _Line:
                 self._update(AFTER[name].format(cycle=cycle), total=None, note="")
             case "state":
                 self._state(data)
-            case "failed" | "found" | "notification_failed" | "signal_wrong":
-                who = data.get("kind") or data.get("notifier") or data["signal"]
-                self._print(f"{who}: {data.get('error') or data['what']}", style="red")
+            case "failed" | "found" | "notification_failed" | "signal_wrong" | "map_refused":
+                self._print(_trouble(name, data), style="red")
             case _:
                 self._show_queue(name, data)
         for note in data.get("notes", ()):

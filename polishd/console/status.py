@@ -34,8 +34,13 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         else:
             _tell_last(last, place.name, cell)
         raise typer.Exit(absent.exit_code) from None
-    words = {key: value for key, value in answer.items() if key not in {"ok", "cycles", "devices", "signals", "health"}}
+    words = {
+        key: value
+        for key, value in answer.items()
+        if key not in {"ok", "cycles", "devices", "signals", "health", "map_refused"}
+    }
     rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
+    rows += [("map refused", _refused(answer["map_refused"]))] if answer.get("map_refused") else []
     rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
     rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
     rows += [
@@ -44,6 +49,11 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
     ]
     rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
     emit(answer, as_json=as_json, table=lambda: key_table(place.name, rows))
+
+
+def _refused(facts: Mapping[str, Any]) -> str:
+    kept = f"; the file is in {facts['kept']}" if facts["kept"] else ""
+    return f"{facts['file']}: {facts['kind']}: {facts['reason']}{kept}. To do: {facts['todo']}"
 
 
 def _measured(cycle: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from polishd.daemon.listening import LET_GO_S, within
 from polishd.daemon.live import Live
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
-from polishd.model.devices import DeviceStatus, Identity, RobotProgress, port_of
+from polishd.model.devices import DeviceStatus, Identity, MapRefusal, RobotProgress, port_of
 from polishd.model.errors import DeviceBusy, DeviceFault, LinkError
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
@@ -70,6 +70,8 @@ class Cell:
     """What the job's devices told last."""
     approval: Approval = field(default_factory=Approval)
     """What waits for a person's word."""
+    map_refusal: MapRefusal | None = None
+    """Last map that the instrument refused, while the cell waits for another."""
     tared: set[str] = field(default_factory=set)
     """Force sensors whose zero is known: what hangs on them has not been changed since."""
     pressing: bool = False

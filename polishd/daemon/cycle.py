@@ -12,6 +12,7 @@ from polishd.daemon.clearance import until_approved
 from polishd.daemon.handling import Handling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
+from polishd.daemon.map_wait import next_map
 from polishd.daemon.progress import ProgressLimits
 from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.recording import recording
@@ -36,7 +37,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
     for cycle in journal.remaining(job.last_cycle + 1):  # one measurement more than passes
         await handling.clean(cycle)
         async with journal.phase(cycle, Phase.MEASURE):
-            surface = await job.measured(cycle, await cell.metrology.next_map(after=journal.last_map_id))
+            surface = await job.measured(cycle, await next_map(cell, job.publish, cycle, journal.last_map_id))
         surface = await handling.settled(cycle, surface)
         async with journal.phase(cycle, Phase.LEARN):
             doubted = await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops

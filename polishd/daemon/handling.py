@@ -20,6 +20,7 @@ from polishd.daemon.force_check import ForceCheck
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
+from polishd.daemon.map_wait import next_map
 from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
@@ -172,7 +173,8 @@ class Handling:
         """A later map of the same cycle; the one before is set aside for people, under that number."""
         await self._cell.clock.sleep(wait_s)
         await self._job.people.set_aside(cycle, number)
-        return await self._job.measured(cycle, await self._cell.metrology.next_map(after=self._journal.last_map_id))
+        surface = await next_map(self._cell, self._job.publish, cycle, self._journal.last_map_id)
+        return await self._job.measured(cycle, surface)
 
     async def _touch_off(self, cycle: int, asked: TouchOff) -> None:
         job = self._job

@@ -41,9 +41,10 @@ async def _live(cell: Cell, health: Health, standing: Callable[[], Mapping[str, 
 
 
 def seen(cell: Cell, health: Health) -> dict[str, Any]:
-    """Who did not confirm being safe, signals, and how the computer does."""
+    """Who did not confirm being safe, the last refused map while another is waited for, signals, and the computer."""
     return {
         "unsafe": list(cell.unsafe),
+        "map_refused": None if cell.map_refusal is None else asdict(cell.map_refusal),
         "signals": cell.signals.facts(),
         "health": {figure.name: {**asdict(figure), "fits": figure.fits} for figure in health.figures()},
     }

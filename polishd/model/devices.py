@@ -117,3 +117,18 @@ class RobotProgress:
     detail: str = ""
     override: float | None = None
     """Speed override that the controller reports, as a fraction (1.0: as programmed); None: it cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapRefusal:
+    """Map that a metrology device refused while it waits for one."""
+
+    file: str
+    """Name of the file, as it came."""
+    kind: str
+    """Class of the error: ``BadMap``, ``StaleMap``, ``WrongPart``."""
+    reason: str
+    todo: str
+    """What the operator can do."""
+    kept: str = ""
+    """Where the file is kept now; empty where it could not be moved."""

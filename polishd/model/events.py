@@ -171,6 +171,27 @@ class Failed(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MapRefused(Event):
+    """The instrument's map was refused, and the cell waits for another; again while no map comes."""
+
+    name: ClassVar[str] = "map_refused"
+    file: Annotated[str, "name of the file"]
+    kind: Annotated[str, "the error's class: `BadMap`, `StaleMap`, `WrongPart`"]
+    reason: Annotated[str, "why it was refused"]
+    todo: Annotated[str, "what to do"]
+    kept: Annotated[str, "where the file is kept; empty where it could not be moved"]
+    waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
+
+    def concern(self) -> Concern:
+        """Warning: no map comes by itself."""
+        since = f", refused {self.waited_s / 60:.0f} min ago" if self.waited_s else ""
+        waits = "the cell measures: it waits for another map; nothing moves"
+        return Concern(
+            Severity.WARNING, f"map {self.file} refused: {self.kind}: {self.reason}{since}", waits, self.todo
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Measured(Event):
     """A map was taken, and conditioned."""
 
@@ -387,8 +408,9 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, Measured,
-    Repeated, GateStopped, Learned, Found, Solved, ToolMounted, TouchedOff, SignalWrong, PlanWaits, Approved, PassBegun,
-    Progress, ContactBroken, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, RateOffered, PlanWritten,
+    Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, MapRefused,
+    Measured, Repeated, GateStopped, Learned, Found, Solved, ToolMounted, TouchedOff, SignalWrong, PlanWaits, Approved,
+    PassBegun, Progress, ContactBroken, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, RateOffered,
+    PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

@@ -8,7 +8,7 @@ derived from that (``daemon.time_limits``).
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from polishd.model.devices import (
@@ -16,6 +16,7 @@ from polishd.model.devices import (
     Executed,
     ForceSample,
     Identity,
+    MapRefusal,
     RobotProgress,
     SensedForce,
     Signal,
@@ -278,6 +279,19 @@ class Metrology(Device, Protocol):
         Time: as long as the instrument, or its operator, takes.
         Errors: SurfaceError when asking again cannot help; DeviceError.
         Cancelled: nothing is left behind; a map that comes meanwhile is given to the next call.
+        """
+        ...
+
+
+@runtime_checkable
+class RefusesMaps(Protocol):
+    """Metrology that reports each map that it refuses. Optional: without it the daemon knows of none before the end."""
+
+    def on_refusal(self, listener: Callable[[MapRefusal], None] | None) -> None:
+        """Call ``listener`` for each refused map from now on, in the event loop, inside ``next_map``; None: no longer.
+
+        Time: at once.
+        Errors: none; what the listener raises comes out of ``next_map``.
         """
         ...
 

@@ -29,6 +29,7 @@ ALARMS: Mapping[str, tuple[str, str, str]] = {
     "failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
     "found": ("warning", "what", "look at the tool and the last pass"),
     "signal_wrong": ("warning", "what", "see to that signal"),
+    "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
     "gate_stopped": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
     "part_wanted": ("warning", "part_id", "put that part in, then resume"),
     "plan_waits": ("warning", "program_sha256", "look at the plan, then approve it"),

@@ -18,6 +18,7 @@ from polishd.model.devices import (
     Executed,
     ForceSample,
     Identity,
+    MapRefusal,
     RobotProgress,
     RobotState,
     SensedForce,
@@ -335,9 +336,17 @@ class FakeMetrology(FakeDevice):
         self.maps: list[SurfaceMap] = []
         self.measure: Callable[[], SurfaceMap] | None = None
         self.afters: list[str | None] = []
+        self.refuses: list[MapRefusal] = []
+        """Before it gives the next map."""
+        self._listener: Callable[[MapRefusal], None] | None = None
+
+    def on_refusal(self, listener: Callable[[MapRefusal], None] | None) -> None:
+        self._listener = listener
 
     async def next_map(self, after: str | None) -> SurfaceMap:
         self.afters.append(after)
+        while self.refuses and self._listener is not None:
+            self._listener(self.refuses.pop(0))
         await self.did("next_map")
         if self.measure is not None:
             return self.measure()

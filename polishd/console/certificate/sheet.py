@@ -106,7 +106,7 @@ def _changes(content: Content) -> Part:
     if any(band.soft and band.rms_nm is not None for band in bands):
         notes.append(
             "Fewer than three of a band's longest periods fit on this part: what lies to either side of such an edge "
-            "depends on how the rim is continued, and bands need not add up to the RMS."
+            "depends on how the rim is continued. The squares of all bands add up to that of the RMS."
         )
     return Part("Before and after, nm", [Table(("figure", "before", "after", "change"), rows)], notes)
 

@@ -25,6 +25,7 @@ from polishd.api import (
     DeviceType,
     Identity,
     LinkError,
+    MapRefusal,
     StaleMap,
     SurfaceError,
     SurfaceMap,
@@ -100,6 +101,8 @@ class Waiting:
     ask: Ask | None = None
     requested: bool = False
     refused: list[str] = field(default_factory=list)
+    refusals: list[MapRefusal] = field(default_factory=list)
+    """Not reported yet."""
     another_part: bool = False
     """A map of another part came."""
     trouble: str = ""
@@ -182,6 +185,11 @@ class WatchedFolder:
         self._thread, self._ends = FolderThread(), FolderThread()
         self._waits = 0
         self._trouble = ""
+        self._listener: Callable[[MapRefusal], None] | None = None
+
+    def on_refusal(self, listener: Callable[[MapRefusal], None] | None) -> None:
+        """Report each refused map to it."""
+        self._listener = listener
 
     async def open(self) -> None:
         """Check the folder and read which maps were taken before. LinkError where the folder cannot be used."""
@@ -233,6 +241,10 @@ class WatchedFolder:
                 except TimeoutError:  # a map that is claimed after this comes first with the next poll
                     self._notice(wait, self._silent(self._thread.busy_s))
                     continue
+                while wait.refusals:
+                    refusal = wait.refusals.pop(0)
+                    if self._listener is not None:
+                        self._listener(refusal)
                 if found is not None:
                     self._load().handed(found.sha256)
                     return found
@@ -428,15 +440,33 @@ class WatchedFolder:
         return replace(surface, path=target)
 
     def _put_away(self, path: Path, error: SurfaceError, wait: Waiting) -> None:
-        reason = f"{path.name}: {type(error).__name__}: {str(error).removeprefix(f'{path}: ')}"
+        why = str(error).removeprefix(f"{path}: ")
+        reason = f"{path.name}: {type(error).__name__}: {why}"
+        why = why.removeprefix(f"{path.name}: ")
+        kept: Path | None = None
         try:
-            files.quarantine(path, self._refused, reason)
+            kept = files.quarantine(path, self._refused, reason)
         except OSError as problem:
             wait.trouble = f"{path} cannot be moved to {self._refused}: {problem.strerror or problem}"
             reason += f" (and it cannot be moved to {self._refused}: {problem.strerror or problem})"
         wait.another_part = wait.another_part or isinstance(error, WrongPart)
         if reason not in wait.refused:
             wait.refused.append(reason)
+            todo = _advice(error, self._rules.part_id)
+            wait.refusals.append(MapRefusal(path.name, type(error).__name__, why, todo, str(kept or "")))
+
+
+def _advice(error: SurfaceError, part_id: str) -> str:
+    match error:
+        case WrongPart():
+            return (
+                f"Measure part {part_id!r} and export it under that name; where the instrument names no part, set "
+                "metrology.accept_unnamed = true."
+            )
+        case StaleMap():
+            return "Measure again: the map is older than the request, or was taken before."
+        case _:
+            return "Correct what the reason names, then measure and export again."
 
 
 WATCHED_FOLDER = DeviceType(name="watched_folder", port="metrology", options=FolderOptions, build=WatchedFolder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -16,6 +15,8 @@ FIT_DEGREE = 2
 """Total degree of the polynomial taken off before filtering: without it the extension has steep edges."""
 MARGIN = 1.5
 """Width of the extension, of the longest edge: on 50 masked surfaces, 1 was up to 1.3 % off, 1.5 up to 0.9 %."""
+NOTHING = 1e-20
+"""Of the surface's energy: less is rounding."""
 EDGES_MM = (33.0, 0.12)
 """Periods between LSF, MSF and HSF where nothing else is asked for."""
 
@@ -58,10 +59,15 @@ def band_rms(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, period_abo
 def split_bands(
     height_nm: FloatArray, mask: BoolArray, pitch_mm: float, edges_mm: Sequence[float] = EDGES_MM
 ) -> tuple[FloatArray, ...]:
-    """Split a masked surface into bands of periods.
+    """Split a masked surface into bands of periods that are orthogonal over the mask.
 
     A low-order fit is taken off (and given to the first band), the rest is extended from the nearest edge and tapered
-    to zero, and ideal band-passes are applied. A zero-filled mask would put 13-20 % into the wrong bands.
+    to zero, and ideal low-passes are applied; a zero-filled mask would put 13-20 % into the wrong bands. Differences of
+    low-passes are not orthogonal over the mask, and where it is short against an edge a band of them can be more than
+    the whole surface. Each band is therefore the projection of what the longer ones leave on its low-pass, so that the
+    squares of the bands' RMS add up to that of the surface, whatever the mask.
+
+    Level the surface before: a tilt counts in the first band.
 
     Args:
         height_nm: (ny, nx), finite inside ``mask``.
@@ -71,7 +77,8 @@ def split_bands(
             leaves nothing for the last band.
 
     Returns:
-        ``len(edges_mm) + 1`` maps (ny, nx), longest periods first, NaN outside the mask; they sum to the map.
+        ``len(edges_mm) + 1`` maps (ny, nx), longest periods first, NaN outside the mask; they sum to the map, and the
+        mean is in the first.
 
     Raises:
         BadMap: the mask is empty, or the surface not finite inside it.
@@ -81,13 +88,32 @@ def split_bands(
     if edges.size == 0 or edges.min() <= 0 or (np.diff(edges) >= 0).any():
         raise ValueError(f"periods between bands must be positive and fall, not {tuple(edges_mm)}")
     inside(height_nm, mask)
-    fit = polynomial(height_nm, mask, FIT_DEGREE)
-    margin = int(np.ceil(min(MARGIN * edges[0] / pitch_mm, max(mask.shape))))
-    wide, window = extended(height_nm - fit, mask, margin)
-    seen = [edge for edge in edges if edge > 2 * pitch_mm]
-    below = [fit + low for low in _low_passed(wide, window, pitch_mm, seen)] + [height_nm] * (len(edges) - len(seen))
-    steps = [below[0], *(b - a for a, b in pairwise(below)), height_nm - below[-1]]
-    return tuple(np.where(mask, step, np.nan) for step in steps)
+    fit = np.where(mask, polynomial(height_nm, mask, FIT_DEGREE), 0.0)
+    rest = np.where(mask, height_nm, 0.0) - fit
+    least = NOTHING * float(height_nm[mask].var()) * np.count_nonzero(mask)
+    seen = [float(edge) for edge in edges if edge > 2 * pitch_mm]
+    bands: list[FloatArray] = []
+    if seen:
+        wide, window = extended(rest, mask, int(np.ceil(min(MARGIN * seen[0] / pitch_mm, max(mask.shape)))))
+        for low in _low_passed(wide, window, pitch_mm, seen):
+            bands.append(_projected(rest, low, mask, bands, least))
+            rest = rest - bands[-1]
+    bands += [rest, *(np.zeros(mask.shape) for _ in edges[len(seen) :])]
+    bands[0] = bands[0] + fit
+    return tuple(np.where(mask, band, np.nan) for band in bands)
+
+
+def _projected(
+    rest: FloatArray, low: FloatArray, mask: BoolArray, before: Sequence[FloatArray], least: float
+) -> FloatArray:
+    """What of ``rest`` is like ``low``, without what the fit and the bands before hold of that; 0 off the mask."""
+    own = np.where(mask, low - polynomial(low, mask, FIT_DEGREE), 0.0)
+    for band in before:
+        energy = float(np.vdot(band, band))
+        if energy > least:
+            own -= band * (float(np.vdot(band, own)) / energy)
+    energy, shared = float(np.vdot(own, own)), float(np.vdot(own, rest))
+    return np.asarray(own * (shared / energy if energy > least and shared > 0 else 0.0))
 
 
 def _low_passed(

@@ -10,7 +10,7 @@ import numpy as np
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.bands import EDGES_MM, split_bands
 from polishd.process.metrics.psd import RadialPsd, radial_psd
-from polishd.process.metrics.spread import pv_rms
+from polishd.process.metrics.spread import pv_rms, without
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ def compare(
 
 
 def figures(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, edges_mm: Sequence[float] = EDGES_MM) -> Figures:
-    """PV, RMS, band RMS and PSD of one surface; arguments and errors are those of ``compare``."""
+    """PV and RMS of one surface, band RMS and PSD of it without tilt; arguments and errors are those of ``compare``."""
     pv, rms = pv_rms(height_nm, mask)
-    bands = split_bands(height_nm, mask, pitch_mm, edges_mm)
+    bands = split_bands(without(height_nm, mask, "tilt"), mask, pitch_mm, edges_mm)
     return Figures(pv, rms, tuple(float(band[mask].std()) for band in bands), radial_psd(height_nm, mask, pitch_mm))
 
 

@@ -35,7 +35,7 @@ class Figured:
     level_nm: FloatArray
     """(ny, nx) piston and tilt over the mask removed, or what else is alignment; NaN outside it."""
     bands_nm: tuple[FloatArray, ...]
-    """(ny, nx) each; none without a lateral scale."""
+    """(ny, nx) each, of the level surface, to whose RMS their squares add up; none without a lateral scale."""
     answer: dict[str, Any]
 
 
@@ -56,13 +56,14 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: m
     if not mask.any():
         raise BadMap(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
     level = metrics.without(height, mask, alignment)
-    bands = () if pitch is None else metrics.split_bands(height, mask, pitch, edges)
+    bands = () if pitch is None else metrics.split_bands(level, mask, pitch, edges)
     answer = {
         "path": str(surface.path),
         "format": surface.format,
         "rows": height.shape[0],
         "cols": height.shape[1],
         "pitch_mm": pitch,
+        "pitches_mm": None if surface.pitches_mm is None else list(surface.pitches_mm),
         "missing": int(np.count_nonzero(~surface.valid)) - masked_out(surface),
         **heights_nm(height, level, mask),
         "bands": None
