@@ -31,6 +31,7 @@ from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
 from polishd.plugins.interferometer.judge import Rules, require_new, require_plausible, source_of
 from polishd.plugins.interferometer.taken import Ask, Given, Taken
+from polishd.ports.address_claims import Claim, claim, folder_key
 
 TORN_AFTER = 10
 """An unreadable file may still grow: it is refused only after so many times ``stable_s`` without a change."""
@@ -105,16 +106,23 @@ class WatchedFolder:
         self._record = context.state_dir / "maps_taken.json"
         self._polling = threading.Lock()
         self._trouble = ""
+        self._address_claim = Claim()
 
     async def open(self) -> None:
-        """Check the folder and read which maps were taken before. LinkError where the folder cannot be used."""
+        """Check the folder and read which maps were taken before.
+
+        LinkError where the folder cannot be used; DeviceClaimed where another program takes maps from it.
+        """
         problem = await asyncio.to_thread(self._problem)
         if problem:
             raise LinkError(f"{problem}. To do: make it, mount it, or correct [metrology] folder.")
+        await self.close()
+        self._address_claim = await asyncio.to_thread(claim, [folder_key(self._folder)], str(self._folder))
         await asyncio.to_thread(self._load)
 
     async def close(self) -> None:
-        """Nothing is held open."""
+        """Another program may take maps from the folder now."""
+        self._address_claim.release()
 
     async def identify(self) -> Identity:
         """The folder. Which instrument writes into it, each map says itself."""
