@@ -38,6 +38,7 @@ from polishd.model.errors import (
     ComputeError,
     ConfigError,
     DeviceBusy,
+    DeviceClaimed,
     DeviceError,
     DeviceFault,
     DeviceRefused,
@@ -89,6 +90,7 @@ from polishd.secret import SecretPlace, hide, read_secret
 if TYPE_CHECKING:
     from polishd.drivers.transport.address import Address, SerialLine, Tcp, parse_address
     from polishd.drivers.transport.background import Background
+    from polishd.drivers.transport.claims import claim_address
     from polishd.drivers.transport.numbered import NumberedLines
     from polishd.drivers.transport.plain import PlainLines
     from polishd.drivers.transport.requests import RequestQueue
@@ -114,6 +116,7 @@ __all__ = [
     "Correction",
     "Device",
     "DeviceBusy",
+    "DeviceClaimed",
     "DeviceContext",
     "DeviceError",
     "DeviceFault",
@@ -193,6 +196,7 @@ __all__ = [
     "ToolProcess",
     "Unpowered",
     "WrongPart",
+    "claim_address",
     "events",
     "hide",
     "hookimpl",
@@ -205,6 +209,7 @@ __all__ = [
 _TRANSPORT = {
     "address": ("Address", "SerialLine", "Tcp", "parse_address"),
     "background": ("Background",),
+    "claims": ("claim_address",),
     "numbered": ("NumberedLines",),
     "plain": ("PlainLines",),
     "requests": ("RequestQueue",),

@@ -23,6 +23,7 @@ from polishd.model.concern import Severity
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, PluginError, PolishdError
 from polishd.model.program import Program
+from polishd.ports.address_claims import KeptClaims
 from polishd.ports.devices import Device, ForceActuator, Monitor
 from polishd.recipe.making import instrument_of
 
@@ -36,7 +37,8 @@ def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
     """
     context = _context(config, hooks)
     devices = {name: _built(config, hooks, name, context) for name in config.devices}
-    return Cell(devices, config.used, MonotonicClock(), signals=_signals(config, devices))
+    claims = KeptClaims(config.cell.name)
+    return Cell(devices, config.used, MonotonicClock(), signals=_signals(config, devices), claims=claims)
 
 
 def _signals(config: CellConfig, devices: Mapping[str, Device]) -> Signals:

@@ -17,7 +17,8 @@ from polishd.daemon.live import Live
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
 from polishd.model.devices import DeviceStatus, Identity, MapRefusal, RobotProgress, port_of
-from polishd.model.errors import DeviceBusy, DeviceFault, LinkError
+from polishd.model.errors import DeviceBusy, DeviceClaimed, DeviceFault, LinkError
+from polishd.ports.address_claims import KeptClaims
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
 from polishd.ports.tap import talking_to
@@ -60,6 +61,8 @@ class Cell:
     clock: Clock
     identities: Mapping[str, Identity] = field(default_factory=dict)
     """Who answered, since the cell was opened."""
+    opened: set[str] = field(default_factory=set)
+    """Devices that this process has opened and not closed since: only these are made safe."""
     unsafe: tuple[str, ...] = ()
     """Devices that did not confirm being safe when last asked: ``name: why``."""
     heard_s: dict[str, float] = field(default_factory=dict)
@@ -82,6 +85,8 @@ class Cell:
     """Is told of it, before any device has confirmed anything."""
     emergency: bool = False
     """Motion is to stop at once, whatever the part costs: somebody asked for it."""
+    claims: KeptClaims = field(default_factory=KeptClaims, repr=False)
+    """On the devices' addresses, kept while links are lost and opened again."""
 
     @property
     def robot(self) -> Robot:
@@ -172,7 +177,9 @@ class Cell:
     async def open_one(self, name: str, waiting: Waiting | None = None) -> Identity:
         """Open that device, and have it say who it is; as ``open``, but nothing is closed where it fails."""
         device = self.devices[name]
-        await self._opened(name, device, waiting)
+        with self.claims.keeping():
+            await self._opened(name, device, waiting)
+        self.opened.add(name)
         async with _answering(name):
             found = await device.identify()
         self.hears(name)
@@ -186,6 +193,8 @@ class Cell:
                 async with _answering(name):
                     await device.open()
                 return
+            except DeviceClaimed:
+                raise
             except DeviceBusy as busy:
                 if waiting is None:
                     raise
@@ -201,9 +210,10 @@ class Cell:
         """Put another device in the place of that one, which is closed; open where the cell is."""
         before, self.devices = self.devices[name], {**self.devices, name: device}
         if self.identities:
-            async with _answering(name):
-                await before.close()
-                await device.open()
+            with self.claims.keeping():
+                async with _answering(name):
+                    await before.close()
+                    await device.open()
 
     async def restore_links(self) -> None:
         """Open again what was lost meanwhile, and leave it safe. Only out of contact: nothing is retried in it."""
@@ -216,9 +226,10 @@ class Cell:
         try:
             return await self.asked(name)
         except LinkError:
-            async with _answering(name):
-                await device.close()
-                await device.open()
+            with self.claims.keeping():
+                async with _answering(name):
+                    await device.close()
+                    await device.open()
             async with _answering(name, safe_within_s(getattr(device, "times", None))):
                 await device.make_safe()
             self.tared.discard(name)
@@ -260,6 +271,8 @@ class Cell:
                 errors.append(LinkError(f"{name}: was not closed within {CLOSE_S:g} s, and is left behind"))
             except Exception as error:  # noqa: BLE001 - the others must be closed too; raised below
                 errors.append(error)
+        self.opened.clear()
+        self.claims.release()
         if errors:
             raise errors[0]
 

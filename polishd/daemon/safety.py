@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import AsyncIterator, Coroutine, Iterator, Mapping
+from collections.abc import AsyncIterator, Coroutine, Iterable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -142,7 +142,8 @@ async def leave_contact(cell: Cell) -> None:
 async def make_safe(cell: Cell, touch: Touch | None = None, *, silent: bool = False) -> None:
     """Tool lifted and spindle off side by side, and the robot stopped once the lift is confirmed; whatever fails.
 
-    All devices of the cell are asked. With the ``touch`` of a contact that is left: where the job's actuator does not
+    All devices that this process has opened are asked, and no others: another program may be in contact with those.
+    With the ``touch`` of a contact that is left: where the job's actuator does not
     lift, its robot takes the tool away; ``silent``: it is known not to answer, so the robot does that at once.
     ``cell.emergency``: motion stops at once, whatever the part costs.
 
@@ -181,10 +182,10 @@ class _Leaving:
         cell, tool = self._cell, self._cell.used["actuator"]
         if self._touch is not None:
             self._touch.leave()
-        actuators, robots = cell.at("actuator"), cell.at("robot")
+        actuators, robots = ([name for name in cell.at(port) if name in cell.opened] for port in ("actuator", "robot"))
         async with asyncio.TaskGroup() as group:
             for name in cell.acting:
-                if name not in {*actuators, *robots}:
+                if name in cell.opened and name not in {*actuators, *robots}:
                     group.create_task(self._step(name))
             lifts = {name: group.create_task(self._step(name)) for name in actuators}
             for name in robots:
@@ -206,17 +207,21 @@ class _Leaving:
         await self._step(robot)
 
     async def _until_lifted(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], pressing: Touch | None) -> None:
-        """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift."""
+        """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift.
+
+        An idle robot may hold a tool whose actuator was not opened: that one counts as not lifted.
+        """
         cell, begun_s = self._cell, self._cell.clock.now_s()
-        if pressing is None or not self._silent:
+        tools = list(lifts) if pressing is not None else cell.at("actuator")
+        if lifts and (pressing is None or not self._silent):
             await asyncio.wait(lifts.values())  # which cancels none of them, should this be
-            if all(lift.result() for lift in lifts.values()):
-                return
+        if _all_lifted(tools, lifts):
+            return
         if pressing is not None and await self._lifted_by_robot(pressing):
             return
         if pressing is not None or await self._moves(robot):
-            let_go_s = begun_s + max(cast(ForceActuator, cell.devices[name]).times.alone_s for name in lifts)
-            while cell.clock.now_s() < let_go_s and not all(lift.done() and lift.result() for lift in lifts.values()):
+            let_go_s = begun_s + max(cast(ForceActuator, cell.devices[name]).times.alone_s for name in tools)
+            while cell.clock.now_s() < let_go_s and not _all_lifted(tools, lifts):
                 await cell.clock.sleep(LOOK_S)
 
     async def _lifted_by_robot(self, touch: Touch) -> bool:
@@ -239,8 +244,8 @@ class _Leaving:
         try:
             return (await within(robot.times.silence_s, robot.progress())).state == "running"
         except Exception as error:  # noqa: BLE001 - as above: it is asked to stop next
-            log.warning("%s does not say whether it moves: %s", name, error)
-            return False
+            log.warning("%s does not say whether it moves, and counts as moving: %s", name, error)
+            return True
 
     async def _step(self, name: str) -> bool:
         """Whether the device confirmed."""
@@ -264,6 +269,11 @@ class _Leaving:
     def _off(self, at_s: float) -> None:
         if self._touch is not None:
             self._touch.off(at_s)
+
+
+def _all_lifted(tools: Iterable[str], lifts: Mapping[str, asyncio.Task[bool]]) -> bool:
+    """Whether each of these actuators has been asked and has confirmed."""
+    return all(name in lifts and lifts[name].done() and lifts[name].result() for name in tools)
 
 
 async def _land(cell: Cell, watch: _Watch) -> None:

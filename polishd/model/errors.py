@@ -23,6 +23,7 @@ PolishdError
     ProtocolError  the wire speaks, but not what was agreed
     DeviceRefused  the device understood and said no
       DeviceBusy   it serves another client: a start waits for its watchdog
+        DeviceClaimed  another program on this computer has it: stop that one
     DeviceFault    the device says that it is broken
     HostFault      the cell's own computer nears a limit
     SignalFault    a signal of the cell is not as it must be
@@ -140,6 +141,10 @@ class DeviceRefused(DeviceError):
 
 class DeviceBusy(DeviceRefused):
     """The device serves another client, which may be an earlier run of ours; its own watchdog lets go of that."""
+
+
+class DeviceClaimed(DeviceBusy):
+    """Another program of ours on this computer uses that address; nothing was sent to the device."""
 
 
 class DeviceFault(DeviceError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import tempfile
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager, nullcontext
@@ -15,15 +16,18 @@ import pytest
 
 from polishd.config.cell import PORTS, CellConfig, load_config
 from polishd.daemon.assembly import build_cell, require_time_limits
+from polishd.daemon.cell import OPEN_S
 from polishd.daemon.lock import locked
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.model.devices import port_of
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, DeviceClaimed, PolishdError
+from polishd.ports.address_claims import KeptClaims
 from polishd.ports.devices import Device
 from polishd.testing.rig import Rig, Scope
 from polishd.testing.stand_in import require_simulated, stand_ins
+from polishd.threads import run_loop
 
 SOON_S = 60.0
 SUITES = ("device", "robot", "spindle", "actuator", "cycle")
@@ -185,7 +189,7 @@ def foreseen(asked: Asked) -> Bench:
 
 @contextmanager
 def bench(asked: Asked) -> Iterator[Bench]:
-    """The cell, locked against daemons, its stand-ins running; errors before anything is opened."""
+    """The cell, locked against daemons, its stand-ins running, its addresses claimed; errors before the suites."""
     config = foreseen(asked).config
     with (
         locked(config.state_dir),
@@ -198,8 +202,33 @@ def bench(asked: Asked) -> Iterator[Bench]:
         cell = build_cell(config, hooks)
         if asked.level >= Level.CYCLE:
             require_time_limits(config, cell)
-        with recording_to(place(asked.record, config), config) if asked.record else nullcontext():
-            yield Bench(asked, config, hooks)
+        claims = KeptClaims(config.cell.name, "polishd hil")
+        try:
+            run_loop(_claim(config, hooks, claims))
+            with recording_to(place(asked.record, config), config) if asked.record else nullcontext():
+                yield Bench(asked, config, hooks)
+        finally:
+            claims.release()
+
+
+async def _claim(config: CellConfig, hooks: Hooks, claims: KeptClaims) -> None:
+    """Claim the devices' addresses for as long as the suites run: between two tests no other program gets in.
+
+    DeviceClaimed where another program has one. A device that does not answer is for the suites to report.
+    """
+    devices = build_cell(config, hooks).devices
+    with claims.keeping():
+        for name in filter(_acts, devices):
+            device = devices[name]
+            try:
+                async with asyncio.timeout(OPEN_S):
+                    await device.open()
+            except DeviceClaimed:
+                raise
+            except (PolishdError, TimeoutError):
+                continue
+            finally:
+                await device.close()
 
 
 def _one_cycle(asked: Asked, config: CellConfig, scratch: Path) -> dict[str, Any]:

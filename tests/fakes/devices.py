@@ -391,17 +391,19 @@ class FakeCell:
         self.loader = FakePartLoader(self.events, self.clock)
         self.force_sensor = FakeForceSensor(self.events, self.clock, self.actuator)
         self.monitor = FakeMonitor(self.events, self.clock)
-        self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock)
+        self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock, opened=set(self.devices))
 
     def with_loader(self) -> FakePartLoader:
         """Parts are changed by this one."""
         self.cell.devices = {**self.devices, "loader": self.loader}
+        self.cell.opened.add("loader")
         self.cell.used = {**self.cell.used, "loader": "loader"}
         return self.loader
 
     def with_force_sensor(self) -> FakeForceSensor:
         """An independent one."""
         self.cell.devices = {**self.cell.devices, "force_sensor": self.force_sensor}
+        self.cell.opened.add("force_sensor")
         self.cell.used = {**self.cell.used, "force_sensor": "force_sensor"}
         return self.force_sensor
 
@@ -411,6 +413,7 @@ class FakeCell:
         """One that tells those values, and what is watched of them."""
         self.monitor.values = dict(values)
         self.cell.devices = {**self.cell.devices, "monitor": self.monitor}
+        self.cell.opened.add("monitor")
         self.cell.signals = Signals(limits, {"monitor": silence_s})
         return self.monitor
 

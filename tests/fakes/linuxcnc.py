@@ -25,6 +25,8 @@ class FakeLinuxCnc(Peer):
         self.clock = clock
         self.estop, self.machine, self.mode = "OFF", "ON", "MANUAL"
         self.enabled = self.greeted = False
+        self.grants = True
+        """Whether ``set enable`` gives control, whatever it is answered."""
         self.status = "IDLE"
         self.program: Path | None = None
         self.lines: list[bytes] = []
@@ -89,6 +91,7 @@ class FakeLinuxCnc(Peer):
             "abs_cmd_pos": f"{self.x_mm:f} 0.000000 0.000000 0.000000 0.000000 0.000000",
             "operator_text": "OK",
             "feed_override": f"{self.feed_override:d}",
+            "enable": "ON" if self.enabled else "OFF",
             "estop": self.estop,
             "machine": self.machine,
             "inifile": "/etc/fake.ini",
@@ -138,7 +141,8 @@ class FakeLinuxCnc(Peer):
             return
         taken = name not in self.refuses
         if name == "enable":
-            taken = self.enabled = value == "EMCTOO"
+            taken = taken and value == "EMCTOO"
+            self.enabled = taken and self.grants
         elif name not in ("verbose", "set_wait"):
             taken = taken and self.enabled and self.machine == "ON"
             if taken:

@@ -62,7 +62,7 @@ class DriveLink(Background):
 
     async def open(self) -> None:
         """Open the bus and see that a drive of CiA 402 answers. Changes nothing in it but that it is operational."""
-        self._bus = await open_bus(self._address)
+        self._bus = await open_bus(self._address, self._node)
         try:
             await self.start(self._run, OPEN_S)
             await self._queue.start()

@@ -17,10 +17,15 @@ from typing import Any, TypeVar
 from polishd.api import Identity, LinkError, ProtocolError
 from polishd.config.controller_profile import Value, VariablesTable
 from polishd.drivers.handover.variables import Reading, of_kind, watched, written
+from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import open_blocking
+from polishd.drivers.transport.claims import claim_address
+from polishd.ports.address_claims import Claim
 
 T = TypeVar("T")
 CLOSE_S = 0.5
+ROUTER_PORT = 48898
+"""TCP port of every AMS router: several programs may reach different machines through one."""
 NOT_FOUND = (0x6, 0x7, 0x710, 0x716)
 """Errors of ADS that say that there is nothing: port, machine, symbol, version."""
 UNREADABLE = (LookupError, ValueError, struct.error)
@@ -38,13 +43,18 @@ class Ads:
         self._silence_s = silence_s
         self._thread: ThreadPoolExecutor | None = None
         self._connection: Any = None  # pyads has no types
+        self._claimed = Claim()
 
     async def open(self) -> None:
         """See Variables."""
         await self.close()
-        self._connection = await open_blocking(self._connect, lambda late: late.close(), self._silence_s, self._name)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="ads")
+        netid, port, host = self._target
+        self._claimed = await claim_address(Tcp(host, ROUTER_PORT), part=f"{netid}:{port}")
         try:
+            self._connection = await open_blocking(
+                self._connect, lambda late: late.close(), self._silence_s, self._name
+            )
+            self._thread = ThreadPoolExecutor(1, thread_name_prefix="ads")
             points = {**self._watched, **self._written}
             addresses = [point.address for point in points.values()]
             await self._call(lambda plc: plc.read_list_by_name(addresses))
@@ -57,13 +67,16 @@ class Ads:
         """See Variables."""
         thread, self._thread = self._thread, None
         connection, self._connection = self._connection, None
-        if thread is None:
-            return
-        closing = thread.submit(connection.close)
-        thread.shutdown(wait=False)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSE_S + self._silence_s):
-                await asyncio.wrap_future(closing)
+        try:
+            if thread is None:
+                return
+            closing = thread.submit(connection.close)
+            thread.shutdown(wait=False)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(CLOSE_S + self._silence_s):
+                    await asyncio.wrap_future(closing)
+        finally:
+            self._claimed.release()
 
     async def identify(self) -> Identity:
         """See Variables. ADS tells no serial number and no start."""

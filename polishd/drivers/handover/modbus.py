@@ -18,6 +18,8 @@ from polishd.drivers.handover.registers import BITS, Place, Table, place, spans
 from polishd.drivers.handover.variables import Reading, of_kind, watched, written
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import cancellable
+from polishd.drivers.transport.claims import claim_address
+from polishd.ports.address_claims import Claim
 
 WRITE_COIL, WRITE_REGISTERS = 5, 16
 READS: tuple[type[ModbusPDU], ...] = (
@@ -41,10 +43,12 @@ class Modbus:
         self._written = {name: place(name, point, little=little) for name, point in written(table).items()}
         self._spans = spans(self._watched)
         self._client: AsyncModbusTcpClient | None = None
+        self._claimed = Claim()
 
     async def open(self) -> None:
         """See Variables."""
         await self.close()
+        self._claimed = await claim_address(self._address)
         client = AsyncModbusTcpClient(
             self._address.host, port=self._address.port, timeout=self._silence_s, retries=0, reconnect_delay=0
         )
@@ -64,6 +68,7 @@ class Modbus:
         client, self._client = self._client, None
         if client is not None:
             client.close()
+        self._claimed.release()
 
     async def identify(self) -> Identity:
         """See Variables. Modbus tells nothing of that."""

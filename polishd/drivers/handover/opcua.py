@@ -12,14 +12,19 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from polishd.api import Identity, LinkError, ProtocolError
 from polishd.config.controller_profile import Kind, Value, VariablesTable
 from polishd.drivers.handover.variables import Reading, of_kind, watched, written
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.claims import claim_address
+from polishd.ports.address_claims import Claim
 
 if TYPE_CHECKING:
     from asyncua import Client, ua
 
+OPC_UA_PORT = 4840
 CLOSE_S = 0.5
 """A server that does not answer is not waited for."""
 SERVER_START, VENDOR, PRODUCT, VERSION = "i=2257", "i=2263", "i=2261", "i=2264"
@@ -89,12 +94,15 @@ class OpcUa:
         self._account = (user, password)
         self._client: Client | None = None
         self._nodes: dict[str, ua.NodeId] = {}
+        self._claimed = Claim()
 
     async def open(self) -> None:
         """See Variables."""
         await self.close()
         library = await asyncio.to_thread(importlib.import_module, "asyncua")
         logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what goes wrong is raised here, and told once
+        where = urlsplit(self._url)
+        self._claimed = await claim_address(Tcp(where.hostname or "", where.port or OPC_UA_PORT))
         client = library.Client(self._url, timeout=self._silence_s)
         if self._account[0]:
             client.set_user(self._account[0])
@@ -120,6 +128,7 @@ class OpcUa:
                 async with self._link("does not close"), asyncio.timeout(CLOSE_S):
                     await client.disconnect()
             client.disconnect_socket()
+        self._claimed.release()
 
     async def identify(self) -> Identity:
         """See Variables. The server's start stands for the controller's."""

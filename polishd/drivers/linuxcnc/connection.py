@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from polishd.api import ByteStream, DeviceRefused, LinkError, ProtocolError
+from polishd.api import ByteStream, DeviceBusy, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.linuxcnc.dialogue import (
     AXES,
     Answer,
@@ -46,7 +46,7 @@ class Connection:
         self.server = ""
 
     async def open(self) -> None:
-        """Connect and say hello. Asks for no control, so that whoever has it keeps it."""
+        """Connect and say hello. Asks for no control: see ``control``."""
         self._stream = await open_stream(self._address, CONNECT_S)
         self._lines = LineReader(self._stream, longest=1024)
         try:
@@ -81,12 +81,27 @@ class Connection:
 
         await self._queue.ask(order)
 
-    async def control(self) -> None:
-        """Ask for the right to give orders, once a connection. It is taken from whoever had it."""
-        if not self._controls:
+    async def control(self, *, anew: bool = False) -> None:
+        """Ask for the right to give orders and prove it, once a connection; ``anew``: it may have been taken since.
+
+        DeviceBusy where another client has it. The gate refuses a second one; linuxcncrsh itself lets it take over.
+        """
+        if self._controls and not anew:
+            return
+        try:
             await self.set(f"set enable {self._passwords[1]}", urgent=True)
-            await self.set("set set_wait received", urgent=True)
-            self._controls = True
+        except DeviceRefused as error:
+            raise self._not_ours() from error
+        if (await self._queue.ask(lambda: self._ask("get enable"), urgent=True)).value != "ON":
+            raise self._not_ours()
+        await self.set("set set_wait received", urgent=True)
+        self._controls = True
+
+    def _not_ours(self) -> DeviceBusy:
+        return DeviceBusy(
+            f"{self._address}: another client controls LinuxCNC, or linuxcncrsh has another enable password. "
+            "Stop that client, or set robot.enable_password."
+        )
 
     async def look(self) -> Snapshot:
         """What LinuxCNC is doing."""

@@ -63,7 +63,7 @@ class LinuxCnc(FileRobot[Watch]):
         return self._following
 
     async def open(self) -> None:
-        """See Device. Takes no control of LinuxCNC. What ran when the link was lost is followed further."""
+        """See Device. Proves that it controls LinuxCNC. What ran when the link was lost is followed further."""
         await self.close()
         self._stay()
         await self._following.open()

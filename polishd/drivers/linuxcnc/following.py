@@ -51,11 +51,12 @@ class Following(Background):
         return self._looks[-1]
 
     async def open(self) -> None:
-        """Connect, and look twice."""
+        """Connect, take control and prove it, and look twice. DeviceBusy where another client has control."""
         connection = Connection(self._address, self._passwords, self._silence_s)
         await connection.open()
         self._connection = connection
         try:
+            await connection.control()
             await self.start(self._follow, OPEN_S)
         except BaseException:
             await self.close()
@@ -97,13 +98,15 @@ class Following(Background):
 
 
 async def abort(connection: Connection, stop_s: float) -> None:
-    """Abort and see that it stands. A machine that is off refuses the order, and stands."""
-    await connection.control()
-    try:
-        await connection.set("set abort", urgent=True)
-    except DeviceRefused:
-        if not await obstacle(connection):
-            raise
+    """Abort and see that it stands. A machine that is off refuses the order, and stands.
+
+    A client that took control meanwhile loses it; the gate gives it back once the link that had it has ended.
+    """
+    deadline = time.monotonic() + stop_s
+    while True:
+        if await _aborted(connection, last_try=time.monotonic() > deadline):
+            break
+        await asyncio.sleep(LOOK_S)
     deadline = time.monotonic() + stop_s
     last = await connection.look()
     while time.monotonic() < deadline:
@@ -113,6 +116,20 @@ async def abort(connection: Connection, stop_s: float) -> None:
             return
         last = look
     raise DeviceFault("LinuxCNC goes on moving after abort")
+
+
+async def _aborted(connection: Connection, *, last_try: bool) -> bool:
+    """Whether the order was taken, or is not needed."""
+    try:
+        await connection.control(anew=True)
+        await connection.set("set abort", urgent=True)
+    except DeviceRefused:
+        if await obstacle(connection):
+            return True
+        if last_try:
+            raise
+        return False
+    return True
 
 
 async def obstacle(connection: Connection) -> str:

@@ -76,6 +76,7 @@ class Connection(Background):
             }
             await self._stream.write(command(Kind.HELLO, hello))
             await self.start(self._run, CONNECT_S)
+            self._require_lease()
             self._require_watchdog()
         except BaseException:
             await self.close()
@@ -142,6 +143,13 @@ class Connection(Background):
         if not heard and self.session.heard > before:  # else it may not have had them yet: the link stalls
             credit.go_back()
         return credit.sent < sent
+
+    def _require_lease(self) -> None:
+        """A writer without one would be refused only when it gives its first order."""
+        if self._role == "writer" and not self.welcome.lease:
+            raise DeviceBusy(
+                f"{self._address}: the robot welcomes us without a lease: another client may write. Stop that client."
+            )
 
     def _require_watchdog(self) -> None:
         """The daemon reckons with the time that the config says; who only watches and holds asks for nothing."""

@@ -58,7 +58,7 @@ class DriveLink(Background):
 
     async def open(self) -> None:
         """Open the bus and wait until the drive's heartbeat and process data are heard."""
-        self._bus = await open_bus(self._address)
+        self._bus = await open_bus(self._address, self._node)
         try:
             await self.start(self._run, OPEN_S)
             # so that no answer to the last connection's commands is taken for one to ours

@@ -17,7 +17,9 @@ from can.interfaces.socketcand import SocketCanDaemonBus
 from polishd.api import LinkError
 from polishd.drivers.transport.address import Slcan, Socketcand, Tcp
 from polishd.drivers.transport.background import open_blocking
-from polishd.drivers.transport.streams import open_stream, why_closed
+from polishd.drivers.transport.claims import claim_address
+from polishd.drivers.transport.streams import connect_unclaimed, why_closed
+from polishd.ports.address_claims import Claim
 from polishd.ports.tap import tap
 
 OPEN_S = 2.0
@@ -43,24 +45,35 @@ class CanFrame(NamedTuple):
 OnFrame = Callable[[CanFrame], None]
 
 
-async def open_bus(address: Slcan | Socketcand) -> CanBus:
-    """Connect to the bus; LinkError where that fails."""
+async def open_bus(address: Slcan | Socketcand, node: int) -> CanBus:
+    """Connect to the bus for the sake of that node; LinkError where that fails.
+
+    DeviceClaimed where another program on this computer has the adapter, or that node of a bus behind a server.
+    """
+    claimed = await claim_address(address, part=str(node))
+    try:
+        return CanBus(str(address), await _connected(address), claimed)
+    except BaseException:
+        claimed.release()
+        raise
+
+
+async def _connected(address: Slcan | Socketcand) -> can.BusABC:
     logging.getLogger("can").setLevel(logging.CRITICAL)  # what goes wrong is raised here, and told once
     if isinstance(address, Socketcand):
         await _greeted(address)
     try:
-        bus = await open_blocking(lambda: _make(address), lambda bus: bus.shutdown(), OPEN_S, str(address))
+        return await open_blocking(lambda: _make(address), lambda bus: bus.shutdown(), OPEN_S, str(address))
     except (can.CanError, OSError, ValueError) as error:
         port = isinstance(address, Slcan) and error.__cause__
         raise LinkError(f"{address}: {why_closed(port, 'such baud rate') if port else error}") from error
-    return CanBus(str(address), bus)
 
 
 async def _greeted(address: Socketcand) -> None:
     """See that a socketcand server is there: python-can would spin for 10 s, or wait for ever for its greeting."""
     server = Tcp(address.host, address.port)
     try:
-        stream = await open_stream(server, GREETING_S)
+        stream = await connect_unclaimed(server, GREETING_S)
     except LinkError as error:
         raise LinkError(str(error).replace(str(server), str(address), 1)) from error
     greeting = b""
@@ -159,8 +172,10 @@ class PromptSlcan(slcanBus):
 class CanBus:
     """An open bus. What is received goes to a callback; errors end ``receive`` with LinkError."""
 
-    def __init__(self, name: str, bus: can.BusABC) -> None:
+    def __init__(self, name: str, bus: can.BusABC, claimed: Claim | None = None) -> None:
+        """``claimed`` is released when the bus is closed."""
         self._name = name
+        self._claimed = claimed or Claim()
         self._bus = bus
         self._empty = 0
         self._tap = tap(name)
@@ -188,8 +203,11 @@ class CanBus:
         """Leave the bus; what is dead already is left as it is."""
         if self._tap is not None:
             self._tap("end", why="the bus is closed")
-        with contextlib.suppress(can.CanError, OSError):
-            await asyncio.to_thread(self._bus.shutdown)
+        try:
+            with contextlib.suppress(can.CanError, OSError):
+                await asyncio.to_thread(self._bus.shutdown)
+        finally:
+            self._claimed.release()
 
     async def _receive_when_ready(self, fileno: int, on_frame: OnFrame) -> None:
         loop = asyncio.get_running_loop()

@@ -16,7 +16,9 @@ import serial
 
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.background import open_blocking, settle
+from polishd.drivers.transport.claims import claim_address
 from polishd.model.errors import LinkError
+from polishd.ports.address_claims import Claim
 from polishd.ports.stream import ByteStream
 from polishd.ports.tap import tap
 
@@ -25,7 +27,22 @@ WRITE_S = 1.0
 
 
 async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpStream | SerialStream:
-    """Connect; LinkError where nobody answers within that time."""
+    """Connect; LinkError where nobody answers within that time.
+
+    DeviceClaimed where another program on this computer has the address: then nothing is connected.
+    """
+    claimed = await claim_address(address)
+    try:
+        opened = await connect_unclaimed(address, within_s)
+    except BaseException:
+        claimed.release()
+        raise
+    opened.claimed = claimed
+    return opened
+
+
+async def connect_unclaimed(address: Tcp | SerialLine, within_s: float) -> TcpStream | SerialStream:
+    """Connect to what the caller has claimed."""
     if isinstance(address, SerialLine):
         return await _open_serial(address, within_s)
     loop = asyncio.get_running_loop()
@@ -94,6 +111,8 @@ class ReadBuffer:
         self._failure: str | None = None
         self._tap = tap(name)
         self._waiter: asyncio.Future[None] | None = None
+        self.claimed = Claim()
+        """On the address, until the stream is closed."""
 
     def feed(self, data: bytes) -> None:
         """Bytes came."""
@@ -171,6 +190,7 @@ class SerialStream(ReadBuffer):
         self.fail("the line is closed")
         if self._port.is_open:
             self._port.close()
+        self.claimed.release()
 
     def _readable(self) -> None:
         try:
@@ -258,7 +278,10 @@ class TcpStream(ReadBuffer, asyncio.Protocol):
         if self._transport is not None:
             self.fail("the connection is closed")
             self._transport.abort()
-            await asyncio.wait({self._closed}, timeout=WRITE_S)
+            try:
+                await asyncio.wait({self._closed}, timeout=WRITE_S)
+            finally:
+                self.claimed.release()
 
 
 async def drop_stale(stream: ByteStream) -> None:

@@ -21,6 +21,7 @@ from polishd.api import (
 )
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background
+from polishd.drivers.transport.claims import claim_address
 from polishd.drivers.transport.program_robot import ProgramRobot
 from polishd.drivers.universal_robots import dashboard
 from polishd.drivers.universal_robots.link import Link, Order, Orders
@@ -28,6 +29,7 @@ from polishd.drivers.universal_robots.primary import Upload
 from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
 from polishd.drivers.universal_robots.script import LONGEST_LINE, Block, Settings, assemble, blocks_of
 from polishd.drivers.universal_robots.watch import LIVE, Watch
+from polishd.ports.address_claims import Claim
 
 LOAD_S, LOAD_LINE_S = 5.0, 5e-4
 """A script begins so long after it was sent, at most."""
@@ -64,6 +66,8 @@ class UniversalRobot(ProgramRobot[Watch]):
         self._link = Link(addresses.rtde, rate_hz, settings.registers, times.silence_s)
         self._link.on_sample = self._seen
         self._blocks: list[Block] = []
+        self._claimed: list[Claim] = []
+        """On all of the controller's servers: those that are asked once are connected for that alone."""
 
     @property
     def _background(self) -> Background:
@@ -78,11 +82,20 @@ class UniversalRobot(ProgramRobot[Watch]):
         """See Device. Gives no new order. What ran when the link was lost is followed further."""
         await self.close()
         self._stay()
-        await self._link.open()
+        try:
+            for address in (self._addresses.rtde, self._addresses.dashboard, self._addresses.primary):
+                self._claimed.append(await claim_address(address))
+            await self._link.open()
+        except BaseException:
+            await self.close()
+            raise
 
     async def close(self) -> None:
         """See Device."""
         await self._link.close()
+        claimed, self._claimed = self._claimed, []
+        for one in claimed:
+            one.release()
 
     async def identify(self) -> Identity:
         """See Device. Controllers from before 3.12 know neither model nor serial number."""

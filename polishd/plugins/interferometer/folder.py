@@ -35,6 +35,7 @@ from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
 from polishd.plugins.interferometer.judge import Rules, require_new, require_plausible, source_of
 from polishd.plugins.interferometer.taken import Ask, Given, Taken
+from polishd.ports.address_claims import Claim, claim, folder_key
 
 T = TypeVar("T")
 
@@ -186,23 +187,33 @@ class WatchedFolder:
         self._waits = 0
         self._trouble = ""
         self._listener: Callable[[MapRefusal], None] | None = None
+        self._address_claim = Claim()
 
     def on_refusal(self, listener: Callable[[MapRefusal], None] | None) -> None:
         """Report each refused map to it."""
         self._listener = listener
 
     async def open(self) -> None:
-        """Check the folder and read which maps were taken before. LinkError where the folder cannot be used."""
+        """Check the folder and read which maps were taken before.
+
+        LinkError where the folder cannot be used; DeviceClaimed where another program takes maps from it.
+        """
+        await self.close()
         try:
             problem = await self._thread.run(self._problem)
             if problem:
                 raise LinkError(f"{problem}. To do: make it, mount it, or correct [metrology] folder.")
+            self._address_claim = await self._thread.run(self._claim_folder)
             await self._thread.run(self._load)
         except TimeoutError:
             raise LinkError(f"{self._silent(SILENT_S)}. To do: check the mount and its server.") from None
 
+    def _claim_folder(self) -> Claim:
+        return claim([folder_key(self._folder)], str(self._folder))
+
     async def close(self) -> None:
-        """Nothing is held open."""
+        """Another program may take maps from the folder now."""
+        self._address_claim.release()
 
     async def identify(self) -> Identity:
         """The folder. Which instrument writes into it, each map says itself."""

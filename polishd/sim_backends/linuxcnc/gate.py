@@ -4,9 +4,10 @@
     net polishd-idle  halui.program.is-idle => polishd-gate.idle
     net polishd-hold  polishd-gate.hold     => motion.feed-hold
 
-Bytes pass unchanged. ``hold`` comes up when no client has sent anything for so long while a program runs that was under
-way with a client; it goes only when the program is over, so that a client that comes back moves nothing. Needs nothing
-but LinuxCNC's own Python.
+Bytes pass unchanged, but for one request: ``set enable`` of a second client is refused while the first is connected and
+not silent; linuxcncrsh would let it take over. ``hold`` comes up when no client has sent anything for so long while a
+program runs that was under way with a client; it goes only when the program is over, so that a client that comes back
+moves nothing. Needs nothing but LinuxCNC's own Python.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 
 LOOK_S = 0.02
+REFUSED = b"SET ENABLE NAK"
+LONGEST = 4096
+"""Bytes of a request."""
 
 
 @dataclass
@@ -45,7 +49,7 @@ class Watchdog:
 
 
 class Gate:
-    """Passes bytes between clients and linuxcncrsh."""
+    """Passes bytes between clients and linuxcncrsh, but for a second client's wish to give orders."""
 
     def __init__(self, listen: tuple[str, int], to: tuple[str, int], watchdog: Watchdog) -> None:
         self.watchdog = watchdog
@@ -53,7 +57,11 @@ class Gate:
         self._selector = selectors.DefaultSelector()
         self._listener = socket.create_server(listen)
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self._clients: set[socket.socket] = set()
+        self._clients: dict[socket.socket, bytes] = {}
+        """With what came of a request whose line has not ended."""
+        self._writer: socket.socket | None = None
+        """The client that may give orders."""
+        self._wrote_s = float("-inf")
         self.port = int(self._listener.getsockname()[1])
 
     def turn(self, within_s: float) -> None:
@@ -82,24 +90,52 @@ class Gate:
         for end in (client, server):
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             end.settimeout(1.0)
-        self._clients.add(client)
+        self._clients[client] = b""
         self._selector.register(client, selectors.EVENT_READ, server)
         self._selector.register(server, selectors.EVENT_READ, client)
 
     def _pass(self, source: socket.socket, sink: socket.socket) -> None:
         try:
             data = source.recv(1 << 16)
-            sink.sendall(data)
+            if data and source in self._clients:
+                self.watchdog.heard_s = time.monotonic()
+                self._from_client(source, sink, data)
+            else:
+                self._writer = None if sink is self._writer and REFUSED in data else self._writer
+                sink.sendall(data)
         except OSError:
             data = b""
-        if data and source in self._clients:
-            self.watchdog.heard_s = time.monotonic()
         if not data:
             for end in (source, sink):
-                self._clients.discard(end)
+                self._clients.pop(end, None)
+                self._writer = None if end is self._writer else self._writer
                 with contextlib.suppress(KeyError, ValueError):
                     self._selector.unregister(end)
                 end.close()
+
+    def _from_client(self, client: socket.socket, server: socket.socket, data: bytes) -> None:
+        """Whole lines go on; those by which a second client would take control are answered here."""
+        lines, rest = (self._clients[client] + data).splitlines(keepends=True), b""
+        if not lines[-1].endswith((b"\n", b"\r")) and len(lines[-1]) < LONGEST:
+            rest = lines.pop()
+        self._clients[client] = rest
+        passed = [line for line in lines if self._allows(client, line)]
+        if len(passed) < len(lines):
+            client.sendall((REFUSED + b"\r\n") * (len(lines) - len(passed)))
+        server.sendall(b"".join(passed))
+
+    def _allows(self, client: socket.socket, line: bytes) -> bool:
+        now_s, words = time.monotonic(), line.lower().split()
+        if words[:2] == [b"set", b"enable"]:
+            if words[2:] == [b"off"]:
+                self._writer = None if client is self._writer else self._writer
+                return True
+            if self._writer not in (None, client) and now_s - self._wrote_s < self.watchdog.silent_s:
+                return False
+            self._writer = client
+        if client is self._writer:
+            self._wrote_s = now_s
+        return True
 
 
 def address(text: str) -> tuple[str, int]:

@@ -60,7 +60,7 @@ class Spindle(Talk):
         self._asked = b""
 
     def wired(self, monkeypatch: pytest.MonkeyPatch, nasty: Nasty) -> None:
-        async def open_bus(_: object) -> Bus:
+        async def open_bus(_: object, _node: int) -> Bus:
             return Bus(nasty)
 
         monkeypatch.setattr(links, "open_bus", open_bus)

@@ -633,10 +633,22 @@ class Twins:
                 devices[device.name] = device
         order = sorted(devices, key=lambda name: list(PORTS).index(name.split(".")[0]))
         used = {port: f"{port}.left" for port in ("actuator", "robot", "spindle")}
-        self.cell = Cell({name: devices[name] for name in order}, used, self.left.clock)
+        self.cell = Cell({name: devices[name] for name in order}, used, self.left.clock, opened=set(order))
 
     def safe(self) -> list[str]:
         return [event for event in self.left.events if event.endswith("make_safe")]
+
+    async def right_robot_stops_s(self) -> float:
+        """Make the cell safe; the clock's time at which the idle robot was stopped."""
+        stopped_s: list[float] = []
+        self.right.robot.acts.before["make_safe"] = lambda: stopped_s.append(self.left.clock.at_s)
+        task = asyncio.ensure_future(make_safe(self.cell))
+        while not task.done():
+            self.left.clock.advance(0.05)
+            for _ in range(5):
+                await asyncio.sleep(0)
+        await task
+        return stopped_s[0]
 
 
 async def test_all_devices_are_made_safe_and_named() -> None:
@@ -674,16 +686,33 @@ async def test_an_idle_robot_that_moves_stops_once_every_tool_has_let_go() -> No
     twins = Twins()
     twins.right.actuator.acts.fails["make_safe"] = LinkError("gone")
     twins.right.robot.until = None  # it runs
-    stopped_s: list[float] = []
-    twins.right.robot.acts.before["make_safe"] = lambda: stopped_s.append(twins.left.clock.at_s)
-    task = asyncio.ensure_future(make_safe(twins.cell))
-    while not task.done():
-        twins.left.clock.advance(0.05)
-        for _ in range(5):
-            await asyncio.sleep(0)
-    await task
-    assert stopped_s[0] >= ActuatorTimes().alone_s - 0.1
+    assert await twins.right_robot_stops_s() >= ActuatorTimes().alone_s - 0.1
     assert twins.cell.unsafe == ("actuator.right: gone",)
+
+
+async def test_only_what_this_process_has_opened_is_made_safe() -> None:
+    """Another program may be in contact with the rest."""
+    twins = Twins()
+    twins.cell.opened -= {"robot.left", "actuator.left", "spindle.left"}
+    await make_safe(twins.cell)
+    assert set(twins.safe()) == {f"{port}.right.make_safe" for port in ("spindle", "actuator", "robot")}
+    assert not [event for event in twins.left.events if "left" in event]
+    assert twins.cell.unsafe == ()
+    twins.left.events.clear()
+    twins.cell.opened.clear()
+    await make_safe(twins.cell)
+    assert twins.left.events == []
+
+
+@pytest.mark.parametrize("runs", [True, False])
+async def test_a_robot_that_runs_waits_for_a_tool_that_this_process_could_not_open(*, runs: bool) -> None:
+    """The tool may press: it has let go once its own watchdog has had the time."""
+    twins = Twins()
+    twins.cell.opened -= {"actuator.left", "actuator.right"}
+    if runs:
+        twins.right.robot.until = None
+    stopped_s = await twins.right_robot_stops_s()
+    assert (stopped_s >= ActuatorTimes().alone_s - 0.1) is runs
 
 
 # the error that is told

@@ -131,7 +131,7 @@ def campaign(monkeypatch: pytest.MonkeyPatch, replies: int) -> tuple[Counter[str
     loop = VirtualLoop()
     drive = NastyDrive(15, loop)
 
-    async def open_bus(_: object) -> NastyDrive:
+    async def open_bus(_: object, _node: int) -> NastyDrive:
         return drive
 
     class Clock:

@@ -54,7 +54,7 @@ async def test_an_adapter_that_takes_nothing_is_told_at_once_and_holds_nobody_up
     master, slave = os.openpty()
     tty.setraw(slave)
     (tmp_path / "can").symlink_to(os.ttyname(slave))
-    link = await can_bus.open_bus(Slcan(tmp_path / "can"))
+    link = await can_bus.open_bus(Slcan(tmp_path / "can"), 5)
     frame = codec.encode_command(5, run=True, counter=1, rpm=1000)
 
     def fill() -> None:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from polishd.config.simulator import Robot
 from polishd.model.errors import ConfigError
+from polishd.sim_backends.linuxcnc import gate as gate_module
 from polishd.sim_backends.linuxcnc import server
 from polishd.sim_backends.linuxcnc.gate import Gate, Watchdog, address
 from polishd.sim_backends.linuxcnc.machine import AXES, Machine, joints_of, pose_of
@@ -165,6 +166,54 @@ def test_the_gate_passes_bytes_both_ways_and_hears_clients_only(served: tuple[Ga
             client.close()
             turn(gate)
             assert behind.recv(99) == b"", "and hangs up with it"
+
+
+def test_the_gate_refuses_control_to_a_second_client_while_the_first_lives(
+    served: tuple[Gate, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """linuxcncrsh itself would let it take over, and tell nobody."""
+    gate, server_side = served
+    now_s = 100.0
+    monkeypatch.setattr(gate_module.time, "monotonic", lambda: now_s)
+    ends = []
+    for _ in range(2):
+        client = socket.create_connection(("127.0.0.1", gate.port), timeout=SOON_S)
+        turn(gate)
+        behind, _ = server_side.accept()
+        behind.settimeout(0.2)
+        ends += [client, behind]
+    first, behind_first, second, behind_second = ends
+
+    def asks(client: socket.socket, behind: socket.socket, request: bytes) -> bytes:
+        """What linuxcncrsh hears of it."""
+        client.sendall(request)
+        turn(gate)
+        try:
+            return behind.recv(999)
+        except TimeoutError:
+            return b""
+
+    enable = b"set enable EMCTOO\r\n"
+    assert asks(first, behind_first, enable) == enable
+    assert asks(second, behind_second, b"get time\r\nSET  Enable EMC") == b"get time\r\n"
+    assert asks(second, behind_second, b"TOO\r\nget time\r\n") == b"get time\r\n"
+    assert second.recv(99) == b"SET ENABLE NAK\r\n"
+    now_s += 0.9
+    assert asks(first, behind_first, b"get time\r\n"), "which keeps it"
+    now_s += 0.9
+    assert asks(second, behind_second, enable) == b""
+    now_s += 0.2
+    assert asks(second, behind_second, enable) == enable, "the first was silent for as long as the watchdog allows"
+    behind_second.sendall(b"SET ENABLE NAK\r\n")
+    turn(gate)
+    assert asks(first, behind_first, enable) == enable, "a wrong password gives nobody control"
+    assert asks(first, behind_first, b"set enable off\r\n")
+    assert asks(second, behind_second, enable) == enable
+    second.close()
+    turn(gate)
+    assert asks(first, behind_first, enable) == enable, "and a client that is gone has none"
+    for end in ends:
+        end.close()
 
 
 def test_the_gate_hangs_up_where_nobody_is_behind() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError, RobotTimes
+from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError, RobotTimes
 from polishd.drivers.linuxcnc.connection import Connection
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.transport.address import Tcp
@@ -62,16 +62,38 @@ def orders(fake: FakeLinuxCnc) -> list[str]:
     return [said for said in fake.heard if said.startswith("set")]
 
 
-async def test_opening_gives_no_order_and_takes_no_control(rig: Rig) -> None:
+OPENED = ["set echo off", "set verbose on", "set enable EMCTOO", "set set_wait received"]
+
+
+async def test_opening_proves_control_and_gives_no_order(rig: Rig) -> None:
     await asyncio.sleep(0.05)
-    assert orders(rig.fake) == ["set echo off", "set verbose on"]
+    assert orders(rig.fake) == OPENED
+    assert "get enable" in rig.fake.heard
+
+
+async def test_it_does_not_open_where_another_client_keeps_control(rig: Rig, tmp_path: Path) -> None:
+    await rig.robot.close()
+    rig.fake.refuses.add("enable")
+    second = LinuxCnc(Tcp("127.0.0.1", rig.wire.port), tmp_path)
+    with pytest.raises(DeviceBusy, match="another client controls LinuxCNC"):
+        await second.open()
+    rig.fake.refuses.clear()
+    rig.fake.grants = False
+    with pytest.raises(DeviceBusy, match="another client controls LinuxCNC"):
+        await second.open()
+
+
+async def test_make_safe_takes_back_control_that_another_client_took(rig: Rig) -> None:
+    await load(rig.robot)
+    await rig.robot.resume()
+    rig.fake.enabled = False
+    await rig.robot.make_safe()
+    assert rig.fake.status == "IDLE"
 
 
 async def test_the_program_is_written_opened_and_interpreted_before_it_runs(rig: Rig, tmp_path: Path) -> None:
     await load(rig.robot)
-    assert orders(rig.fake)[2:] == [
-        "set enable EMCTOO",
-        "set set_wait received",
+    assert orders(rig.fake)[len(OPENED) :] == [
         "set abort",
         "set mode auto",
         f"set open {tmp_path}/polishd.ngc",
@@ -111,11 +133,8 @@ async def test_a_wrong_password_is_refused(rig: Rig, tmp_path: Path) -> None:
     address = Tcp("127.0.0.1", rig.wire.port)
     with pytest.raises(DeviceRefused, match="refuses hello"):
         await LinuxCnc(address, tmp_path, passwords=("WRONG", "EMCTOO")).open()
-    watcher = LinuxCnc(address, tmp_path, passwords=("EMC", "WRONG"))
-    await watcher.open()
-    with pytest.raises(DeviceRefused, match="refuses set enable"):
-        await watcher.prepare(plan_of(BLOCKS))
-    await watcher.close()
+    with pytest.raises(DeviceRefused, match="another enable password"):
+        await LinuxCnc(address, tmp_path, passwords=("EMC", "WRONG")).open()
 
 
 async def test_an_order_that_is_refused_is_told_and_the_link_lives(rig: Rig) -> None:
@@ -194,7 +213,7 @@ async def test_a_link_that_is_opened_again_moves_nothing_and_follows_what_runs(r
     await until(rig.robot, "held")
     assert (await rig.robot.progress()).executed == 8
     await asyncio.sleep(0.1)
-    assert orders(rig.fake)[len(before) :] == ["set echo off", "set verbose on"], "it stands at the stop, and stays"
+    assert orders(rig.fake)[len(before) :] == OPENED, "it stands at the stop, and stays"
     await rig.robot.resume()
     assert len(await executed(rig.robot)) == len(BLOCKS)
 

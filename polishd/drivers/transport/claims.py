@@ -1,0 +1,42 @@
+"""Claims on the addresses that drivers open: each connection takes one first, and gives it back when it is closed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+
+from polishd.drivers.transport.address import Address, SerialLine, Slcan, Tcp
+from polishd.ports.address_claims import Claim, claim, serial_key, tcp_keys
+
+RESOLVE_S = 1.0
+"""Longest wait for a name server: without an answer the host counts by its name."""
+
+
+async def claim_address(address: Address, *, part: str = "") -> Claim:
+    """Claim a device address for this process; ``release`` the claim after the connection is closed.
+
+    ``open_stream`` and ``open_bus`` claim what they open. A driver calls this where a library connects for it.
+
+    Args:
+        address: of the device.
+        part: what this program uses behind the address, where several programs may share it: a CAN node, an AMS port.
+
+    Raises:
+        DeviceClaimed: another program on this computer has it. Nothing was connected.
+    """
+    name = str(address)
+    if isinstance(address, SerialLine | Slcan):
+        return claim([serial_key(address.path)], name)
+    resolved = await _resolved(address.host, address.port)
+    if isinstance(address, Tcp):
+        return claim(tcp_keys(address.host, resolved, address.port, part), name)
+    return claim(tcp_keys(address.host, resolved, address.port, f"{address.channel}/{part}"), name)
+
+
+async def _resolved(host: str, port: int) -> list[str]:
+    with contextlib.suppress(OSError, UnicodeError, TimeoutError):
+        async with asyncio.timeout(RESOLVE_S):
+            found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        return [str(where[0]) for *_, where in found]
+    return []
