@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from polishd.model.errors import ComputeError
 from polishd.model.robot import SerialRobot
@@ -14,6 +17,8 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot.dh_chain import JOINTS, Chain, chain, reach_mm, require_arm, twist_scale
 from polishd.process.robot.refusal import refuse_where, require_number
 from polishd.process.robot.workspace import require_poses
+
+IntArray = NDArray[np.intp]
 
 SINGULAR = 1e-3
 """Ratio of the Jacobian's smallest to its largest singular value, lengths over reach, below which it is singular."""
@@ -29,8 +34,22 @@ _EXACT = 1e-13
 _STEP = 0.1
 """Longest step towards the pose, rad or parts of the reach: short enough to stay on the branch."""
 _STEPS = 100
+_PATIENCE = 20
+_STALLED = 0.98
+"""A pose is given up where so many steps leave more than this of what was left."""
 _SEEDS = 400
-_ROUNDS = 3
+"""Poses led from home; the others start from their nearest neighbor that is solved."""
+_LAST_TURNS_DEG = (0.0, 60.0, -60.0, 120.0, -120.0, 180.0)
+"""Starts at home differ by these turns of the last joint, ..."""
+_FIRST_TURNS_DEG = (0.0, 90.0, -90.0, 180.0)
+"""... and of the first, as long as no pose is found: no turn of these two joints changes the Jacobian's determinant."""
+_FEWER = 8
+"""One of so many seeds is led from home with the first joint turned."""
+_NEIGHBORS = 4
+"""Nearest solved neighbors from which a pose is tried, one a round."""
+_ROUNDS = 12
+_SAMPLE_RAD = 0.05
+"""Longest turn of a joint between two looks for a singular pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +64,8 @@ class _Solution:
     """(n,) ratio of the Jacobian's smallest to its largest singular value."""
     turned_over: FloatArray
     """(n,) the Jacobian's determinant over that at home: negative beyond a singular pose."""
+    connected: BoolArray
+    """(n,) whether joint angles lead there from home without a singular pose between."""
 
     @property
     def reached(self) -> BoolArray:
@@ -90,7 +111,7 @@ def serial_reachable(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -
     solution = _solve(robot, tip[reach], _flange(robot, axis[reach]))
     low, high = np.radians(robot.joint_limits_deg).T
     inside = ((solution.joints >= low) & (solution.joints <= high)).all(axis=1)
-    reach[reach] = solution.reached & (solution.regular > SINGULAR) & (solution.turned_over > 0) & inside
+    reach[reach] = solution.reached & (solution.regular > SINGULAR) & solution.connected & inside
     return reach
 
 
@@ -119,20 +140,62 @@ def serial_joint_compliance_mm_per_n(robot: SerialRobot, joints_rad: FloatArray)
 
 
 def _solve(robot: SerialRobot, tip: FloatArray, flange: FloatArray) -> _Solution:
-    """Joint angles for every pose: a few are followed from home, the others from their nearest solved neighbour."""
+    """Joint angles for every pose: a few are led from home, the others from their nearest solved neighbors."""
     joints = np.tile(np.radians(robot.home_deg), (len(tip), 1))
-    place = np.concatenate([tip / reach_mm(robot), flange[:, :, 0], flange[:, :, 2]], axis=1)
-    trying = np.arange(0, len(tip), max(1, len(tip) // _SEEDS))
-    start, solution = joints[trying], _judge(robot, joints, tip, flange)
-    for _ in range(_ROUNDS):
-        joints[trying] = _follow(robot, start, tip[trying], flange[trying])
-        solution = _judge(robot, joints, tip, flange)
-        good = solution.reached & (solution.turned_over > 0)
-        trying = np.flatnonzero(~good)
-        if good.all() or not good.any():
+    good = np.zeros(len(tip), dtype=np.bool_)
+
+    def lead(trying: IntArray, start: FloatArray) -> None:
+        """Keep what is found on home's branch, and of the others the last try, for the refusal's words."""
+        led = _follow(robot, start, tip[trying], flange[trying])
+        found = _judge(robot, led, tip[trying], flange[trying])
+        fine = found.reached & (found.turned_over > 0)
+        fine[fine] = _stays_regular(robot, start[fine], led[fine])
+        keeps = fine | ~reached[trying]
+        joints[trying[keeps]], reached[trying[keeps]] = led[keeps], found.reached[keeps]
+        good[trying[fine]] = True
+
+    reached = good.copy()
+    seeds = np.arange(0, len(tip), max(1, len(tip) // _SEEDS))
+    for first, last in itertools.product(_FIRST_TURNS_DEG, _LAST_TURNS_DEG):
+        if first and good.any():
             break
-        start = joints[good][scipy.spatial.cKDTree(place[good]).query(place[trying])[1]]
-    return dataclasses.replace(solution, joints=_wound(robot, joints))
+        trying = seeds[~good[seeds]][:: _FEWER if first else 1]
+        start = np.radians(np.add(robot.home_deg, [first, *(0.0,) * (JOINTS - 2), last]))
+        lead(trying, np.tile(start, (len(trying), 1)))
+    _spread(np.concatenate([tip / reach_mm(robot), flange[:, :, 0], flange[:, :, 2]], axis=1), joints, good, lead)
+    solution = _judge(robot, joints, tip, flange)
+    return dataclasses.replace(solution, joints=_wound(robot, joints), connected=good)
+
+
+def _spread(
+    place: FloatArray, joints: FloatArray, good: BoolArray, lead: Callable[[IntArray, FloatArray], None]
+) -> None:
+    """Lead the poses that are left from solved ones, the nearest first, and none twice from the same."""
+    tried = np.full((len(place), _ROUNDS), -1)
+    for turn in range(_ROUNDS):
+        solved, open_ = np.flatnonzero(good), np.flatnonzero(~good)
+        if not len(solved) or not len(open_):
+            return
+        many = min(_NEIGHBORS, len(solved))
+        near = solved[scipy.spatial.cKDTree(place[solved]).query(place[open_], k=[*range(1, many + 1)])[1]]
+        new = ~(near[:, :, None] == tried[open_][:, None, :]).any(axis=2)
+        trying, start = open_[new.any(axis=1)], near[np.arange(len(near)), new.argmax(axis=1)][new.any(axis=1)]
+        if not len(trying):
+            return
+        tried[trying, turn] = start
+        lead(trying, joints[start])
+
+
+def _stays_regular(robot: SerialRobot, start: FloatArray, end: FloatArray) -> BoolArray:
+    """(n,) whether the arm passes no singular pose while its joints turn evenly from (n, 6) start to (n, 6) end."""
+    way = (end - start + np.pi) % (2 * np.pi) - np.pi
+    looks = np.ceil(np.abs(way).max(axis=1, initial=0.0) / _SAMPLE_RAD).astype(np.intp) + 1
+    whose = np.repeat(np.arange(len(way)), looks)
+    part = (np.arange(len(whose)) - np.repeat(np.cumsum(looks) - looks, looks) + 1) / looks[whose]
+    over = _determinants(robot, start[whose] + part[:, None] * way[whose]) / _home_determinant(robot)
+    stays = np.ones(len(way), dtype=np.bool_)
+    np.logical_and.at(stays, whose, over > 0)
+    return stays
 
 
 def _wound(robot: SerialRobot, joints: FloatArray) -> FloatArray:
@@ -151,12 +214,15 @@ def _follow(robot: SerialRobot, start: FloatArray, tip: FloatArray, flange: Floa
     reach is approached rather than overshot.
     """
     joints = start.copy()
-    left = np.arange(len(joints))
-    for _ in range(_STEPS):
+    left, best = np.arange(len(joints)), np.full(len(joints), np.inf)
+    for step in range(_STEPS):
         at = chain(robot, joints[left])
         error = _error(robot, at, tip[left], flange[left])
         size = np.linalg.norm(error, axis=1)
         going = size > _EXACT
+        if step % _PATIENCE == 0:
+            going &= size < _STALLED * best[left]
+            best[left] = size
         if not going.any():
             break
         left, error, size = left[going], error[going], size[going]
@@ -185,7 +251,13 @@ def _judge(robot: SerialRobot, joints: FloatArray, tip: FloatArray, flange: Floa
         miss_rad=miss[:, 1],
         regular=_regular(twists),
         turned_over=np.linalg.det(twists) / _home_determinant(robot),
+        connected=np.ones(len(joints), dtype=np.bool_),
     )
+
+
+def _determinants(robot: SerialRobot, joints: FloatArray) -> FloatArray:
+    """(n,) the Jacobian's, lengths over the reach."""
+    return np.asarray(np.linalg.det(chain(robot, joints).twists / twist_scale(robot)))
 
 
 def _regular(twists: FloatArray) -> FloatArray:
@@ -211,6 +283,8 @@ def _refuse(robot: SerialRobot, solution: _Solution) -> None:
     what = "the Jacobian's determinant over that at home"
     says = "below 0 the arm has turned over on the way from home: choose home_deg on the branch wanted"
     refuse_where(solution.turned_over < 0, solution.turned_over, what, "", says)
+    says = "on the way there from home lies a singular pose: choose home_deg on the branch wanted"
+    refuse_where(~solution.connected, solution.regular, _RATIO, "", says)
     for j, (low, high) in enumerate(robot.joint_limits_deg):
         angle = np.degrees(solution.joints[:, j])
         says = f"out of its limits {low:g} to {high:g} deg"

@@ -10,18 +10,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from polishd.model.robot import SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
+
+IntArray = NDArray[np.intp]
 
 SINGULAR = 1e-3
 """Of the smallest to the largest singular value of the joints' motions, lengths over the arm's: its controller
 refuses to go there."""
 FEW = 256
-"""Poses led all the way from home, ..."""
-NEARER = 8
-"""... then one of so many of the others from the nearest that was found, and then all; those that fail twice."""
+"""Poses led all the way from home; the others are led from poses that were found."""
+STARTS = 6
+"""Of the last joint at home, equal parts of a whole turn: it leads past no singular pose, and neither does the first,
+..."""
+SIDES = 4
+"""... which is turned, too, where home itself leads to none of the poses."""
+NEAREST = 4
+"""Poses found from which one that is left is led, the nearest first, ..."""
+ROUNDS = 6
+"""... one in each round."""
 STEPS = 80
 STEP = 0.1
 """Longest step towards a pose: rad, or parts of the arm's length."""
@@ -73,16 +84,42 @@ def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
     """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way."""
     screws = Screws.of(robot)
     flange, wanted = _flange(robot, axis)
-    home = np.linalg.det(_motion(screws, np.zeros((1, 6)))[1][0])
     joints, found = np.zeros((len(tip_mm), 6)), np.zeros(len(tip_mm), dtype=np.bool_)
     motion = np.zeros((len(tip_mm), 6, 6))
-    place = np.column_stack([tip_mm / screws.length_mm, axis])
-    for every in (max(1, len(tip_mm) // FEW), NEARER, 1, 1):
-        going = np.flatnonzero(wanted & ~found)[::every]
+
+    def lead(going: IntArray, start: FloatArray) -> None:
+        to, along, miss = _lead(screws, start, tip_mm[going], flange[going])
+        there = miss < FOUND
+        joints[going[there]], motion[going[there]], found[going[there]] = to[there], along[there], True
+
+    few = np.flatnonzero(wanted)[:: max(1, len(tip_mm) // FEW)]
+    for side in range(SIDES):
+        for start in range(STARTS):
+            going = few[~found[few]]
+            turned = np.zeros((len(going), 6))
+            turned[:, [0, 5]] = 2.0 * np.pi * side / SIDES, 2.0 * np.pi * start / STARTS
+            lead(going, turned)
         if found.any():
-            joints[going] = joints[found][cKDTree(place[found]).query(place[going])[1]]
-        joints[going], motion[going], miss = _lead(screws, joints[going], tip_mm[going], flange[going])
-        found[going] = (miss < FOUND) & (np.linalg.det(motion[going]) * home > 0.0)
+            break
+        few = few[::SIDES] if side == 0 else few
+    place = np.column_stack([tip_mm / screws.length_mm, axis])
+    led_from: list[set[int]] = [set() for _ in place]
+    for _ in range(ROUNDS):
+        there = np.flatnonzero(found)
+        if not len(there):
+            break
+        near = cKDTree(place[there])
+        pairs = []
+        for pose in np.flatnonzero(wanted & ~found):
+            nearest = there[near.query(place[pose], k=range(1, min(NEAREST, len(there)) + 1))[1]].tolist()
+            new = [one for one in nearest if one not in led_from[pose]]
+            if new:
+                led_from[pose].add(new[0])
+                pairs.append((pose, new[0]))
+        if not pairs:
+            break
+        going, start_at = np.array(pairs).T
+        lead(going, joints[start_at])
     spread = np.linalg.svd(motion, compute_uv=False)
     regular = spread[:, 5] > SINGULAR * spread[:, 0]
     return Posed(found & regular & _within(robot, joints), joints, motion)
@@ -135,16 +172,23 @@ def _about(axis: FloatArray, angle: FloatArray) -> FloatArray:
 def _lead(
     screws: Screws, joints: FloatArray, tip_mm: FloatArray, flange: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Newton's steps from turns (n, 6), none longer than `STEP`: turns, `Posed.motion` and (n,) what is left."""
+    """Newton's steps from turns (n, 6), none longer than `STEP`: turns, `Posed.motion` and (n,) what is left.
+
+    Where the determinant of the motions changes its sign the arm has passed a singular pose: that way ends.
+    """
     joints, motion, miss = joints.copy(), np.zeros((len(joints), 6, 6)), np.full(len(joints), np.inf)
+    home = np.linalg.det(_motion(screws, np.zeros((1, 6)))[1][0])
     going = np.arange(len(joints))
     for _ in range(STEPS):
         at, motion[going] = _motion(screws, joints[going])
-        turn = np.cross(at[:, :, :3], flange[going], axis=1).sum(axis=2) / 2.0
+        passed = np.linalg.det(motion[going]) * home <= 0.0
+        miss[going[passed]] = np.inf
+        going, at = going[~passed], at[~passed]
+        if not len(going):
+            break
+        turn = Rotation.from_matrix(flange[going] @ at[:, :, :3].transpose(0, 2, 1)).as_rotvec()
         left = np.concatenate([(tip_mm[going] - at[:, :, 3]) / screws.length_mm, turn], axis=1)
         miss[going] = np.linalg.norm(left, axis=1)
-        short = np.einsum("nij,nij->n", at[:, :, :3], flange[going]) > 0.0  # else it points the other way
-        miss[going[~short]] += 1.0
         more = miss[going] > FOUND
         going, left = going[more], left[more]
         if not len(going):

@@ -324,17 +324,35 @@ def test_a_wrist_that_is_nearly_stretched_is_refused() -> None:
         serial_inverse_kinematics(dataclasses.replace(PUMA, flange_x=tuple(x)), tip[None], -z[None])
 
 
-def test_a_pose_beyond_a_singular_one_needs_a_home_on_its_own_branch() -> None:
-    """The wrist bent the other way round: the straight way there from home stretches it."""
+def test_a_pose_beyond_a_singular_one_is_taken_by_homes_branch_or_not_at_all() -> None:
+    """The wrist bent the other way round. With home's wrist the same pose needs joint 4 half a turn on."""
     joints = np.radians([0.0, -60.0, 150.0, 0.0, 60.0, 0.0])
     tip, flange = assemble(PUMA, joints)
     robot = dataclasses.replace(PUMA, flange_x=tuple(flange.as_matrix()[:, 0]))
     axis = -flange.as_matrix()[:, 2]
-    with pytest.raises(ComputeError, match=r"determinant over that at home is -1 , .*turned over on the way from home"):
-        serial_inverse_kinematics(robot, tip[None], axis[None])
-    assert not serial_reachable(robot, tip[None], axis[None])[0]
-    own = dataclasses.replace(robot, home_deg=(0.0, -60.0, 150.0, 0.0, 50.0, 0.0))
+    turned = np.degrees(serial_inverse_kinematics(robot, tip[None], axis[None])[0])
+    np.testing.assert_allclose(np.abs(turned), [0.0, 60.0, 150.0, 180.0, 60.0, 180.0], rtol=0, atol=1e-9)
+    assert turned[4] == pytest.approx(-60.0)
+    short = dataclasses.replace(robot, joint_limits_deg=(*TURNS[:3], (-90.0, 90.0), *TURNS[4:]))
+    with pytest.raises(ComputeError, match=r"joint 4 is -?180 deg, out of its limits -90 to 90 deg"):
+        serial_inverse_kinematics(short, tip[None], axis[None])
+    assert not serial_reachable(short, tip[None], axis[None])[0]
+    own = dataclasses.replace(short, home_deg=(0.0, -60.0, 150.0, 0.0, 50.0, 0.0))
     np.testing.assert_allclose(serial_inverse_kinematics(own, tip[None], axis[None])[0], joints, rtol=0, atol=1e-9)
+
+
+def test_elbow_and_wrist_bend_as_at_home_wherever_the_arm_goes() -> None:
+    """Two singular poses passed on the way leave the determinant's sign as it was: that alone tells no branch."""
+    rng = np.random.default_rng(4)
+    robot = dataclasses.replace(UR5, home_deg=(27.0, -109.0, 139.0, -115.0, -84.0, -7.0))
+    tip = forward(robot, np.radians([robot.home_deg]))[0] + rng.uniform(-250, 250, (400, 3))
+    axis = np.column_stack([rng.uniform(-0.6, 0.6, (400, 2)), np.ones(400)])
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    reached = serial_reachable(robot, tip, axis)
+    assert 300 < reached.sum() < 400
+    joints = serial_inverse_kinematics(robot, tip[reached], axis[reached])
+    assert (np.sin(joints[:, 2]) > 0).all()
+    assert (np.sin(joints[:, 4]) < 0).all()
 
 
 def test_a_joint_that_jumps_between_neighbours_is_a_flip() -> None:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from polishd.model.robot import HybridRobot, SerialRobot
-from polishd.model.surface import FloatArray
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
 from polishd.sim_backends.mechanics import hybrid, reached, tip_gives_mm_per_n
-from tests.unit.process.arms import UR5, forward
+from tests.unit.process.arms import UR5, arm_cell, forward
 from tests.unit.process.hybrid_poses import CROOKED, PAPER, ROBOT, SLANTED, random_poses
 
 STIFF = 1e30
@@ -154,3 +154,39 @@ def test_an_arm_does_not_reach_beyond_its_length_or_its_limits() -> None:
     held = dataclasses.replace(UR5, joint_limits_deg=((-0.5, 0.5), *UR5.joint_limits_deg[1:]))
     assert np.array_equal(reached(held, *arm_poses()), reachable(held, *arm_poses()))
     assert 0 < reached(held, *arm_poses()).sum() < 20
+
+
+@pytest.mark.parametrize("last_deg", [0.0, 90.0, 180.0, -90.0])
+@pytest.mark.parametrize("first_deg", [0.0, 90.0])
+def test_a_part_below_home_is_reached_however_the_flange_is_turned_there(first_deg: float, last_deg: float) -> None:
+    """For two of these homes the flange's x is exactly opposite to the default ``flange_x``."""
+    home = (first_deg, *UR5.home_deg[1:5], last_deg)
+    robot = dataclasses.replace(UR5, home_deg=home)
+    tip, axis = arm_poses(40)
+    middle, upright = forward(robot, np.radians([home]))
+    tip = 0.4 * (tip - tip.mean(axis=0)) + middle
+    assert reachable(robot, tip, axis).all()
+    assert reached(robot, tip, axis).all()
+    assert reached(robot, middle, upright).all()
+
+
+def _both(seed: int) -> tuple[BoolArray, BoolArray]:
+    """Which poses of a random cell the controller and the plant reach."""
+    cell = arm_cell(seed)
+    return reachable(cell.robot, cell.tip_mm, cell.axis), reached(cell.robot, cell.tip_mm, cell.axis)
+
+
+@pytest.mark.parametrize("seed", [2, 7, 8, 36, 64])
+def test_controller_and_plant_reach_the_same_poses_of_a_random_arm(seed: int) -> None:
+    theirs, ours = _both(seed)
+    assert np.array_equal(ours, theirs)
+
+
+@pytest.mark.full
+def test_controller_and_plant_judge_200_random_arms_alike() -> None:
+    """Each part as a whole, and of 28,800 poses all but a few beside a singular one."""
+    told = [_both(seed) for seed in range(200)]
+    whole = [(bool(theirs.all()), bool(ours.all())) for theirs, ours in told]
+    assert [seed for seed, (theirs, ours) in enumerate(whole) if theirs != ours] == []
+    assert 60 < sum(theirs for theirs, _ in whole) < 140
+    assert sum(int((theirs != ours).sum()) for theirs, ours in told) <= 5
