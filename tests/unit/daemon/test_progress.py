@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -52,9 +53,11 @@ def excess_of(plan: Plan, floor_nm: float = 5.0) -> ExcessMap:
 class Run:
     """A robot and the daemon's clock, block by block, in contact."""
 
-    def __init__(self, plan: Plan | None = None, excess: ExcessMap | None = None) -> None:
+    def __init__(
+        self, plan: Plan | None = None, excess: ExcessMap | None = None, limits: ProgressLimits = LIMITS
+    ) -> None:
         self.plan = plan or plan_of()
-        self.progress = Progress(self.plan, LIMITS, excess)
+        self.progress = Progress(self.plan, limits, excess)
         self.now_s, self.clock_s, self.seq = 100.0, 0.0, self.plan.approach_blocks
         self.progress.start(self.now_s)
 
@@ -198,6 +201,31 @@ def test_ordinary_motion_is_none(reported_s: float) -> None:
             last = k % lump == lump - 1
             run.block(reported_s, took_s=lump * reported_s / pace if last else 0.0)
         assert run.progress.worst < 1.0
+
+
+@pytest.mark.parametrize("overhead_s", [0.005, 0.03, 0.29])
+def test_the_first_pass_may_show_what_a_point_costs_and_is_still_watched(overhead_s: float) -> None:
+    """Each point alike takes so much beyond its plan; then the robot stands, or slows down to a half."""
+    first = replace(LIMITS, knows_overhead=False)
+    jitter_s = np.random.default_rng(3).normal(0.0, 0.003, 101)
+    for slow in (False, True):
+        plan = plan_of()
+        run = Run(plan, excess_of(plan), first)
+        for late_s_, next_s in pairwise(jitter_s):
+            took_s = BLOCK_S + overhead_s + next_s - late_s_
+            run.block(took_s, took_s=took_s)
+        took = 2 * BLOCK_S + overhead_s
+        stood_s, why = run.until_stopped(5.0, **({"reported_s": took, "took_s": took} if slow else {}))
+        assert ("slower than planned" if slow else "does not advance") in why
+        assert stood_s < overhead_s + LATEST_S + 3 * STEP_S if not slow else stood_s < 4 * took
+
+
+def test_with_a_known_overhead_the_same_is_slow_motion() -> None:
+    plan = plan_of()
+    run = Run(plan, excess_of(plan))
+    took_s, why = run.until_stopped(20.0, reported_s=1.3 * BLOCK_S, took_s=1.3 * BLOCK_S)
+    assert "robot is slower than planned" in why
+    assert took_s < 2.0
 
 
 def test_without_limits_of_its_excess_a_robot_may_be_slow() -> None:
