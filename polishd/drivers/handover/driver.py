@@ -220,4 +220,5 @@ def times_of(profile: ControllerProfile) -> RobotTimes:
         stop_s=profile.stop_s,
         unseen_stop_s=profile.unseen_stop_s,
         block_end_s=profile.block_end_s,
+        keys=dict.fromkeys(("silence_s", "watchdog_s", "stop_s"), "profile"),
     )
