@@ -97,7 +97,9 @@ def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncCo
         least_s=cell.limits.buffer_s,
         heard=cell.robot_told,
         ended=cell.ended,
-        limits=ProgressLimits.of(cell.limits, limits.least_override, limits.no_progress_s),
+        limits=ProgressLimits.of(
+            cell.limits, limits.least_override, limits.no_progress_s, knows_overhead=job.knows_overhead
+        ),
         excess=excess,
     )
 

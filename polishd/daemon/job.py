@@ -44,9 +44,6 @@ from polishd.recipe.records import Measured, Pass, Planned, Solved, Taught
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
 
-FIRST_OVERHEAD_S = 0.01
-"""Time that a block may take beyond its motion while no pass has taught it."""
-
 log = logging.getLogger(__name__)
 
 
@@ -238,9 +235,13 @@ class Job:
 
         ``blur_s``: how far off a block's reported end may be.
         """
-        turn, known = self.tools.now, self.tools.believed.block_overhead_s
-        allowed_s = FIRST_OVERHEAD_S if known == turn.recipe.envelope.block_overhead_s else 0.0
-        return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm, blur_s, allowed_s)
+        turn = self.tools.now
+        return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm, blur_s)
+
+    @property
+    def knows_overhead(self) -> bool:
+        """A pass has taught what a block takes beyond its motion."""
+        return self.tools.believed.block_overhead_s != self.recipe.envelope.block_overhead_s
 
     async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress, reach_s: float) -> None:
         """The intent, durable before anything moves, with how far the tool can get unseen."""

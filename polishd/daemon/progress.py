@@ -26,6 +26,10 @@ AWAY_S = 300.0
 """Longest without progress while the tool is up: a way to the part has blocks whose time is not planned."""
 RECENT_S = 0.4
 """Time over which it is averaged how slow the motion is."""
+FIRST_POINTS = 10
+"""So many points tell the overhead of a machine that no pass has shown yet."""
+MOST_OVERHEAD_S = 0.3
+"""Most overhead of a point that is learned during a pass; a larger one stands in machine.block_overhead_s."""
 SLOW = 0.2
 """Share by which motion is slower than planned from which on the excess is looked at ahead of the tool."""
 
@@ -41,12 +45,16 @@ class ProgressLimits:
     release_s: float = 0.2
     """From leaving contact until the force is off."""
     least_override: float = 0.0
+    knows_overhead: bool = True
+    """The planned times have the overhead of each point, as an earlier pass has shown it."""
 
     @classmethod
-    def of(cls, limits: TimeLimits, least_override: float, no_progress_s: float | None = None) -> ProgressLimits:
+    def of(
+        cls, limits: TimeLimits, least_override: float, no_progress_s: float | None, *, knows_overhead: bool
+    ) -> ProgressLimits:
         """Return them for a cell with these time limits; ``no_progress_s`` in the place of the derived one."""
         late_s = limits.no_progress_s if no_progress_s is None else no_progress_s
-        return cls(late_s, limits.robot.stop_s, limits.actuator.release_s, least_override)
+        return cls(late_s, limits.robot.stop_s, limits.actuator.release_s, least_override, knows_overhead)
 
 
 class Progress:
@@ -72,8 +80,10 @@ class Progress:
         """First timed point that is not executed yet."""
         self._point_began: tuple[float, float] | None = None
         """When it began: by the controller's clock, and by this one."""
-        self._slow_s = self._recent_s = 0.0
-        """Of the last points: excess and expected time, fading."""
+        self._took_s, self._points = 0.0, 0
+        """Beyond the planned times, and by how many points."""
+        self._slow_s = self._recent_s = self._recent_points = 0.0
+        """Of the last points: excess, expected time and number, fading."""
         self._new: list[int] = []
         """Points that were not judged yet."""
 
@@ -112,9 +122,11 @@ class Progress:
             return
         self._reported.add(point, reported_s)
         self._seen.add(point, seen_s)
+        self._took_s, self._points = self._took_s + reported_s, self._points + 1
         fade = math.exp(-expected_s / RECENT_S)
         self._slow_s = fade * self._slow_s + reported_s
         self._recent_s = fade * self._recent_s + expected_s
+        self._recent_points = fade * self._recent_points + 1.0
         self._new.append(point)
 
     def look(self, now_s: float, *, in_contact: bool) -> None:
@@ -127,7 +139,7 @@ class Progress:
             if stood_s > AWAY_S:
                 raise SafetyStop(self._stands("no expected time", stood_s))
             return
-        expected_s = self._expected_of(self._executed)
+        expected_s = self._expected_of(self._executed) + self._slack_s
         over_s = stood_s - expected_s - late_s(expected_s) - self._limits.late_s
         if self._starting:
             over_s -= self._limits.start_s
@@ -136,14 +148,28 @@ class Progress:
         standing_s = over_s + LOOK_S
         if standing_s <= 0.0 or self._reported is None or self._point >= self._block.size:
             return
-        if found := self._reported.beyond(self._point, standing_s):
+        if found := self._reported.beyond(self._point, standing_s, overhead_s=self._overhead_s):
             beyond = f", {found.excess_nm:.1f} nm beyond the plan, at most {found.limit_nm:.1f} nm (limits.excess_nm)"
             raise SafetyStop(self._stands(f"expected {expected_s:.2f} s", stood_s, beyond))
 
     @property
     def worst(self) -> float:
         """Largest share of its limit of excess removal that any place has used up."""
-        return 0.0 if self._reported is None else self._reported.worst
+        return 0.0 if self._reported is None else self._reported.worst(self._overhead_s)
+
+    @property
+    def _overhead_s(self) -> float:
+        """What a point takes beyond its planned time, as this pass shows it where no other has."""
+        if self._limits.knows_overhead or not self._points:
+            return 0.0
+        return min(max(self._took_s / self._points, 0.0), MOST_OVERHEAD_S)
+
+    @property
+    def _slack_s(self) -> float:
+        """The same, before enough points have told."""
+        if self._limits.knows_overhead:
+            return 0.0
+        return self._overhead_s if self._points >= FIRST_POINTS else MOST_OVERHEAD_S
 
     def _pass(self, now_s: float) -> None:
         if self._looked_s is not None:
@@ -158,15 +184,19 @@ class Progress:
         reported, seen, points, self._new = self._reported, self._seen, self._new, []
         if reported is None or seen is None or not points:
             return None
-        allowed_nm, last = seen.peak_nm_s * self._limits.late_s, points[-1]
+        if not self._limits.knows_overhead and self._points < FIRST_POINTS:
+            return None
+        allowed_nm, last, own_s = seen.peak_nm_s * self._limits.late_s, points[-1], self._overhead_s
         judged: int | None = None
         for point in points:
             if point != last and judged is not None and not reported.far(point, judged):
                 continue
             judged = point
-            if found := reported.beyond(point) or seen.beyond(point, allowed_nm=allowed_nm):
+            if found := reported.beyond(point, overhead_s=own_s) or seen.beyond(
+                point, allowed_nm=allowed_nm, overhead_s=own_s
+            ):
                 return found
-        slow = self._slow_s / self._recent_s if self._recent_s > 0.0 else 0.0
+        slow = (self._slow_s - own_s * self._recent_points) / self._recent_s if self._recent_s > 0.0 else 0.0
         return self._ahead(reported, last, slow) if slow > SLOW else None
 
     def _ahead(self, excess: ExcessMap, point: int, slow: float) -> Excess | None:
@@ -180,10 +210,11 @@ class Progress:
             counted.append((later, min(takes_s, left_s) * slow / (1.0 + slow)))
             left_s -= takes_s
         for later, more_s in counted:
-            excess.add(later, more_s)
-        found = next((found for later, _ in counted if (found := excess.beyond(later))), None)
+            excess.add(later, more_s, times=0)
+        own_s = self._overhead_s
+        found = next((found for later, _ in counted if (found := excess.beyond(later, overhead_s=own_s))), None)
         for later, more_s in counted:
-            excess.add(later, -more_s)
+            excess.add(later, -more_s, times=0)
         return found
 
     def _stands(self, expected: str, stood_s: float, beyond: str = "") -> str:

@@ -114,10 +114,10 @@ def _spot(recipe: Recipe) -> SpotFigures:
     return spot_figures(process) if tif is None else measured_figures(tif, process)
 
 
-def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float, allowed_s: float) -> ExcessMap:
+def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float) -> ExcessMap:
     """Return the limits of removal beyond that plan on the part: ``most_nm``, or by tolerance and plan.
 
-    ``blur_s``: how far off a block's reported end may be; ``allowed_s``: overhead of a block that is not known yet.
+    ``blur_s``: how far off a block's reported end may be.
     """
     share = TENTH if most_nm is None else 0.0
     return ExcessMap(
@@ -127,6 +127,5 @@ def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float,
         floor_nm=(tolerance_nm(recipe) or NO_TOLERANCE_NM) / 2 if most_nm is None else most_nm,
         share=share,
         blur_s=blur_s,
-        allowed_s=allowed_s,
         on_part=recipe.outline.contains,
     )

@@ -48,7 +48,6 @@ class ExcessMap:
         floor_nm: float,
         share: float = 0.0,
         blur_s: float = 0.0,
-        allowed_s: float = 0.0,
         on_part: Callable[[FloatArray, FloatArray], BoolArray] | None = None,
     ) -> None:
         """Set the limit at each place: the larger of ``floor_nm`` and ``share`` of the planned removal there.
@@ -60,11 +59,10 @@ class ExcessMap:
             floor_nm: limit where little is planned.
             share: limit relative to the planned removal.
             blur_s: how far off a block's reported end may be; that much at the peak rate is no excess.
-            allowed_s: time that each point may take beyond its planned time, while its overhead is not known.
             on_part: which places (x, y), mm, are on the part: no others are judged. None: all are.
         """
         self.peak_nm_s = spot.peak_nm_s
-        self.expected_s = expected_s + allowed_s
+        self.expected_s = expected_s
         radius_mm, rate_nm_s = _round_spot(spot)
         middle = (program.start_mm + program.end_mm)[:, :2] / 2
         extent_mm = float(np.ptp(middle, axis=0).max(initial=0.0))
@@ -83,24 +81,36 @@ class ExcessMap:
             x, y = (self._origin_mm[axis] + np.arange(shape[axis]) * self._pitch_mm for axis in (0, 1))
             self._limit_nm[~on_part(x[:, None], y[None, :])] = np.inf
         self._excess_nm = np.zeros(shape)
+        self._count_nm_s = np.zeros(shape)
+        """Removal by the points so far, for each second that all of them took."""
 
     @property
     def n(self) -> int:
         """Number of timed points."""
         return int(self.expected_s.size)
 
-    def add(self, point: int, excess_s: float) -> None:
-        """Count the time that a point took beyond its planned time; negative where it took less."""
+    def add(self, point: int, excess_s: float, *, times: int = 1) -> None:
+        """Count the time that a point took beyond its planned time; negative where it took less.
+
+        ``times`` 0: its overhead does not count.
+        """
         window = self._window(point)
         self._excess_nm[window] += excess_s * self._spot_nm_s
+        if times:
+            self._count_nm_s[window] += times * self._spot_nm_s
 
-    def beyond(self, point: int, more_s: float = 0.0, allowed_nm: float = 0.0) -> Excess | None:
+    def beyond(
+        self, point: int, more_s: float = 0.0, *, allowed_nm: float = 0.0, overhead_s: float = 0.0
+    ) -> Excess | None:
         """Return the worst place within the spot at that point, or None where all are within their limits.
 
-        ``more_s`` is time that the tool has stood there besides, ``allowed_nm`` comes on top of the limit.
+        ``more_s`` is time that the tool has stood there besides, ``allowed_nm`` comes on top of the limit, and
+        ``overhead_s`` is what each point may take beyond its planned time.
         """
         window = self._window(point)
         excess_nm = self._excess_nm[window] + more_s * self._spot_nm_s
+        if overhead_s:
+            excess_nm -= overhead_s * self._count_nm_s[window]
         over_nm = excess_nm - self._limit_nm[window]
         if (over_nm <= allowed_nm).all():
             return None
@@ -110,10 +120,9 @@ class ExcessMap:
         limit_nm = float(self._limit_nm[window][row, column])
         return Excess(float(excess_nm[row, column]), limit_nm, float(x_mm), float(y_mm))
 
-    @property
-    def worst(self) -> float:
-        """Largest share of its limit that any place has used up."""
-        return float((self._excess_nm / self._limit_nm).max(initial=0.0))
+    def worst(self, overhead_s: float = 0.0) -> float:
+        """Return the largest share of its limit that any place has used up."""
+        return float(((self._excess_nm - overhead_s * self._count_nm_s) / self._limit_nm).max(initial=0.0))
 
     def far(self, point: int, other: int) -> bool:
         """Tell whether a point lies beyond what is judged at another."""
@@ -123,7 +132,7 @@ class ExcessMap:
         """Return a map of the same plan and limits without any excess."""
         other = object.__new__(ExcessMap)
         other.__dict__.update(self.__dict__)
-        other._excess_nm = np.zeros_like(self._excess_nm)
+        other._excess_nm, other._count_nm_s = np.zeros_like(self._excess_nm), np.zeros_like(self._excess_nm)
         return other
 
     def _window(self, point: int) -> tuple[slice, slice]:

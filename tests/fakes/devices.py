@@ -132,6 +132,9 @@ class FakeRobot(FakeDevice):
         """Blocks after which it accepts no more."""
         self.stands = False
         """It does not move, whatever it is told."""
+        self.lies = False
+        """It says that it runs, also where it stands."""
+        self.override: float | None = None
         self.most_buffered_s = 0.0
         self.before_block: Callable[[], Awaitable[None]] = partial(asyncio.sleep, 0)
         """Whoever feeds may feed meanwhile."""
@@ -155,8 +158,9 @@ class FakeRobot(FakeDevice):
         if "progress" in self.acts.hangs:
             await asyncio.Event().wait()
         ended = "done" if self.done == self.ends_at else "running"
-        state: RobotState = "held" if self._is_held() else ended
-        return RobotProgress(state, self.plan_sha256, len(self.loaded), self.done, self.buffer_s, self.boot_id, "fake")
+        state: RobotState = "held" if self._is_held() and not (self.stands and self.lies) else ended
+        told = (self.plan_sha256, len(self.loaded), self.done, self.buffer_s, self.boot_id, "fake", self.override)
+        return RobotProgress(state, *told)
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
         for seq in range(from_seq, self.done):

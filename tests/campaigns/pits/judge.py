@@ -93,7 +93,11 @@ def _finding(
 ) -> Finding:
     log = events(files)
     begun_s, landed_s = first(log, {"fault_begins"}), first(log, {"tool_landed"})
-    wrong_s = max(begun_s or 0.0, landed_s or 0.0)
+    assert begun_s is not None, "the fault did not begin"
+    assert landed_s is not None
+    wrong_s = max(begun_s, landed_s)
+    left = [event for event in log if landed_s <= event["mono_s"] < wrong_s and event["event"] == "retract"]
+    assert not left, f"contact was left before the fault: {summary(files)['reason']}"
     after = [event for event in log if event["mono_s"] >= wrong_s]
     unnoticed = fault in LINKS[link].unnoticed
     reason = str(summary(files)["reason"])
@@ -102,8 +106,6 @@ def _finding(
     removed_nm = max(pit["peak_nm"], 0.0)
     limit_nm = bound_nm(checked, unnoticed=unnoticed)
     wrong = []
-    if begun_s is None:
-        wrong.append("contact ended before the fault")
     if notice_s is None and not unnoticed:
         wrong.append("not noticed")
     if removed_nm > MOST_NM:

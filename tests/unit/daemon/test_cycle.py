@@ -33,6 +33,7 @@ from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import steps
 from tests.unit.daemon.small import LIMITS, MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
+from tests.unit.daemon.test_stream import time_passes
 
 SLOW = replace(LIMITS, excess_nm=1e6)
 """A robot may be as slow as it likes."""
@@ -335,6 +336,31 @@ async def test_a_robot_that_says_no_more_leaves_a_bound(bench: Bench) -> None:
     assert 0.5 * (end - first) >= 5.5
     assert end < record.contact_to
     assert record.ended_s is None, "the next start asks the robot"
+
+
+async def test_a_low_speed_override_begins_no_pass(bench: Bench) -> None:
+    bench.fake.robot.override = 0.5
+    job = bench.job(contact=replace(LIMITS, least_override=0.95))
+    with pytest.raises(DeviceFault, match=r"override is 50%, at least 95% .*robot\.least_override.* no pass was begun"):
+        await bench.polish(job)
+    assert not bench.journal.passes
+    assert not bench.fake.of("robot.resume", "actuator.set_force")
+
+
+async def test_a_robot_that_says_it_runs_and_stands_leaves_contact_in_order(bench: Bench) -> None:
+    bench.fake.robot.lies = True
+    bench.fake.robot.before_block = lambda: stand(bench)
+    task = asyncio.ensure_future(bench.polish())
+    await time_passes(bench.fake, 60.0, task)
+    with pytest.raises(SafetyStop, match=r"robot does not advance: block \d+ expected \d\.\d\d s, no progress for"):
+        await task
+    assert bench.fake.events[-4:] == SAFE
+
+
+async def stand(bench: Bench) -> None:
+    """From the thirtieth block on."""
+    await asyncio.sleep(0)
+    bench.fake.robot.stands = bench.fake.robot.done >= 30
 
 
 async def test_the_feeder_dies_in_contact(bench: Bench) -> None:

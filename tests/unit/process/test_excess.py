@@ -47,7 +47,7 @@ def test_slow_points_pile_up_where_their_spots_overlap_and_nowhere_else() -> Non
         far.add(point, 0.02)
     assert any(near.beyond(point) for point in range(600, 660))
     assert not any(far.beyond(point) for point in range(far.n))
-    assert near.worst > 1.0 > far.worst
+    assert near.worst() > 1.0 > far.worst()
 
 
 @pytest.mark.parametrize(("slow", "wrong"), [(0.09, False), (0.11, True)])
@@ -55,7 +55,7 @@ def test_a_tenth_slower_everywhere_is_a_tenth_of_the_plan_everywhere(slow: float
     found = excess_map(floor_nm=0.01, share=0.1)
     for point in range(found.n):
         found.add(point, slow * POINT_S)
-    assert (found.worst > 1.0) is wrong
+    assert (found.worst() > 1.0) is wrong
 
 
 def test_what_one_point_took_too_long_the_next_may_take_less() -> None:
@@ -63,7 +63,7 @@ def test_what_one_point_took_too_long_the_next_may_take_less() -> None:
     found, late_s = excess_map(floor_nm=1.0), 0.029
     for point in range(found.n):
         found.add(point, late_s if point % 2 else -late_s)
-    assert found.worst < 1.5 * late_s * SPOT.peak_nm_s
+    assert found.worst() < 1.5 * late_s * SPOT.peak_nm_s
 
 
 def test_how_well_an_end_is_known_is_no_excess() -> None:
@@ -71,6 +71,17 @@ def test_how_well_an_end_is_known_is_no_excess() -> None:
     found.add(300, 0.1)
     assert found.beyond(300, 4.0 / SPOT.peak_nm_s) is None
     assert found.beyond(300, 6.0 / SPOT.peak_nm_s) is not None
+
+
+def test_what_each_point_may_take_besides_is_no_excess() -> None:
+    found = excess_map()
+    for point in range(found.n):
+        found.add(point, 0.03)
+    assert found.worst() > 1.0
+    assert found.worst(overhead_s=0.03) == pytest.approx(0.0, abs=1e-9)
+    assert found.beyond(300) is not None
+    assert found.beyond(300, overhead_s=0.03) is None
+    assert found.beyond(300, 0.1, overhead_s=0.03) is not None
 
 
 def test_off_the_part_nothing_is_judged() -> None:
