@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,6 +17,10 @@ LIMITS = {"rate": 0.4, "turn": 5.0, "width": 0.2, "compliance": 0.5}
 UPWARDS = ("compliance",)
 """Limited only where it is more than configured, too: an actuator may take up all that the robot gives way."""
 PLACE = ("offset", "shift", "rotation")
+LOGARITHMS = ("rate", "width", "compliance")
+"""Extensions whose parameter is a natural logarithm: told as what it stands for, in percent."""
+PLAIN = ("exponent",)
+"""Those that are no share of anything."""
 LOOK = "look at tool, seat and map before the next pass"
 
 
@@ -32,11 +36,36 @@ class Found:
     unit: str
     new: float
     """Length of what the pass's plan did not count with, as far as that is limited."""
+    parts: Mapping[str, float] = field(default_factory=dict)
+    """The vector, by parameter."""
 
     @property
     def words(self) -> str:
-        """With its error."""
-        return f"{self.name} of {self.size:.3g} +- {self.sigma:.2g} {self.unit}".removesuffix(" 1")
+        """With sign, unit and error; of a vector its length and each of its parameters."""
+        if len(self.parts) == 1:
+            (value,) = self.parts.values()
+            slope = float(np.exp(value)) if self.name in LOGARITHMS else 1.0
+            error = f"{self.sigma * slope * self._scale:.2g}"
+            return f"{self.name} of {self._value(value):+.3g} +- {error} {self._unit}".rstrip()
+        size = f"{self.name} of {self.size * self._scale:.3g} +- {self.sigma * self._scale:.2g} {self._unit}"
+        listed = ", ".join(f"{name} {value * self._scale:+.3g}" for name, value in self.parts.items())
+        return f"{size} ({listed})"
+
+    def words_of(self, limit: float) -> str:
+        """A limit in the unit of the words."""
+        return f"{self._value(limit):.3g} {self._unit}".rstrip()
+
+    @property
+    def _unit(self) -> str:
+        return self.unit if self.unit != "1" else "" if self.name in PLAIN else "%"
+
+    @property
+    def _scale(self) -> float:
+        return 100.0 if self._unit == "%" else 1.0
+
+    def _value(self, value: float) -> float:
+        """What a natural logarithm stands for; else itself."""
+        return (float(np.expm1(value)) if self.name in LOGARITHMS else value) * self._scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +99,7 @@ def decide(
     for one in sizes:
         limit = limits.get(one.name, np.inf)
         if one.new - 2 * one.sigma > limit:
-            stops.append(f"{one.words}{_or_else(found, one.name)}, more than {limit:g}: {LOOK}")
+            stops.append(f"{one.words}{_or_else(found, one.name)}, more than {one.words_of(limit)}: {LOOK}")
         elif one.size >= certain * one.sigma:
             corrected.append(one)
         else:
@@ -98,5 +127,7 @@ def _sizes(found: Identified) -> list[Found]:
         sigma = float(np.sqrt(along @ applied.covariance[np.ix_(own, own)] @ along))
         new = vector - [found.counted.get(applied.names[k], 0.0) for k in own]
         beyond = np.maximum(np.minimum(new, vector), 0.0) if name in UPWARDS else new
-        sizes.append(Found(name, size, sigma, applied.parameters[own[0]].unit, float(np.linalg.norm(beyond))))
+        unit, beyond_size = applied.parameters[own[0]].unit, float(np.linalg.norm(beyond))
+        parts = {applied.names[k]: float(value) for k, value in zip(own, vector, strict=True)}
+        sizes.append(Found(name, size, sigma, unit, beyond_size, parts))
     return sizes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -138,7 +139,7 @@ def test_a_wider_spot_is_found_and_taken() -> None:
     lesson = taught(HALF_A_SAMPLE, width=0.05)
     assert off(lesson, "width", 0.05) < 4
     assert lesson.beliefs.applied == {"width": pytest.approx(0.05, abs=0.01)}
-    assert any(note.startswith("width of 0.05") for note in lesson.notes)
+    assert any(re.match(r"width of \+[45]\.\d+ \+- [\d.]+ %: corrected", note) for note in lesson.notes), lesson.notes
 
 
 @pytest.mark.slow

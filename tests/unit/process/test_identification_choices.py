@@ -15,7 +15,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.identification.beliefs import beliefs_of, on_the_next_part
 from polishd.process.identification.comparison import compare, extensions
 from polishd.process.identification.confounding import told
-from polishd.process.identification.decision import decide
+from polishd.process.identification.decision import Found, decide
 from polishd.process.identification.forward import forward
 from polishd.process.identification.identify import Identified, displaced_mm, identify
 from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
@@ -282,6 +282,7 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert large.stops[0].startswith(
         "the spot acts 1.20 +- 0.00 mm off where the plan had it, more than 0.5, by offset of 1.2"
     )
+    assert "mm (offset_x +1.2, offset_y " in large.stops[0]
     assert "look at tool, seat and map" in large.stops[0]
     assert decide(found, misses_mm=2.0).stops == ()
     counted = {"offset_x": 1.1}
@@ -289,6 +290,32 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     known = decide(replace(found, counted=counted, displaced_mm=miss))
     assert known.stops == (), "the plan had nearly all of it"
     assert [one.name for one in known.corrected] == ["offset"]
+
+
+@pytest.mark.parametrize(
+    ("one", "says"),
+    [
+        (Found("width", 0.05, 0.003, "1", 0.0, {"width": -0.05}), "width of -4.88 +- 0.29 %"),
+        (Found("compliance", 0.25, 0.05, "1", 0.0, {"compliance": 0.25}), "compliance of +28.4 +- 6.4 %"),
+        (Found("wear", 0.3, 0.02, "1/h", 0.0, {"wear": 0.3}), "wear of +0.3 +- 0.02 1/h"),
+        (Found("turn", 4.0, 0.5, "deg", 0.0, {"turn": -4.0}), "turn of -4 +- 0.5 deg"),
+        (Found("exponent", 0.4, 0.05, "1", 0.0, {"exponent": -0.4}), "exponent of -0.4 +- 0.05"),
+        (
+            Found("offset", 0.5, 0.02, "mm", 0.0, {"offset_x": 0.3, "offset_y": -0.4}),
+            "offset of 0.5 +- 0.02 mm (offset_x +0.3, offset_y -0.4)",
+        ),
+        (
+            Found("field 1", 0.05, 0.002, "1", 0.0, {"field_2": 0.03, "field_3": -0.04}),
+            "field 1 of 5 +- 0.2 % (field_2 +3, field_3 -4)",
+        ),
+    ],
+)
+def test_what_is_found_is_said_with_sign_and_unit(one: Found, says: str) -> None:
+    assert one.words == says
+
+
+def test_a_limit_is_said_in_the_same_unit() -> None:
+    assert Found("width", 0.25, 0.003, "1", 0.25, {"width": 0.25}).words_of(0.2) == "22.1 %"
 
 
 @pytest.mark.parametrize(
