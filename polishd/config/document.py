@@ -16,6 +16,9 @@ from polishd.config.values import Section
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError, PolishdError
 
+MOST_LEVELS = 32
+"""Of lists and tables inside one another, in a file."""
+
 
 class Document(Section):
     """What all files share: where they lie, and where each of their keys stands."""
@@ -75,8 +78,26 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
 def parse_text(text: str, path: Path) -> tuple[dict[str, Any], Source]:
     """The same of a text that stood in that file."""
     try:
-        return tomllib.loads(text), Source(str(path), text)
+        raw = tomllib.loads(text)
+        if deep := _too_deep(raw):
+            raise ConfigError(f"{path}: {deep} is nested more than {MOST_LEVELS} levels deep; no key of polishd is")
+        return raw, Source(str(path), text)
+    except RecursionError:
+        raise ConfigError(
+            f"{path}: lists or tables are nested more than {MOST_LEVELS} levels deep; no key of polishd is"
+        ) from None
     except tomllib.TOMLDecodeError as error:  # which says "... (at line 3, column 5)" or "(at end of document)"
         what, _, place = str(error).partition(" (at ")
         line = place.split()[1].rstrip(",") if place.startswith("line") else str(text.count("\n") + 1)
         raise ConfigError(f"{path}:{line}: this is not TOML: {what}; mend that line") from error
+    except ValueError as error:  # a whole number of more than 4300 digits, which Python does not read
+        raise ConfigError(f"{path}: a value cannot be read: {error}; write a shorter one") from error
+
+
+def _too_deep(raw: Mapping[str, Any]) -> str:
+    """The key of the first level below which there are too many; empty where there is none."""
+    level: list[tuple[str, Any]] = list(raw.items())
+    for _ in range(MOST_LEVELS):
+        inner = [(key, value) for key, value in level if isinstance(value, (dict, list))]
+        level = [(key, item) for key, value in inner for item in (value.values() if isinstance(value, dict) else value)]
+    return next((key for key, value in level if isinstance(value, (dict, list))), "")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, field_validator
 
 
 def as_tuple(value: Any) -> Any:
@@ -21,10 +22,34 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
+LARGEST, SMALLEST = 1e15, 1e-12
+"""Of any number in a file, and of one that must be positive: beyond that products overflow, or vanish."""
+
+
+def _not_tiny(value: float) -> float:
+    """A positive number that can be divided by."""
+    if 0 < value < SMALLEST:
+        raise ValueError(f"{value:g} is too small; give at least {SMALLEST:g}")
+    return value
+
+
+def _require_usable(value: Any) -> None:
+    """ValueError where a number, in whatever lists and tables, is too large to be counted with."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) > LARGEST:
+        said = f"{value:g}" if isinstance(value, float) else f"a whole number of {value.bit_length()} bits"
+        raise ValueError(f"{said} is too large; give at most {LARGEST:g}")
+    if isinstance(value, (tuple, list)):
+        for item in value:
+            _require_usable(item)
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            _require_usable(item)
+
+
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Text = Annotated[str, StringConstraints(min_length=1)]
 Texts = Annotated[tuple[Text, ...], BeforeValidator(as_tuple)]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_not_tiny)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]
 ShareOrNone = Annotated[float, Field(ge=0, lt=1)]
@@ -48,6 +73,12 @@ class Section(BaseModel):
     """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _usable(cls, value: Any) -> Any:
+        _require_usable(value)
+        return value
 
 
 class Bump(Section):
