@@ -4,22 +4,38 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import typer
+import typer.core
 from typer import Argument, Option
 
 from polishd import __version__
 from polishd.console.cli import Reason, jobs, opcua, recordings, reports, services
 from polishd.console.shop_cli import app as shops
 from polishd.model.errors import PolishdError
+from polishd.show.terminal import escape_logs, say
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
 
+
+class PlainHelp(typer.core.TyperGroup):
+    """The group of all verbs: no markup is taken from a help text, so that ``polishd[testing]`` is shown whole."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """See TyperGroup."""
+        found = super().get_command(ctx, cmd_name)
+        if found is not None:
+            _escape_help(found)
+        return found
+
+
 app = typer.Typer(
+    cls=PlainHelp,
     name="polishd",
     help="Controller daemon of an unattended robotic polishing cell.",
     no_args_is_help=True,
@@ -28,6 +44,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+_MARKUP = re.compile(r"(?<!\\)\[(?=[a-z#/@])")
+"""What rich would take for the beginning of a tag."""
 STDOUT = 1
 """Its descriptor."""
 
@@ -43,7 +61,7 @@ Record = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        typer.echo(__version__)
+        say(__version__)
         raise typer.Exit
 
 
@@ -325,7 +343,7 @@ def sim(
 @app.command()
 def version() -> None:
     """Print the version."""
-    typer.echo(__version__)
+    say(__version__)
 
 
 app.command()(opcua)
@@ -337,6 +355,16 @@ app.add_typer(shops, name="shop", no_args_is_help=True)
 app.add_typer(workbench)
 
 
+def _escape_help(command: Any) -> None:
+    """Escape markup in the help of a command, of its options, and of the commands below it; once each."""
+    for one in (command, *command.params):
+        text = getattr(one, "help", None)
+        if isinstance(text, str):
+            one.help = _MARKUP.sub(r"\\[", text)
+    for below in getattr(command, "commands", {}).values():
+        _escape_help(below)
+
+
 def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     from polishd.console.status import order_verb
 
@@ -345,11 +373,12 @@ def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
 
 def main() -> None:
     """The command line: errors of the tree, and of files, become one message and their exit code."""
+    escape_logs()
     try:
         _plugin_commands()
         app()
     except PolishdError as error:
-        typer.echo(f"polishd: {_with_cell(str(error))}", err=True)
+        say(f"polishd: {_with_cell(str(error))}", err=True)
         sys.exit(error.exit_code)
     except OSError as error:
         full = error.errno == errno.ENOSPC
@@ -357,7 +386,7 @@ def main() -> None:
         if name is None:
             raise
         advice = "; make room" if full else ""
-        typer.echo(f"polishd: {name}: {error.strerror}{advice}", err=True)
+        say(f"polishd: {name}: {error.strerror}{advice}", err=True)
         sys.exit(1)
 
 

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-import typer
-
 from polishd.console.demo_files import DemoFiles, write_demo
 from polishd.console.progress import progress
 from polishd.console.simulator import last_words, measure_artefact, simulated_cell
@@ -25,6 +23,7 @@ from polishd.daemon.sockets import SOCKET_NAME
 from polishd.files import require_new, require_writable
 from polishd.model.errors import LinkError, PolishdError
 from polishd.show.tables import outcome_tables, stderr, stdout
+from polishd.show.terminal import say
 from polishd.workbench.maps.commission import Proved, prove_profile
 
 START_S = 60.0
@@ -50,7 +49,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     require_new(out)
     require_writable(out)
     files = write_demo(out.absolute(), options.surface, options.tolerance_nm, options.cycles, options.correction)
-    stderr.print(f"[bold]polishd demo[/] in {out}  (seed {options.seed}, {options.speed:g} x real time)")
+    stderr.print("polishd demo", f"in {out}  (seed {options.seed}, {options.speed:g} x real time)")
     simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
     simulator += ["--surface", str(options.surface.absolute())] if options.surface else []
     signal.signal(signal.SIGTERM, _raise_exit)  # ended from outside, it still ends what it started
@@ -63,7 +62,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
         raise PolishdError(f"the daemon ended with code {code}: {last_words(files.daemon_log)}")
     summary = json.loads(summary_path.read_text())
     if as_json:
-        typer.echo(json.dumps(summary))
+        say(json.dumps(summary))
     else:
         stdout.print(outcome_tables(summary))
         for note in summary["notes"]:

@@ -10,11 +10,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from polishd.config.cell import load_config
 from polishd.daemon import client
 from polishd.daemon.history import read_events
+from polishd.show.terminal import say
 
 SAID = ("reason", "error", "what", "notes", "outcome", "tool", "state", "by", "part")
 """Data that a line tells, in this order, where there is any."""
@@ -34,7 +33,7 @@ def events_verb(cell: Path, count: int, *, follow: bool, as_json: bool) -> None:
 
 
 def _tell(event: Mapping[str, Any], *, as_json: bool) -> None:
-    typer.echo(json.dumps(event) if as_json else line_of(event))
+    say(json.dumps(event) if as_json else line_of(event))
 
 
 def line_of(event: Mapping[str, Any]) -> str:

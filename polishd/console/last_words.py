@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from polishd.daemon.last_word import for_cell
 from polishd.model.concern import Standing
+from polishd.show.terminal import say
 
 
 def last_words(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
@@ -22,4 +21,4 @@ def last_words(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
 def tell(facts: Mapping[str, Any], cell: Path, prefix: str = "") -> None:
     """Print them on stderr; stdout stays free for programs."""
     for name, text in last_words(facts, cell):
-        typer.echo(f"{prefix}{name}: {text}", err=True)
+        say(f"{prefix}{name}: {text}", err=True)

@@ -27,7 +27,8 @@ def progress(cells: Sequence[tuple[str, Path]]) -> Iterator[list[Show]]:
 
     ``cells`` are what each one's lines begin with (nothing, for one), and what commands are told with.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
+    words = [TextColumn(text, markup=False) for text in ("{task.description}", "{task.fields[note]}")]
+    columns = (words[0], BarColumn(), words[1], TimeElapsedColumn())
     with Progress(*columns, console=stderr) as bar:
         yield [_Line(bar, f"{name}: " if name else "", cell).show for name, cell in cells]
 

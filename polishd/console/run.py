@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import typer
 from rich.console import Group, RenderableType
 
 from polishd.config.cell import CellConfig
@@ -19,6 +18,7 @@ from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
 from polishd.show.tables import emit, key_table, outcome_tables
+from polishd.show.terminal import say
 from polishd.threads import run_loop
 
 Ended = Mapping[str, Any] | Exception
@@ -115,15 +115,13 @@ def _tell_end(found: Ended, cell: Path, prefix: str) -> None:
     elif isinstance(found, Exception):
         if not prefix:
             raise found  # a fault of ours: with its traceback, which is in the log, too
-        typer.echo(f"polishd: {prefix}{type(found).__name__}: {found} (more in its log)", err=True)
+        say(f"polishd: {prefix}{type(found).__name__}: {found} (more in its log)", err=True)
     else:
         for note in found["notes"]:
-            typer.echo(f"polishd: {prefix}{note}", err=True)
+            say(f"polishd: {prefix}{note}", err=True)
         tell(found, cell, prefix)
 
 
 def _opened_nothing(error: PolishdError, prefix: str, cell: Path) -> int:
-    typer.echo(
-        f"polishd: {prefix}{for_cell(str(error), cell)}\n{prefix}this run opened nothing, and moved nothing", err=True
-    )
+    say(f"polishd: {prefix}{for_cell(str(error), cell)}\n{prefix}this run opened nothing, and moved nothing", err=True)
     return error.exit_code

@@ -18,6 +18,7 @@ from polishd.daemon.events import DRAIN_S
 from polishd.files import write_atomic
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError, DeviceError
+from polishd.show.terminal import say
 
 WATCHDOG_S = 30
 """Far above what makes the daemon itself leave contact (docs/host.md)."""
@@ -62,7 +63,7 @@ OOMScoreAdjust=-500
 
 def show_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> None:
     """Print the unit; nothing is written."""
-    typer.echo(_asked(files, system=system, queue=queue, of=of)[1], nl=False)
+    say(_asked(files, system=system, queue=queue, of=of)[1], nl=False)
 
 
 def install_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> None:
@@ -76,11 +77,11 @@ def install_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside
         advice = "run this as root, or install with --user" if system else "look at that folder"
         raise ConfigError(f"{folder / name}: cannot be written: {error.strerror}; {advice}") from error
     scope = "" if system else " --user"
-    typer.echo(f"written: {folder / name}")
+    say(f"written: {folder / name}")
     start = f"systemctl{scope} daemon-reload && systemctl{scope} enable --now {name}"
-    typer.echo(f"start it, now and after each boot: {start}")
+    say(f"start it, now and after each boot: {start}")
     if not system:
-        typer.echo("to run while nobody is logged in: loginctl enable-linger")
+        say("to run while nobody is logged in: loginctl enable-linger")
 
 
 def _asked(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> tuple[str, str]:

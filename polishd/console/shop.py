@@ -10,8 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from polishd.config.shop import load_shop
 from polishd.console.who import at_the_terminal
 from polishd.door.users import Role, Users
@@ -22,6 +20,7 @@ from polishd.shop.database import Database, Transaction
 from polishd.shop.jobs import digests, read_part
 from polishd.shop.link import Link
 from polishd.show.tables import emit, figure_table, record_table
+from polishd.show.terminal import say
 
 NICE = 5
 """The link gives way to the daemon, whose loop holds contact."""
@@ -45,13 +44,13 @@ def serve_verb(
         _told(people, add_user, Role(role), f"may {role}")
     elif remove_cell is not None:
         cells.remove(remove_cell)
-        typer.echo(f"{remove_cell} is no cell of this shop any more; what it has, it keeps", err=True)
+        say(f"{remove_cell} is no cell of this shop any more; what it has, it keeps", err=True)
     elif remove_user is not None:
         people.remove(remove_user)
-        typer.echo(f"{remove_user} is out", err=True)
+        say(f"{remove_user} is out", err=True)
     else:
         if not cells:
-            typer.echo("no cell can report yet: polishd shop serve SHOP.toml --add-cell NAME", err=True)
+            say("no cell can report yet: polishd shop serve SHOP.toml --add-cell NAME", err=True)
         serve(shop)
 
 
@@ -143,8 +142,8 @@ def _in(path: Path, work: Callable[[Transaction], Any]) -> Any:
 
 def _told(users: Users, name: str, role: Role, what: str) -> None:
     token = users.add(name, role)
-    typer.echo(f"{name} {what}; the token, which is not shown again:", err=True)
-    typer.echo(token)
+    say(f"{name} {what}; the token, which is not shown again:", err=True)
+    say(token)
 
 
 def _why(one: Mapping[str, Any]) -> str:

@@ -20,6 +20,7 @@ from polishd.daemon.last_word import Cause, for_cell, last_ending
 from polishd.model.errors import NoDaemon
 from polishd.model.tolerance import judged_of, worst
 from polishd.show.tables import emit, key_table
+from polishd.show.terminal import say
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:
@@ -30,7 +31,7 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
     except NoDaemon as absent:
         last = {"ok": False, "error": str(absent), **last_ending(place.state_dir)}
         if as_json:
-            typer.echo(json.dumps(last))
+            say(json.dumps(last))
         else:
             _tell_last(last, place.name, cell)
         raise typer.Exit(absent.exit_code) from None
@@ -79,7 +80,7 @@ def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
     rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
     rows += [("cause", str(Cause(**cause))) for cause in last.get("causes", [])]
     for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
-        typer.echo(f"{key}: {text}")
+        say(f"{key}: {text}")
 
 
 def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
@@ -104,7 +105,7 @@ def approve_verb(cell: Path, *, as_json: bool) -> None:
 
 def _told(place: Glance, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
     if not answer["ok"]:
-        typer.echo(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
+        say(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
         raise typer.Exit(answer.get("exit_code", 1))
     rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
     emit(answer, as_json=as_json, table=lambda: key_table(f"{place.name}: {verb}", rows))

@@ -91,14 +91,14 @@ def _panel(one: Watched, now_s: float) -> Panel:
     if one.trouble and not live:
         last = last_ending(one.config.state_dir)
         ended: list[Row] = [(what, for_cell(text, one.path)) for what, text in Standing.of(last).rows() if text]
-        return Panel(_table(ended), title=f"{name}: {one.trouble}", border_style="red")
+        return Panel(_table(ended), title=Text(f"{name}: {one.trouble}"), border_style="red")
     passed_s = 0.0 if one.heard_s is None else now_s - one.heard_s
     rows = list(_rows(one, passed_s))
     phase = f", {live['phase']}" if live.get("phase") else ""
     title, style = f"{name}: {live.get('state')}{phase}", "yellow" if live.get("state") == "held" else "green"
     if one.trouble:
         title, style = f"{name}: {one.trouble}; what is shown is {passed_s:.0f} s old", "red"
-    return Panel(_table(rows, old=bool(one.trouble)), title=title, border_style=style)
+    return Panel(_table(rows, old=bool(one.trouble)), title=Text(title), border_style=style)
 
 
 def _table(rows: Sequence[Row], *, old: bool = False) -> Table:

@@ -10,7 +10,6 @@ from typing import Any
 
 import typer
 from rich.console import Group
-from rich.markup import escape
 from rich.table import Table
 
 from polishd.config.cell import load_config
@@ -47,7 +46,7 @@ def check_verb(cell: Path, *, as_json: bool) -> None:
         from polishd.daemon.checking import check_cell  # it takes a while by itself
 
         config, hooks = load_cell(cell)
-        facts = check_cell(config, hooks, lambda what: shown.update(f"checking: {escape(what)}"))
+        facts = check_cell(config, hooks, lambda what: shown.update(f"checking: {what}"))
     plain = [(key, value) for key, value in facts.items() if key not in {"time limits", "pit", "warnings"}]
     emit(
         facts,

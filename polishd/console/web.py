@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from polishd.config.cell import load_config
 from polishd.door.users import Role, Users, users_path
+from polishd.show.terminal import say
 from polishd.web.app import serve
 
 
@@ -17,12 +16,12 @@ def web_verb(cell: Path, add_user: str | None, role: Role, remove_user: str | No
     users = Users(users_path(config))
     if add_user is not None:
         token = users.add(add_user, role)
-        typer.echo(f"{add_user} may {role.value}; the token, which is not shown again:", err=True)
-        typer.echo(token)
+        say(f"{add_user} may {role.value}; the token, which is not shown again:", err=True)
+        say(token)
     elif remove_user is not None:
         users.remove(remove_user)
-        typer.echo(f"{remove_user} is out", err=True)
+        say(f"{remove_user} is out", err=True)
     else:
         if not users:
-            typer.echo("nobody can sign in yet: polishd web CELL.toml --add-user NAME --role operate", err=True)
+            say("nobody can sign in yet: polishd web CELL.toml --add-user NAME --role operate", err=True)
         serve(config)

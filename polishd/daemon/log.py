@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from pathlib import Path
 
-from polishd.plain import plain
+from polishd.plain import plain, printable
 
 LOG_NAME = "polishd.log"
 _MAX_BYTES = 10_000_000
@@ -36,7 +36,7 @@ class JsonLines(logging.Formatter):
             line["event"] = record.event
         if record.exc_info:
             line["error"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=plain)
+        return printable(json.dumps(line, default=plain))
 
 
 @contextmanager

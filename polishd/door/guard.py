@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import json
 from collections.abc import Collection
+from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse
@@ -83,9 +85,17 @@ async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: in
         return refusal(413, str(error))
 
 
+class Json(JSONResponse):
+    """JSON in ASCII: all text has an encoding, and shown as it came, as by curl, it moves no terminal."""
+
+    def render(self, content: Any) -> bytes:
+        """See JSONResponse."""
+        return json.dumps(content, allow_nan=False, separators=(",", ":")).encode("ascii")
+
+
 def refusal(status: int, error: str) -> JSONResponse:
     """In the form that all errors have."""
-    return JSONResponse({"ok": False, "error": error}, status)
+    return Json({"ok": False, "error": error}, status)
 
 
 def host_name(value: str) -> str:

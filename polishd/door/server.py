@@ -9,14 +9,14 @@ from typing import Any
 import uvicorn
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.types import ASGIApp
 
 from polishd.config.document import Document
 from polishd.config.web import WebSection
 from polishd.door.connections import Bounded
 from polishd.door.finite import finite
-from polishd.door.guard import refusal
+from polishd.door.guard import Json, refusal
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.secret import require_private
 
@@ -40,6 +40,7 @@ def serve(app: ASGIApp, document: Document, web: WebSection) -> None:
         ssl_certfile=files[0],
         ssl_keyfile=files[1],
         access_log=False,  # of whoever watches; who ordered what is in a journal
+        log_config=None,  # so that what it logs reaches the terminal as all else does
         log_level="warning",
         server_header=False,
         date_header=False,
@@ -86,7 +87,7 @@ async def answered(work: Awaitable[Any]) -> Response:
         return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
     except PolishdError as error:
         return refusal(502, str(error))
-    return found if isinstance(found, Response) else JSONResponse(finite(found))
+    return found if isinstance(found, Response) else Json(finite(found))
 
 
 async def _no_such(_request: Request, error: Exception) -> Response:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from polishd.model.concern import Severity
+from polishd.plain import printable
 
 TITLE_LETTERS = 140
 _WITH_A_DIGIT = re.compile(r"\S*\d\S*")
@@ -47,12 +48,12 @@ class Notification:
     @property
     def title(self) -> str:
         """One short line."""
-        line = " ".join(f"{self.cell}: {self.severity}: {self.what}".split())
+        line = " ".join(printable(f"{self.cell}: {self.severity}: {self.what}").split())
         return line if len(line) <= TITLE_LETTERS else f"{line[: TITLE_LETTERS - 3]}..."
 
     @property
     def text(self) -> str:
-        """All of it, for people."""
+        """All of it, for people; control characters in text from outside are escaped, as in the title."""
         of = [("cell", self.cell), ("job", self.job), ("part", self.part), ("cycle", self.cycle)]
         often = f" ({self.times} times since {self.since})" if self.times > 1 else ""
         lines = [
@@ -64,7 +65,7 @@ class Notification:
             f"at {self.at}{often}",
             *([f"run folder: {self.run_dir}"] if self.run_dir else []),
         ]
-        return "\n".join(lines) + "\n"
+        return printable("\n".join(lines) + "\n")
 
     def again(self, earlier: Notification | None) -> Notification:
         """This one, counted with what happened before it and was not told."""

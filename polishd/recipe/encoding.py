@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from polishd.model.errors import ConfigError
+from polishd.plain import printable
 
 Arrays = Mapping[str, NDArray[Any] | float]
 T = TypeVar("T")
@@ -61,11 +62,11 @@ def npz(arrays: Arrays) -> bytes:
 
 
 def table(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Columns as CSV with a header line; floats with nine significant digits."""
+    """Return columns as CSV with a header line; floats with nine significant digits."""
     found = [np.asarray(column, dtype=np.float64) for column in columns.values()]
     row = ",".join(["%.9g"] * len(found)) + "\n"
     buffer = io.BytesIO()
-    buffer.write((",".join(columns) + "\n").encode())
+    buffer.write((printable(",".join(columns)) + "\n").encode())
     for first in range(0, len(found[0]) if found else 0, ROWS):  # numbers as Python's objects a piece at a time
         numbers = np.column_stack([column[first : first + ROWS] for column in found])
         buffer.write((row * len(numbers) % tuple(numbers.ravel().tolist())).encode())

@@ -7,20 +7,57 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, Group, RenderableType
-from rich.markup import escape
+from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.segment import Segment
+from rich.status import Status
 from rich.table import Table
+from rich.text import Text
 
 from polishd.model.tolerance import Judged, judged_of
-from polishd.plain import plain
+from polishd.plain import plain, printable
+from polishd.show.terminal import say
 
 WIDE = 160
 """Columns where stdout is no terminal: a file or a pipe should lose no figure."""
 
-stderr = Console(stderr=True)
-stdout = Console(width=None if sys.stdout is not None and sys.stdout.isatty() else WIDE)
+
+class Terminal(Console):
+    """Rich's, for text that is not ours: no markup is taken from it, and its control characters are escaped."""
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(markup=False, emoji=False, **how)
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        """See Console: what is laid out as wide as it is shown."""
+        return super().render_str(printable(text), **how)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """See Console; what moves the cursor comes from rich itself, as ``control``."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(printable(segment.text), segment.style)
+
+    def status(self, status: RenderableType, **how: Any) -> Status:
+        """See Console."""
+        return _Status(status, console=self, **how)
+
+
+class _Status(Status):
+    """Rich's own takes markup from its text."""
+
+    def __init__(self, status: RenderableType, **how: Any) -> None:
+        super().__init__(_unmarked(status), **how)
+
+    def update(self, status: RenderableType | None = None, **how: Any) -> None:
+        super().update(None if status is None else _unmarked(status), **how)
+
+
+def _unmarked(status: RenderableType) -> RenderableType:
+    return Text(status) if isinstance(status, str) else status
+
+
+stderr = Terminal(stderr=True)
+stdout = Terminal(width=None if sys.stdout is not None and sys.stdout.isatty() else WIDE)
 
 
 def cycle_table(summary: Mapping[str, Any]) -> Table:
@@ -41,7 +78,7 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
         table.add_column("pass")
     for number, cycle in enumerate(summary["cycles"]):
         figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in columns]
-        tool = [escape(cycle.get("tool") or "")] if tools else []
+        tool = [cycle.get("tool") or ""] if tools else []
         table.add_row(str(number), *figures, *tool, *([_torn(cycle)] if torn else []))
     return table
 
@@ -64,7 +101,7 @@ def tolerance_table(summary: Mapping[str, Any]) -> Table:
     table.add_column("last one holds")
     for line in sorted(judged[-1], key=lambda one: -one.excess):
         values = [_figure(found[line.what].value, 2) if line.what in found else "" for found in by_line]
-        table.add_row(escape(line.what), f"{line.limit:g} {line.unit}", *values, _holding(line))
+        table.add_row(line.what, f"{line.limit:g} {line.unit}", *values, _holding(line))
     return table
 
 
@@ -79,21 +116,21 @@ def _holding(line: Judged) -> str:
 
 def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
     """Two columns, name and value."""
-    table = Table(title=escape(title), title_justify="left", show_header=False)
+    table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column()
     for name, value in rows:
-        table.add_row(escape(name), escape(str(value)))
+        table.add_row(name, str(value))
     return table
 
 
 def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """A plain table with a header."""
-    table = Table(title=escape(title), title_justify="left")
+    table = Table(title=title, title_justify="left")
     for column in columns:
         table.add_column(column)
     for row in rows:
-        table.add_row(*(escape(str(cell)) for cell in row))
+        table.add_row(*(str(cell) for cell in row))
     return table
 
 
@@ -128,7 +165,7 @@ def emit(
 ) -> None:
     """JSON on stdout for programs; a table for people, and lines below it."""
     if as_json:
-        typer.echo(json_line(answer))
+        say(json_line(answer))
         return
     if table is not None:
         stdout.print(table())

@@ -14,7 +14,7 @@ from starlette.types import Receive, Scope, Send
 from polishd.config.cell import CellConfig
 from polishd.daemon import client
 from polishd.door.finite import json_object, require_unicode
-from polishd.door.guard import refusal
+from polishd.door.guard import Json, refusal
 from polishd.door.limits import Rate, Shares
 from polishd.door.sessions import COOKIE, Session, Sessions, address_of, foreign_origin
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
@@ -54,7 +54,7 @@ class Api:
         if user is None:
             return refusal(401, "the token is wrong: check it, or have a new one made with polishd web --add-user")
         cookie, session = self.sessions.begin(user)
-        answer = JSONResponse(_who(session))
+        answer = Json(_who(session))
         secure = request.url.scheme == "https"
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", secure=secure, path="/")
         return answer
@@ -188,7 +188,7 @@ class Api:
         except PolishdError as error:
             return _failed(error)
         if answer is None:
-            return JSONResponse({"ok": True, "obeyed": False}, 202)
+            return Json({"ok": True, "obeyed": False}, 202)
         return answer if answer.get("ok") else refusal(409, str(answer.get("error")))
 
     async def _asked(self, verb: str) -> Any:

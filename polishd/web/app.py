@@ -8,13 +8,13 @@ from importlib import resources
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route as Path
 from starlette.types import ASGIApp
 
 from polishd.config.cell import CellConfig
 from polishd.door import server as door
-from polishd.door.guard import Guard, hosts_of, refusal
+from polishd.door.guard import Guard, Json, hosts_of, refusal
 from polishd.door.limits import Rate
 from polishd.door.server import HANDLERS, answered
 from polishd.door.sessions import Sessions, address_of, forged
@@ -50,7 +50,7 @@ def application(config: CellConfig) -> ASGIApp:
         return await answered(api.sign_in(request, rate))
 
     async def described(_request: Request) -> Response:
-        return JSONResponse(document())
+        return Json(document())
 
     routes = [Path(route.path, _endpoint(api, rate, route), methods=[route.method]) for route in ROUTES]
     routes += [

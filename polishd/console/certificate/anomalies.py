@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from polishd.console.certificate.model import Anomaly
 from polishd.console.certificate.passes import at
 from polishd.console.certificate.sources import Row, Run
-from polishd.plugins.run_report import words
+from polishd.show import words
 
 TOLD = {"gate_stopped": "stop", "signal_wrong": "what", "found": "what"}
 """Events that are told as they are, and the field that says what it was."""

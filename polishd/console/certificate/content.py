@@ -19,7 +19,7 @@ from polishd.console.certificate.passes import at, passes_of
 from polishd.console.certificate.sources import Row, Run, sha256_of
 from polishd.console.certificate.surfaces import Found, Remaker, as_one_source, profile_of
 from polishd.console.certificate.verdict import uncertainty_of, verdict_of
-from polishd.plugins.run_report import words
+from polishd.show import words
 
 LIBRARIES = ("numpy", "scipy", "matplotlib", "cryptography")
 REMOVED = {"piston": "piston", "tilt": "piston and tilt", "power": "piston, tilt and power"}

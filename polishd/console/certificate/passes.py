@@ -8,7 +8,7 @@ from typing import Any
 
 from polishd.console.certificate.model import Done, Pass, Planned, Taught
 from polishd.console.certificate.sources import Row, Run
-from polishd.plugins.run_report import words
+from polishd.show import words
 
 
 def passes_of(run: Run) -> list[Pass]:

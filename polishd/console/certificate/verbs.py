@@ -8,13 +8,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from polishd.config.cell import load_config
 from polishd.console.certificate.options import CertificateOptions
 from polishd.files import require_writable, write_atomic
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.show.tables import emit, key_table
+from polishd.show.terminal import say
 
 PDF, TWIN = ".pdf", ".json"
 
@@ -77,7 +76,7 @@ def schema_verb() -> None:
     """Print the JSON Schema of twins."""
     from polishd.console.certificate.model import schema
 
-    typer.echo(json.dumps(schema(), indent=2))
+    say(json.dumps(schema(), indent=2))
 
 
 def _require_new(out: Path) -> Path:

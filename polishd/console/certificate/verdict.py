@@ -8,8 +8,8 @@ from polishd.config.profile import Profile
 from polishd.console.certificate.model import Judgement, State, Uncertainty, Verdict
 from polishd.console.certificate.sources import Run
 from polishd.model.tolerance import Judged, holds, judged_of, worst
-from polishd.plugins.run_report import words
-from polishd.plugins.run_report.page import VERDICTS
+from polishd.show import words
+from polishd.show.words import VERDICTS
 
 
 def verdict_of(run: Run) -> Verdict:

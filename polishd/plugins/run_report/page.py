@@ -11,18 +11,11 @@ from urllib.parse import quote
 
 from jinja2 import Template
 
-from polishd.plugins.run_report import words
 from polishd.plugins.run_report.folder import RunFolder
-from polishd.plugins.run_report.words import duration, figure, plain, text, when
+from polishd.show import words
 from polishd.show.sheet import Picture
 from polishd.show.sheet_html import templates
-
-
-class Verdict(NamedTuple):
-    """How a run ended: what the style makes of it, and in words."""
-
-    kind: str
-    words: str
+from polishd.show.words import VERDICTS, Verdict, duration, figure, plain, text, when
 
 
 class Column(NamedTuple):
@@ -33,18 +26,6 @@ class Column(NamedTuple):
     unit: str
     shape: str
 
-
-VERDICTS: Mapping[str, Verdict] = {
-    "in_tolerance": Verdict("good", "In tolerance"),
-    "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
-    "as_programmed": Verdict("good", "Polished as programmed, to teach"),
-    "diverged": Verdict("bad", "Diverged: the surface got worse"),
-    "stalled": Verdict("bad", "Stalled: passes brought too little"),
-    "stopped": Verdict("bad", "Stopped before the end"),
-    "failed": Verdict("bad", "Ended by an error: see the notes"),
-    "planned": Verdict("plain", "Plan: nothing was moved"),
-    "": Verdict("bad", "Unfinished: there is no summary"),
-}
 
 COLUMNS: Sequence[Column] = (
     Column("pv_nm", "PV", "nm", ".1f"),

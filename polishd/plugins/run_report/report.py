@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from polishd.files import write_atomic
-from polishd.plugins.run_report import along_path, maps, trend, words
+from polishd.plugins.run_report import along_path, maps, trend
 from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
 from polishd.plugins.run_report.page import Section, render
+from polishd.show import words
 from polishd.show.sheet import Picture
 from polishd.show.style import png, polishd_style
 

@@ -14,9 +14,9 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from polishd.plugins.run_report.folder import BoolArray, FloatArray, Surface
-from polishd.plugins.run_report.words import interrupted
 from polishd.process import metrics
 from polishd.show.style import BLUE, GREEN, MUTED, ORANGE, figure, ruled
+from polishd.show.words import interrupted
 
 Rows = list[Mapping[str, Any]]
 

@@ -11,6 +11,7 @@ import typer
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.show.tables import json_line, stdout
+from polishd.show.terminal import say
 from polishd.workbench.maps.figures import figured
 from polishd.workbench.maps.files import MapSource, edges_mm, shown
 from polishd.workbench.maps.options import ReportOptions
@@ -31,10 +32,10 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
         try:
             found.append(reported(figured(source.read(file), asked.trim, edges), wanted))
         except SurfaceError as error:
-            typer.echo(f"polishd: {error}", err=True)
+            say(f"polishd: {error}", err=True)
             continue
         if as_json:
-            typer.echo(json_line(found[-1].answer))
+            say(json_line(found[-1].answer))
     if found:
         _write(asked.out, found, as_json=as_json)
     if len(found) < len(files):

@@ -10,6 +10,7 @@ import typer
 
 from polishd.model.errors import SurfaceError
 from polishd.show.tables import figure_table, json_line, key_table, stdout
+from polishd.show.terminal import say
 from polishd.workbench.maps.figures import HEIGHTS, Figured, figured
 from polishd.workbench.maps.files import (
     MapSource,
@@ -44,11 +45,11 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
         try:
             found = figured(source.read(file), asked.trim, edges)
         except SurfaceError as error:
-            typer.echo(f"polishd: {error}", err=True)
+            say(f"polishd: {error}", err=True)
             continue
         answers.append(found.answer)
         if as_json:
-            typer.echo(json_line(found.answer))
+            say(json_line(found.answer))
         if asked.out is not None:
             drawn.append(found)
     if answers and not as_json:

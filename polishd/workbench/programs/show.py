@@ -120,7 +120,7 @@ def _kept(moves: int) -> str:
 def _bar(what: str, file: Path) -> Iterator[Callable[[int], None]]:
     """A bar on stderr for as long as a file is read; hears of bytes."""
     size = os.path.getsize(file) if os.path.isfile(file) else None  # noqa: PTH113, PTH202 - Path's raise
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         task = bar.add_task(f"{what} {file.name}", total=size)
         yield lambda count: bar.advance(task, count)

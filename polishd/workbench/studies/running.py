@@ -68,7 +68,7 @@ def executor_of(options: StudyOptions) -> Executor:
 
 @contextlib.contextmanager
 def _progress(title: str, total: int, done: int) -> Iterator[Progress]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     bar = Progress(*columns, TextColumn("remaining"), TimeRemainingColumn(), console=stderr, transient=True)
     bar.add_task(title, total=total, completed=done)
     with bar:

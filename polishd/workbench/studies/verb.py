@@ -19,6 +19,7 @@ from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
 from polishd.recipe.encoding import facts_of
 from polishd.show.tables import json_line, stderr, stdout
+from polishd.show.terminal import say
 from polishd.workbench.studies import confusion, pictures, tables
 from polishd.workbench.studies.corrections import Tell, compare_corrections
 from polishd.workbench.studies.kept import Rows, make_folder, read_table
@@ -76,7 +77,7 @@ def _give(answer: Answer, out: Path | None, *, as_json: bool) -> None:
     if out is not None:
         _write(out, answer)
     if as_json:
-        typer.echo(json_line(answer.rows))
+        say(json_line(answer.rows))
         return
     for table in answer.tables:
         stdout.print(table)

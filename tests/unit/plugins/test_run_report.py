@@ -24,8 +24,8 @@ from polishd.plugins.run_report import trend
 from polishd.plugins.run_report.folder import Executed, Surface, read_folder
 from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Section, render
 from polishd.plugins.run_report.report import write_report
-from polishd.plugins.run_report.words import duration, plain, spent, when
 from polishd.show.sheet import Picture
+from polishd.show.words import duration, plain, spent, when
 
 N = 24
 PITCH_MM = 1.0

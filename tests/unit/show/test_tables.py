@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Group
 from rich.table import Table
 
 from polishd.console.progress import progress
 from polishd.daemon.endings import standing
 from polishd.model.tolerance import Judged
 from polishd.show.tables import (
+    Terminal,
     cycle_table,
     emit,
     figure_table,
@@ -40,7 +41,7 @@ CYCLES: list[dict[str, Any]] = [
 
 def shown(table: Table) -> list[list[str]]:
     """Cells of each line."""
-    console = Console(file=io.StringIO(), width=200)
+    console = Terminal(file=io.StringIO(), width=200)
     console.print(table)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     return [[cell.strip() for cell in line.strip("│┃ ").replace("┃", "│").split("│")] for line in text.splitlines()]

@@ -8,6 +8,7 @@ import shutil
 import ssl
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,16 @@ def mail_to(folder: Path, port: int, **keys: Any) -> Any:
 
 
 # e-mail
+
+
+def test_a_mail_shows_control_characters_and_obeys_none(folder: Path) -> None:
+    evil = "robot: \x1b]0;owned\x07 \x9b2J"
+    with mail_server() as server:
+        mail_to(folder, server.port)(replace(ALARM, what=evil, part=evil, now=evil))
+        ((_, mail),) = server.taken
+    shown = r"robot: \u001b]0;owned\u0007 \u009b2J"
+    assert shown in " ".join(mail["Subject"].split())
+    assert mail.get_content().count(shown) == 3
 
 
 def test_a_mail_says_all_and_its_header_nothing_else(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Words and numbers as the page shows them; what people call passes and measurements.
+"""Words and numbers as run report and certificate show them; what people call passes and measurements.
 
 A pass that was interrupted is no pass like the others, and has no number.
 """
@@ -8,9 +8,29 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 Rows = Sequence[Mapping[str, Any]]
+
+
+class Verdict(NamedTuple):
+    """How a run ended: what the style makes of it, and in words."""
+
+    kind: str
+    words: str
+
+
+VERDICTS: Mapping[str, Verdict] = {
+    "in_tolerance": Verdict("good", "In tolerance"),
+    "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
+    "as_programmed": Verdict("good", "Polished as programmed, to teach"),
+    "diverged": Verdict("bad", "Diverged: the surface got worse"),
+    "stalled": Verdict("bad", "Stalled: passes brought too little"),
+    "stopped": Verdict("bad", "Stopped before the end"),
+    "failed": Verdict("bad", "Ended by an error: see the notes"),
+    "planned": Verdict("plain", "Plan: nothing was moved"),
+    "": Verdict("bad", "Unfinished: there is no summary"),
+}
 
 
 def duration(rows: Rows, key: str) -> str:
