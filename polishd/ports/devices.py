@@ -1,9 +1,9 @@
 """The devices of a cell.
 
 Every driver keeps these rules. ``make_safe`` is idempotent, bounded in time and allowed in any state, also before
-``open`` and after ``close``. No driver repeats a write on its own. A lost link raises LinkError at once to whoever
-waits. ``times`` says how long its actions may take, from its config, also before ``open``: the daemon's own limits are
-derived from that (``daemon.time_limits``).
+``open`` and after ``close``. A driver connects only to what this process has claimed. No driver repeats a write on its
+own. A lost link raises LinkError at once to whoever waits. ``times`` says how long its actions may take, from its
+config, also before ``open``: the daemon's own limits are derived from that (``daemon.time_limits``).
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ class Device(Protocol):
         """Connect, and ask it something. Moves nothing, changes no output. An open device is connected anew.
 
         Time: a few answers, ``times.silence_s`` each.
-        Errors: LinkError where nobody answers; DeviceBusy where it still serves another client.
+        Errors: LinkError where nobody answers; DeviceBusy where it still serves another client; DeviceClaimed where
+        another program on this computer has its address, and nothing was sent. A device that gives roles or leases
+        proves here that this client may write.
         Cancelled: it is closed.
         """
         ...
@@ -71,7 +73,8 @@ class Device(Protocol):
         """Exert nothing, move nothing: robot held, force 0 and retracted, spindle stopped.
 
         Clears what the device's watchdog left. In any state, by many at once; a device that is not open is opened for
-        it, and closed again. Returns when the device says that it is so: it never says yes without proof. It overtakes
+        it, and closed again, unless another program has claimed its address. The daemon asks only devices that it has
+        opened. Returns when the device says that it is so: it never says yes without proof. It overtakes
         all other calls.
 
         Time: what the action takes by ``times``, and a few answers.
