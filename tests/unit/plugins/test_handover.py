@@ -190,7 +190,7 @@ ENDMODULE
 def test_check_refuses_a_program_in_another_language_than_its_controller_profile(tmp_path: Path, example: str) -> None:
     path = cell(tmp_path, example, wired=True)
     (tmp_path / "raster.mod").write_text(RAPID)
-    text = re.sub(r"^\[touch_off\]\n(?:(?!^\[).*\n)*", "", path.read_text(), flags=re.MULTILINE)
+    text = re.sub(r"^\[touch_off\].*\n(?:(?!^\[).*\n)*", "", path.read_text(), flags=re.MULTILINE)
     path.write_text(with_values(text, {"program": {"format": "rapid", "path": "raster.mod"}}))
     with pytest.raises(
         ConfigError, match=r"cell\.toml:\d+: program\.format: 'rapid' does not go with \[program\] of"
