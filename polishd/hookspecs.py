@@ -64,6 +64,21 @@ class DeviceType:
     """Make the device from validated options. Opens nothing."""
     takes: Callable[[Sequence[bytes]], str] | None = None
     """Of a robot: (blocks of a program) -> why it could not run them, empty where it could; None: nobody can say."""
+    own_lines: Callable[[Any, DeviceContext], OwnLines] | None = None
+    """Of a robot: (validated options, context) -> the lines that its driver adds to a program; None: it adds none.
+    ``polishd check`` refuses a program in whose format these lines mean something else."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnLines:
+    """Lines that a robot's driver adds to a program."""
+
+    source: str
+    """Where they come from, for messages."""
+    dwells: Mapping[float, str]
+    """By the seconds for which the controller is to rest there."""
+    stops: Sequence[str]
+    """Lines at which it is to stop, or at which the program is to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +110,9 @@ class ProgramFormat:
     make: Callable[[FloatArray, FloatArray, float, str], bytes] | None = None
     """((n, 3) points in mm, (n, 3) unit tool axes, mm/min, name) -> content of a program along them that rises from
     the last one and ends, by way of a safe height to the first; None where no programs are made in this format."""
+    misreads: Callable[[OwnLines], str] | None = None
+    """(lines that a robot's driver adds) -> the first that means something else in this format, and what; empty: none.
+    None: the format does not know."""
 
 
 NO_MAP = b"?\n"

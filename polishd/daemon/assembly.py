@@ -135,11 +135,24 @@ def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
 
 
 def require_taken(config: CellConfig, hooks: Hooks, program: Program) -> None:
-    """ConfigError where the job's robot could not run a program like that one, by the word of its type's plugin."""
+    """ConfigError where the job's robot could not run a program like that one, by the word of its type's plugin.
+
+    Also where the lines that its driver adds to the program mean something else in the program's format.
+    """
     name = config.used["robot"]
-    kind, _ = device_options(config, name, hooks.device_types())
+    kind, options = device_options(config, name, hooks.device_types())
     if kind.takes is not None and (why := kind.takes(program.blocks)):
         raise config.error("program.format", f"{program.name}: {name} ({kind.name}) does not take it: {why}")
+    misreads = hooks.program_formats()[config.program.format].misreads
+    if kind.own_lines is not None and misreads is not None:
+        lines = kind.own_lines(options, _context(config, hooks))
+        if wrong := misreads(lines):
+            raise config.error(
+                "program.format",
+                f"{config.program.format!r} does not go with {lines.source}: {name} ({kind.name}) adds lines to the "
+                f"program, and {wrong}. Set the format in which the controller reads programs, or name a controller "
+                "profile whose [program] pause, dwell and end are written in this one",
+            )
 
 
 def _of_role(cell: Cell, key: str) -> str:

@@ -17,7 +17,7 @@ from polishd.model.errors import ConfigError
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "researcher.md").read_text()
 EXAMPLES = re.findall(r"## ([^\n]+)\n(?:(?!## ).)*?```python\n(.*?)```", PAGE, re.DOTALL)
-QUICK = ("Maps", "Spots", "Dwell")
+QUICK = ("Maps", "Spots", "Robots", "Dwell")
 
 
 @pytest.fixture
@@ -32,7 +32,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def runs(code: str, capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(code, "docs/researcher.md", "exec"), {})  # it is our own page
-    assert capsys.readouterr().out.strip()
+    printed = capsys.readouterr().out.strip()
+    assert printed
+    assert "nan" not in re.findall(r"[a-z]+", printed.lower())
 
 
 @pytest.mark.parametrize(("title", "code"), [one for one in EXAMPLES if one[0] in QUICK])

@@ -13,6 +13,6 @@ POLISHD_API = 1
 @hookimpl
 def polishd_device_types() -> Sequence[DeviceType]:
     """``handover``."""
-    from polishd.plugins.handover.build import build
+    from polishd.plugins.handover.build import build, own_lines
 
-    return [DeviceType("handover", "robot", HandoverOptions, build)]
+    return [DeviceType("handover", "robot", HandoverOptions, build, own_lines=own_lines)]

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from polishd.api import ConfigError, DeviceContext, read_secret
+from polishd.api import ConfigError, DeviceContext, OwnLines, read_secret
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
@@ -41,6 +41,13 @@ def build(options: HandoverOptions, context: DeviceContext) -> Handover:
         delivery,
         options.controller_dir,
     )
+
+
+def own_lines(options: HandoverOptions, context: DeviceContext) -> OwnLines:
+    """Pauses, dwells and the end, as the controller's profile writes them."""
+    table = load_controller_profile(options.profile, context.base_dir).program
+    dwells = {seconds: table.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
+    return OwnLines(f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end))
 
 
 def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceContext) -> Callable[[], Variables]:

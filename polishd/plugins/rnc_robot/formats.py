@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import cast
 
-from polishd.api import Program, ProgramError, ProgramFormat
+from polishd.api import OwnLines, Program, ProgramError, ProgramFormat
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import languages
@@ -15,6 +15,7 @@ from polishd.plugins.rnc_robot.dialect import dialect as profile_of
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.plugins.rnc_robot.nc import program as nc
 from polishd.plugins.rnc_robot.nc.recode import recode
+from polishd.plugins.rnc_robot.own_lines import misread
 
 
 @cache
@@ -63,6 +64,11 @@ def make_shipped(name: str, points_mm: FloatArray, axis: FloatArray, feed_mm_min
     return make(cast(Dialect, shipped(name)), points_mm, axis, feed_mm_min, of)
 
 
+def misread_shipped(name: str, lines: OwnLines) -> str:
+    """As `misread`, in the shipped dialect of that name."""
+    return misread(shipped(name), lines)
+
+
 def shipped_formats() -> list[ProgramFormat]:
     """What the daemon knows of the shipped dialects."""
     return [
@@ -71,6 +77,7 @@ def shipped_formats() -> list[ProgramFormat]:
             partial(read_shipped, name),
             partial(rewrite_shipped, name),
             None if name in LANGUAGES else partial(make_shipped, name),
+            partial(misread_shipped, name),
         )
         for name in DIALECTS
     ]
@@ -79,4 +86,6 @@ def shipped_formats() -> list[ProgramFormat]:
 def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
     made = partial(make, dialect) if isinstance(dialect, Dialect) else None
-    return ProgramFormat(dialect.name, partial(read, dialect), partial(rewrite, dialect), made)
+    return ProgramFormat(
+        dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(misread, dialect)
+    )

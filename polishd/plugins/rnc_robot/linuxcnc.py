@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from polishd.api import DeviceContext, DeviceType, RobotTimes
+from polishd.api import DeviceContext, DeviceType, OwnLines, RobotTimes
 from polishd.config.values import Section
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.linuxcnc.following import REPORT_S
@@ -46,4 +46,9 @@ def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     )
 
 
-LINUXCNC = DeviceType("linuxcnc", "robot", LinuxCncOptions, _build)
+def _own_lines(_options: LinuxCncOptions, _context: DeviceContext) -> OwnLines:
+    """The pauses before landings, and the end that the driver adds."""
+    return OwnLines("LinuxCNC, which runs RS274", {}, ("M0", "M2"))
+
+
+LINUXCNC = DeviceType("linuxcnc", "robot", LinuxCncOptions, _build, own_lines=_own_lines)

@@ -39,6 +39,10 @@ LANGUAGES = {"universal_robots": "urscript"}
 """Of robots whose controllers take one language only."""
 DATA_SHEET = "from the machine's data sheet, on the safe side"
 PAPER = "the paper's; your tool's is another"
+UNMEASURED = (
+    "without loading tests and a measured rate a correction costs more than it brings (docs/correction.md). Next: the "
+    "rate of a witness spot, polishd calibrate tif"
+)
 ASSUMED: Mapping[str, tuple[Any, str]] = {
     "cell.state_dir": ("state", ""),
     "robot.type": ("robot_link", "what the robot's controller speaks"),
@@ -52,7 +56,7 @@ ASSUMED: Mapping[str, tuple[Any, str]] = {
     "part.edge_mm": (3.0, "what the drawing excludes"),
     "kinematics.type": ("hybrid", "the paper's robot, which is not yours"),
     "process.removal_model": ("hertz_preston", ""),
-    "process.correction": ("exact", ""),
+    "process.correction": ("none", UNMEASURED),
     "process.tool_radius_mm": (20.0, PAPER),
     "process.tool_modulus_mpa": (29.6, PAPER),
     "process.force_n": (12.0, PAPER),

@@ -12,12 +12,16 @@ from typing import Any
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.profile import load_profile
 from polishd.files import toml_text
+from polishd.model.cycle import EXIT_CODES
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.workbench.setup.text import LOOK
 
 CHECK = "check"
 PLANNED = "planned"
 MAP = "MAP"
+NO_SPOT = "removal is computed, not measured: polish a spot on a witness part, and measure it before and after"
+FAILED = "failed"
+"""Outcome of a run that an error ended: it proves nothing of the devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +68,9 @@ def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
     command = f"polishd program make raster --out {path} --cell {cell}"
     yield Step("have a program", made, path if made else f"{path}: is missing", command)
     yield Step(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
-    answered = "a run has been there" if runs else "leaves nothing on disk: ask the devices"
-    yield Step("probe", True if runs else None, answered, f"polishd probe {cell}")
+    ran = any(of["outcome"] != FAILED for of in runs.values())
+    answered = "a run has been there" if ran else "leaves nothing on disk: ask the devices"
+    yield Step("probe", True if ran else None, answered, f"polishd probe {cell}")
     yield _commission(config, file.parent)
     yield from _calibrate(config, cell)
     plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
@@ -75,8 +80,10 @@ def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
     rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
     rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
     said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
-    yield Step("rehearse", bool(rehearsed), said, f"polishd sim --from {cell}")
-    yield Step("run", bool(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
+    again = f"polishd run {_quoted(rehearsal / f'{config.path.stem}-rehearsal.toml')}"
+    simulate = f"polishd sim {_quoted(rehearsal / 'sim.toml')}" if rehearsal.is_dir() else f"polishd sim --from {cell}"
+    yield Step("rehearse", _succeeded(rehearsed), said, f"{simulate}, and in another terminal: {again}")
+    yield Step("run", _succeeded(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
 
 
 def _commission(config: CellConfig, folder: Path) -> Step:
@@ -98,7 +105,7 @@ def _calibrate(config: CellConfig, cell: str) -> Iterator[Step]:
     spot = config.process.tif is not None or "process.preston" in config.included
     tif = config.process.tif or config.included.get("process.preston", "")
     command = f"polishd calibrate tif BEFORE AFTER --seconds S --cell {cell} --out tif.toml"
-    yield Step("calibrate tif", spot, tif if spot else "removal is computed, not measured", command)
+    yield Step("calibrate tif", spot, tif if spot else NO_SPOT, command)
     stiff = {file for key, file in config.included.items() if key.startswith("kinematics.")}
     stiff |= {str(getattr(config.kinematics, "table", ""))} - {""}
     command = f"polishd calibrate stiffness TESTS.csv --cell {cell} --out stiffness.toml"
@@ -124,6 +131,14 @@ def _summaries(*folders: Path) -> dict[Path, Mapping[str, Any]]:
         if isinstance(summary, dict) and isinstance(summary.get("outcome"), str):
             found[path] = summary
     return found
+
+
+def _succeeded(found: Mapping[Path, Mapping[str, Any]]) -> bool:
+    """Return whether the latest of these runs ended as it should, with exit code 0."""
+    if not found:
+        return False
+    latest = found[max(found, key=lambda path: (path.stat().st_mtime_ns, path))]["outcome"]
+    return latest in {outcome.value for outcome, code in EXIT_CODES.items() if code == 0}
 
 
 def _outcomes(found: Mapping[Path, Mapping[str, Any]]) -> str:

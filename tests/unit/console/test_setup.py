@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -82,6 +83,33 @@ def test_steps_are_done_as_their_files_appear_and_undone_as_they_go(cell: Path) 
     found = setup(cell)
     assert (found["plan"][0], found["have a program"][0], found["check"][0]) == (False, False, False)
     assert "program.rnc" in found["check"][1]
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "done"),
+    [
+        (["failed"], False),
+        (["diverged"], False),
+        (["stopped", "in_tolerance"], True),
+        (["in_tolerance", "cycles_used"], False),
+        (["as_programmed"], True),
+    ],
+)
+def test_a_rehearsal_and_a_run_are_done_where_the_latest_ended_well(
+    cell: Path, outcomes: list[str], done: bool
+) -> None:
+    for runs in (cell.parent / "cell-rehearsal" / "state" / "runs", cell.parent / "state" / "runs"):
+        for at, outcome in enumerate(outcomes):
+            run = runs / f"MIRROR-7-{at + 1}"
+            run.mkdir(parents=True)
+            (run / "summary.json").write_text(json.dumps({"outcome": outcome}))
+            os.utime(run / "summary.json", ns=(at * 10**9, at * 10**9))
+    found = setup(cell)
+    assert (found["rehearse"][0], found["run"][0]) == (done, done)
+    assert found["rehearse"][1].endswith(f"MIRROR-7-{len(outcomes)}: {outcomes[-1]}")
+    assert found["probe"][0] is (None if outcomes == ["failed"] else True)
+    sim, own = (cell.parent / "cell-rehearsal" / name for name in ("sim.toml", "cell-rehearsal.toml"))
+    assert found["rehearse"][2] == f"polishd sim {sim}, and in another terminal: polishd run {own}"
 
 
 def test_a_cell_that_cannot_be_read_is_the_first_thing_to_do(cell: Path) -> None:

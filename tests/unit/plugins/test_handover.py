@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from polishd.api import ConfigError, DeviceContext, Robot
+from polishd.api import ConfigError, DeviceContext, OwnLines, Robot
 from polishd.config.cell import load_config
+from polishd.config.controller_profile import shipped
 from polishd.console.demo_files import demo_program, with_values
 from polishd.daemon import checking
 from polishd.hooks.loader import load_own
-from polishd.plugins.handover.build import build
+from polishd.model.errors import PolishdError
+from polishd.plugins.handover.build import build, own_lines
 from polishd.plugins.handover.options import HandoverOptions
+from polishd.plugins.rnc_robot.dialect import DIALECTS
 from tests.commissioned import commissioned
 
 OPCUA = {"profile": "plc-opcua", "address": "opc.tcp://127.0.0.1:4840", "delivery": "folder:nc"}
@@ -121,3 +125,82 @@ def test_a_wire_to_the_actuator_makes_up_for_slow_reports(tmp_path: Path, exampl
     profile = (tmp_path / "mine.toml").read_text().replace("line_began =", "# ")
     (tmp_path / "mine.toml").write_text(profile)
     assert "66 ms rms, 1" in checked(path)["end of a block known to"]
+
+
+FITTING = {
+    "plc-ads": {"rs274", "haas", "grbl"},
+    "plc-modbus": {"rs274", "haas", "grbl"},
+    "plc-opcua": {"rs274", "haas", "grbl"},
+    "sinumerik-opcua": {"siemens", "twincat-nci"},
+    "twincat-nci": {"twincat-nci", "twincat-cnc", "fanuc", "siemens-iso"},
+}
+"""Dialects in which the lines of a shipped profile are what they are meant to be."""
+
+
+def test_dialects_and_controller_profiles_are_held_against_each_other(tmp_path: Path) -> None:
+    formats = load_own().program_formats()
+    context = DeviceContext(tmp_path, tmp_path, "P-1", ())
+    found: dict[str, set[str]] = {}
+    for profile in shipped():
+        lines = own_lines(HandoverOptions(**{**OPCUA, "profile": profile}), context)
+        said = {name: known.misreads(lines) for name, known in formats.items() if known.misreads is not None}
+        assert set(said) == set(DIALECTS)
+        found[profile] = {name for name, wrong in said.items() if not wrong}
+        assert all("is no dwell in" in wrong for wrong in said.values() if wrong)
+    assert found == FITTING
+
+
+@pytest.mark.parametrize(
+    ("name", "dwell", "stops", "said"),
+    [
+        ("rapid", "WaitTime {:.3f};", ("Stop;", ""), ""),
+        ("rapid", "WaitTime {:.3f};", ("M0", ""), "'M0' is G-code, and rapid is none"),
+        ("rapid", "WaitTime {:.3f};", ("Stop;", "M2"), "'M2' is G-code, and rapid is none"),
+        ("krl", "WAIT SEC {:.3f}", ("HALT", ""), ""),
+        ("krl", "WaitTime {:.3f};", ("HALT", ""), "'WaitTime 0.250;' is no dwell in krl"),
+        ("weihong", "G4 P{:.0f}", ("M0", "M30"), r"'G4 P2' rests for 0\.002 s in weihong, not for 2 s"),
+        ("siemens", "N7 G04 F{:.3f} ; ours", ("N8 M0 ; ours", "M30"), ""),
+        ("siemens", "G4 F{:.3f}", ("M0 (ours)", "M30"), r"'M0 \(ours\)' is no stop and no end of a program in siemens"),
+        ("rs274", "G1 P{:.3f}", ("M0", "M2"), "is no dwell in rs274"),
+        ("rs274", "G4 P{:.3f} X1", ("M0", "M2"), "is no dwell in rs274"),
+        ("rs274", "G4 P{:.3f}", ("HALT", "M2"), "'HALT' is no stop and no end of a program in rs274"),
+    ],
+)
+def test_lines_of_a_profile_of_ones_own_are_read_as_the_dialect_reads_them(
+    name: str, dwell: str, stops: tuple[str, ...], said: str
+) -> None:
+    times = (2.0, 3.0) if ":.0f" in dwell else (0.25, 2.5)
+    known = load_own().program_formats()[name]
+    assert known.misreads is not None
+    wrong = known.misreads(OwnLines("a profile", {seconds: dwell.format(seconds) for seconds in times}, stops))
+    assert re.search(said, wrong) if said else wrong == ""
+
+
+RAPID = r"""MODULE raster
+  PROC raster()
+    MoveL [[0,0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v10,fine,tool0;
+    WaitTime 0.5;
+    MoveL [[1,0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v10,fine,tool0;
+    WaitTime 0.5;
+  ENDPROC
+ENDMODULE
+"""
+
+
+def test_check_refuses_a_program_in_another_language_than_its_controller_profile(tmp_path: Path, example: str) -> None:
+    path = cell(tmp_path, example, wired=True)
+    (tmp_path / "raster.mod").write_text(RAPID)
+    text = re.sub(r"^\[touch_off\].*\n(?:(?!^\[).*\n)*", "", path.read_text(), flags=re.MULTILINE)
+    path.write_text(with_values(text, {"program": {"format": "rapid", "path": "raster.mod"}}))
+    with pytest.raises(
+        ConfigError, match=r"cell\.toml:\d+: program\.format: 'rapid' does not go with \[program\] of"
+    ) as error:
+        checked(path)
+    assert "'G4 P0.250 (polishd)' is no dwell in rapid" in str(error.value)
+    profile = (tmp_path / "mine.toml").read_text()
+    for before, after in (("M0 (polishd)", "Stop;"), ("G4 P{seconds:.3f} (polishd)", "WaitTime {seconds:.3f};")):
+        profile = profile.replace(before, after)
+    (tmp_path / "mine.toml").write_text(profile.replace("[program]", '[program]\nend = ""'))
+    with pytest.raises(PolishdError) as other:  # the two points are no pass over this part
+        checked(path)
+    assert "program.format" not in str(other.value)

@@ -77,6 +77,17 @@ def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(t
     assert not {"part.id", "part.aperture_mm", "kinematics.tool_length_mm"} & set(told["look"])
 
 
+def test_a_cell_that_nobody_measured_has_no_correction_and_says_what_comes_next(tmp_path: Path) -> None:
+    told = init(tmp_path, LENS)
+    assert load_config(tmp_path / "cell" / "cell.toml").process.correction == "none"
+    assert "polishd calibrate tif" in told["look"]["process.correction"]
+    (step,) = (step for step in told["todo"] if step["what"] == "calibrate tif")
+    assert step["done"] is False
+    assert "witness part" in step["found"]
+    init(tmp_path, LENS + '[process]\ncorrection = "exact"\n', "--force")
+    assert load_config(tmp_path / "cell" / "cell.toml").process.correction == "exact"
+
+
 @pytest.mark.full
 def test_a_dry_run_writes_nothing_and_shows_the_same_text(tmp_path: Path) -> None:
     told = init(tmp_path, LENS, "--dry-run")
