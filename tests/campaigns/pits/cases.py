@@ -13,7 +13,7 @@ from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from tests.campaigns.faults import links as f
 from tests.system import handover_rig, linuxcnc_rig
-from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, write_small
+from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, without, write_small
 from tests.system.test_profiled_cell import ACTUATOR, SIMULATED, with_section
 
 Fault = Mapping[str, Any]
@@ -112,6 +112,12 @@ def _profiled(folder: Path) -> DemoFiles:
     return files
 
 
+def _sensed(folder: Path) -> DemoFiles:
+    files = _demo(f._sensed, folder)
+    files.cell.write_text(without(files.cell.read_text(), "monitor"))
+    return files
+
+
 def _touching(folder: Path) -> DemoFiles:
     """With a touch-off before the pass: at most 1 N, at three places of the part's rim."""
     return write_small(folder, patient=False, touch_off=True, **JOB)
@@ -143,7 +149,7 @@ LINKS: Mapping[str, Link] = {
         "actuator", partial(_demo, f._cia402), FORCE, ("polishd/drivers/cia402", "polishd/sim_backends/cia402")
     ),
     "actuator, profile": _actuator(_profiled),
-    "actuator beside a force sensor": _actuator(partial(_demo, f._sensed), {**FORCE, **LIE}),
+    "actuator beside a force sensor": _actuator(_sensed, {**FORCE, **LIE}),
     "actuator, touch-off": _actuator(_touching, TOUCH),
 }
 CASES = [(name, fault) for name, link in LINKS.items() for fault in link.faults]
