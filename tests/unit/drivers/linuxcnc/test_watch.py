@@ -203,7 +203,7 @@ def test_records_are_in_order_once_and_fill_the_time(
 
 def test_a_line_that_the_motion_cannot_have_reached_is_not_believed() -> None:
     """Where it begins to move LinuxCNC has told the line that it had read last: a pass of which none was executed."""
-    watch = watch_of(1000, stops=(4, 998), asked={k: 0.1 for k in range(4, 998)})
+    watch = watch_of(1000, stops=(4, 998), asked=dict.fromkeys(range(4, 998), 0.1))
     watch.go(0.0)
     watch.update(look(0.01, 999))
     assert len(watch) == 0
