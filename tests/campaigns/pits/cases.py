@@ -13,7 +13,7 @@ from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from tests.campaigns.faults import links as f
 from tests.system import handover_rig, linuxcnc_rig
-from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, without, write_small
+from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, write_small
 from tests.system.test_profiled_cell import ACTUATOR, SIMULATED, with_section
 
 Fault = Mapping[str, Any]
@@ -114,7 +114,8 @@ def _profiled(folder: Path) -> DemoFiles:
 
 def _sensed(folder: Path) -> DemoFiles:
     files = _demo(f._sensed, folder)
-    files.cell.write_text(without(files.cell.read_text(), "monitor"))
+    head, _, rest = files.cell.read_text().partition("\n[monitor]\n")  # whose device this cell has not
+    files.cell.write_text(f"{head}\n[{rest.partition(chr(10) + '[')[2]}" if "\n[" in rest else f"{head}\n")
     return files
 
 

@@ -97,16 +97,15 @@ def _finding(
     pit: Mapping[str, Any] | None,
     checked: Mapping[str, Any],
 ) -> Finding:
-    log = events(files)
+    log, unnoticed, reason = events(files), fault in LINKS[link].unnoticed, str(summary(files)["reason"])
     begun_s, landed_s = first(log, {"fault_begins"}), first(log, {"tool_landed"})
     assert begun_s is not None, "the fault did not begin"
     assert landed_s is not None
     wrong_s = max(begun_s, landed_s)
+    assert not unnoticed or summary(files)["outcome"] == "cycles_used", f"the pass did not end: {reason}"
     left = [event for event in log if landed_s <= event["mono_s"] < wrong_s and event["event"] == "retract"]
-    assert not left, f"contact was left before the fault: {summary(files)['reason']}"
+    assert not left, f"contact was left before the fault: {reason}"
     after = [event for event in log if event["mono_s"] >= wrong_s]
-    unnoticed = fault in LINKS[link].unnoticed
-    reason = str(summary(files)["reason"])
     assert not reason.startswith(("LinkError", "HostFault")), f"this computer was too busy: {reason}"
     notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
     assert pit is not None, "the plant knows of no fault"
@@ -138,5 +137,5 @@ def _planned_nm(files: DemoFiles, pit: Mapping[str, Any]) -> float:
         removed_nm, pitch_mm = truth["start_nm"] - truth["height_nm"], float(truth["pitch_mm"])
     ny, nx = removed_nm.shape
     x_mm, y_mm = pit["at_mm"]
-    row, column = round(y_mm / pitch_mm + (ny - 1) / 2), round(x_mm / pitch_mm + (nx - 1) / 2)
+    row, column = round((ny - 1) / 2 - y_mm / pitch_mm), round(x_mm / pitch_mm + (nx - 1) / 2)
     return float(removed_nm[row, column]) - float(pit["peak_nm"])
