@@ -112,6 +112,13 @@ def _profiled(folder: Path) -> DemoFiles:
     return files
 
 
+def _sensed(folder: Path) -> DemoFiles:
+    files = _demo(f._sensed, folder)
+    head, _, rest = files.cell.read_text().partition("\n[monitor]\n")  # whose device this cell has not
+    files.cell.write_text(f"{head}\n[{rest.partition(chr(10) + '[')[2]}" if "\n[" in rest else f"{head}\n")
+    return files
+
+
 def _touching(folder: Path) -> DemoFiles:
     """With a touch-off before the pass: at most 1 N, at three places of the part's rim."""
     return write_small(folder, patient=False, touch_off=True, **JOB)
@@ -143,7 +150,7 @@ LINKS: Mapping[str, Link] = {
         "actuator", partial(_demo, f._cia402), FORCE, ("polishd/drivers/cia402", "polishd/sim_backends/cia402")
     ),
     "actuator, profile": _actuator(_profiled),
-    "actuator beside a force sensor": _actuator(partial(_demo, f._sensed), {**FORCE, **LIE}),
+    "actuator beside a force sensor": _actuator(_sensed, {**FORCE, **LIE}),
     "actuator, touch-off": _actuator(_touching, TOUCH),
 }
 CASES = [(name, fault) for name, link in LINKS.items() for fault in link.faults]
