@@ -307,6 +307,7 @@ def _force_check(limits: ContactLimits, delay_s: float = 0.0) -> ForceCheck:
 
 async def _watch_force(cell: Cell, watch: _Watch) -> None:
     limits, good_at = watch.limits, 0.0
+    stroke_mm = cell.limits.actuator.stroke_mm
 
     def judge(sample: ForceSample) -> None:
         nonlocal good_at
@@ -317,6 +318,12 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
         if sample.position_mm is not None and sample.position_mm > limits.deepest_mm:
             raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out of its rest, at most {limits.deepest_mm:.2f}")
+        if sample.in_contact and sample.position_mm is not None and sample.position_mm > stroke_mm:
+            raise SafetyStop(
+                f"the actuator reads contact {sample.position_mm:.2f} mm out of its rest, and its stroke is "
+                f"{stroke_mm:g} mm (actuator.stroke_mm): it may press against its own end stop, and a robot that lifts "
+                "the tool would not lift it off. Check the part, and the stroke"
+            )
         if watch.touch.left:  # by our word only: an actuator that lifts by itself has lost its force
             return
         watch.forces.actuator(sample.at_s, sample.force_n)

@@ -126,7 +126,7 @@ class Stream:
             raise DeviceRefused(
                 f"the robot holds {self._robot.buffer_s:.2f} s of motion and takes no more, and the tool would need "
                 f"{self._least_s:.2f} s to be up again if the actuator fell silent: enlarge the controller's window, "
-                "or shorten actuator.watchdog_ms or actuator.retract_s; nothing was moved"
+                "or shorten the actuator's watchdog or actuator.retract_s; nothing was moved"
             )
         if self._plan.approach_blocks:
             await self._robot.resume(until=self._plan.approach_blocks)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from polishd.daemon.journal_store import LATE_S
@@ -53,6 +54,11 @@ class Limit:
 def late_s(expected_s: float) -> float:
     """Return how much longer than expected a block may take in motion."""
     return min(LATE_SHARE * expected_s, MOST_LATE_S)
+
+
+def _key(port: str, times: ActuatorTimes | RobotTimes | SpindleTimes | SensorTimes, field: str) -> str:
+    """Dotted config key of that field, as the device's own section has it."""
+    return f"{port}.{times.keys.get(field, field)}"
 
 
 def safe_within_s(times: object) -> float:
@@ -140,36 +146,50 @@ class TimeLimits:
         Actuator and force sensor may disagree for ``apart_s``, and the force be off its set point for ``force_s``.
         """
         coil, robot, spindle = self.actuator, self.robot, self.spindle
+        of_coil, of_robot = partial(_key, "actuator", coil), partial(_key, "robot", robot)
+        of_spindle = partial(_key, "spindle", spindle)
         lost_s = robot.silence_s + coil.lifted_s
         stays = [Limit("", "tool taken off by the robot where the actuator has no power", self.taken_off_s)]
         return (
             *self._of_sensor(apart_s, force_s),
-            Limit("actuator.silence_s", "actuator counts as silent", coil.silence_s, BEAT_S, "of three heartbeats"),
             Limit(
-                "actuator.watchdog_ms",
+                of_coil("silence_s"),
+                "actuator counts as silent",
+                coil.silence_s,
+                BEAT_S,
+                "of three heartbeats",
+            ),
+            Limit(
+                of_coil("watchdog_s"),
                 "actuator lets go by itself",
                 coil.watchdog_s,
                 coil.silence_s + BEAT_S,
                 "of silence and a heartbeat: the daemon leaves contact first",
             ),
-            Limit("actuator.landing_s", "landing, at most", coil.landing_s),
-            Limit("actuator.release_s", "force off, at most", coil.release_s),
-            Limit("actuator.retract_s", "lift, at most", coil.retract_s),
+            Limit(of_coil("landing_s"), "landing, at most", coil.landing_s),
+            Limit(of_coil("release_s"), "force off, at most", coil.release_s),
+            Limit(of_coil("retract_s"), "lift, at most", coil.retract_s),
             Limit("", "tool up after an order", coil.lifted_s),
             Limit("", "tool up after the last word", coil.alone_s),
             *(stays if coil.unpowered == "stays" else []),
-            Limit("spindle.watchdog_s", "spindle stops by itself", spindle.watchdog_s, 3 * BEAT_S, "of its commands"),
-            Limit("spindle.spin_s", "spindle to speed or to rest, at most", spindle.spin_s),
-            Limit("robot.silence_s", "robot counts as lost", robot.silence_s),
             Limit(
-                "robot.watchdog_s",
+                of_spindle("watchdog_s"),
+                "spindle stops by itself",
+                spindle.watchdog_s,
+                3 * BEAT_S,
+                "of its commands",
+            ),
+            Limit(of_spindle("spin_s"), "spindle to speed or to rest, at most", spindle.spin_s),
+            Limit(of_robot("silence_s"), "robot counts as lost", robot.silence_s),
+            Limit(
+                of_robot("watchdog_s"),
                 "robot stops by itself",
                 robot.watchdog_s,
                 max(coil.alone_s, lost_s),
                 f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
                 f"robot's silence and lift {lost_s:g} s",
             ),
-            Limit("robot.stop_s", "robot stops or lifts, at most", robot.stop_s),
+            Limit(of_robot("stop_s"), "robot stops or lifts, at most", robot.stop_s),
             Limit(
                 "job.lookahead_s",
                 "motion held by the robot",
@@ -186,9 +206,15 @@ class TimeLimits:
             return ()
         late_s = self.sensor.delay_s + 2 * BEAT_S
         because = f"of the sensor's delay {self.sensor.delay_s:g} s and two readings: a landing would end contact"
-        silence_s = self.sensor.silence_s
+        silence_s, silence_key = self.sensor.silence_s, _key("force_sensor", self.sensor, "silence_s")
         return (
-            Limit("force_sensor.silence_s", "force sensor counts as silent", silence_s, BEAT_S, "of its readings"),
+            Limit(
+                silence_key,
+                "force sensor counts as silent",
+                silence_s,
+                BEAT_S,
+                "of its readings",
+            ),
             Limit("force_sensor.grace_s", "actuator and force sensor may disagree for", apart_s, late_s, because),
             Limit("limits.force_grace_s", "force may be off its set point for", force_s, late_s - BEAT_S, because),
         )

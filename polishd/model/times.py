@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 Unpowered = Literal["lifts", "stays", "presses"]
@@ -26,6 +27,8 @@ class ActuatorTimes:
     stroke_mm: float = 10.0
     unpowered: Unpowered = "lifts"
     """Beside its watchdog, which needs power: one that stays leaves it to the robot to take the tool away."""
+    keys: Mapping[str, str] = field(default_factory=dict)
+    """Fields whose key in the device's section has another name: its name there, by field."""
 
     @property
     def lifted_s(self) -> float:
@@ -56,6 +59,8 @@ class RobotTimes:
     """Standard deviation of when it says that a block ended; 0: it says so exactly. Such errors do not add up."""
     report_s: float = 0.1
     """Greatest age of a report of executed blocks: the period of the link's reports and their way."""
+    keys: Mapping[str, str] = field(default_factory=dict)
+    """Fields whose key in the device's section has another name: its name there, by field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,8 @@ class SpindleTimes:
     """It hears nothing for so long: it stops by itself."""
     spin_s: float = 8.0
     """From standstill to its speed, or back."""
+    keys: Mapping[str, str] = field(default_factory=dict)
+    """Fields whose key in the device's section has another name: its name there, by field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +98,8 @@ class SensorTimes:
     """From a force that acts to its reading: filter, conversion and link."""
     tare_s: float = 1.0
     """From the order until what it read then is 0."""
+    keys: Mapping[str, str] = field(default_factory=dict)
+    """Fields whose key in the device's section has another name: its name there, by field."""
 
 
 @dataclass(frozen=True, slots=True)

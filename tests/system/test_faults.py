@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -116,6 +117,22 @@ def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path
         if events(files, "tool_landed"):
             require_off_the_part(files)
         require_nothing_twice(files)
+
+
+@pytest.mark.parametrize("when", [{"at_s": 0.0}, {"contact_s": 0.7}], ids=["from the start", "in contact"])
+def test_a_spindle_that_turns_the_wrong_way_round_does_not_polish(tmp_path: Path, when: Fault) -> None:
+    """Its encoder reads it, with a sign: before the tool lands the speed is not reached, in contact it is another."""
+    reverse = {"device": "spindle", "what": "reverse", **when}
+    with faulty_cell(tmp_path / "cell", reverse, speed=10.0) as files:
+        with Daemon(files, "--no-hold") as daemon:
+            code, said = daemon.wait(), daemon.output.read_text()
+        if "at_s" in when:
+            assert (code, events(files, "tool_landed")) == (DEVICE, []), said
+            assert re.search(r"1000 rpm not reached, -1000(\.0)? rpm", said)
+        else:
+            assert code == SAFETY, said
+            assert re.search(r"spindle at -1000 rpm instead of 1000", said)
+            require_off_the_part(files)
 
 
 def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Path) -> None:

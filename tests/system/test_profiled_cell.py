@@ -50,9 +50,8 @@ def with_section(text: str, name: str, section: str) -> str:
     return changed
 
 
-@contextmanager
-def profiled_cell(out: Path) -> Iterator[DemoFiles]:
-    """A running simulator, and the cell's files."""
+def profiled_files(out: Path) -> DemoFiles:
+    """The files of such a cell."""
     files = write_small(out, **ONE_PASS)
     cell = files.cell.read_text().replace('"spindle", ', '"spindle", "device_profiles", ')
     cell = with_section(with_section(cell, "actuator", ACTUATOR), "spindle", SPINDLE)
@@ -61,6 +60,13 @@ def profiled_cell(out: Path) -> Iterator[DemoFiles]:
     for name, section in SIMULATED.items():
         sim = with_section(sim, name, section)
     files.sim.write_text(sim)
+    return files
+
+
+@contextmanager
+def profiled_cell(out: Path) -> Iterator[DemoFiles]:
+    """A running simulator, and the cell's files."""
+    files = profiled_files(out)
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"], out / "sim.stderr"):
         yield files
 

@@ -224,4 +224,5 @@ def times_of(profile: ControllerProfile) -> RobotTimes:
         unseen_stop_s=profile.unseen_stop_s,
         block_end_s=profile.block_end_s,
         report_s=(profile.report_ms + profile.look_ms + profile.link_ms) / 1e3,
+        keys=dict.fromkeys(("silence_s", "watchdog_s", "stop_s"), "profile"),
     )

@@ -10,6 +10,11 @@ from polishd.drivers.linuxcnc.program_file import ProgramFile
 from polishd.drivers.transport.file_watch import FileWatch
 from polishd.model.surface import FloatArray
 
+FASTEST = 2.5
+"""More than any feed override makes of the planned speed."""
+SLACK_S = 0.25
+"""Of the plan, and of looks at a busy controller."""
+
 
 class Watch(FileWatch):
     """One program from its load to its end.
@@ -51,11 +56,17 @@ class Watch(FileWatch):
         if look.status == "idle":
             self._idle()
             return
-        self._advance(self.file.block_at(look.line))
+        block = self.file.block_at(look.line)
+        if self._can_be_at(block):
+            self._advance(block)
         if look.status == "running":
             self.runs = True
         elif not moved:
             self._paused()
+
+    def _can_be_at(self, block: int) -> bool:
+        """Whether its motion can be there by now: while it begins to move it reports the line that it has read last."""
+        return self.expected_s(block) <= FASTEST * (self.clock_s - self.began_s) + SLACK_S
 
     def _told_while_held(self, look: Snapshot) -> None:
         """Somebody else starts it; or our message comes after the pause, since others stood before it."""

@@ -53,6 +53,11 @@ class ProgramWatch:
         timed_s = float(self._ahead_s[np.searchsorted(self._timed, len(self))])
         return timed_s + BLOCK_S * (self.blocks - len(self))
 
+    def expected_s(self, to: int) -> float:
+        """Planned time of the blocks that are not executed yet, up to that one."""
+        first, last = np.searchsorted(self._timed, (len(self), to))
+        return float(self._ahead_s[first] - self._ahead_s[last])
+
     def progress(self, accepted: int, buffer_s: float, override: float | None = None) -> RobotProgress:
         """As the port wants it."""
         return RobotProgress(

@@ -28,6 +28,8 @@ from polishd.drivers.transport.address import Slcan, can_address
 
 POLISHD_API = 1
 
+_ACTUATOR, _SPINDLE = ActuatorTimes(), SpindleTimes()
+
 T = TypeVar("T")
 
 LEAST_BITRATE = 125_000
@@ -72,11 +74,11 @@ class SpindleOptions(DriveOptions):
     """Ramp to a lower speed: 6084h. [rpm/s]"""
     quick_stop_rpm_s: Positive = 3000.0
     """Ramp of a stop, also of that by itself: 6085h. [rpm/s]"""
-    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 0.8
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = _SPINDLE.silence_s
     """No answer, or no heartbeat, for so long: the link is lost. The drive's heartbeat comes every 0.1 s."""
-    watchdog_s: Annotated[float, Field(ge=0.3, le=60.0)] = 1.0
+    watchdog_s: Annotated[float, Field(ge=0.3, le=60.0)] = _SPINDLE.watchdog_s
     """It hears no heartbeat of ours for so long (1016h): it stops by itself."""
-    spin_s: Annotated[float, Field(gt=0.0, le=120.0)] = 8.0
+    spin_s: Annotated[float, Field(gt=0.0, le=120.0)] = _SPINDLE.spin_s
     """Longest from standstill to any speed, or back."""
 
 
@@ -111,15 +113,15 @@ class ActuatorOptions(DriveOptions):
     """With `position`: 6081h."""
     silence_s: Annotated[float, Field(ge=0.3, le=5.0)] = 0.5
     """No answer, or no heartbeat, for so long: spindle off, and the robot takes the tool away."""
-    watchdog_s: Annotated[float, Field(ge=0.2, le=5.0)] = 1.0
+    watchdog_s: Annotated[float, Field(ge=0.2, le=5.0)] = _ACTUATOR.watchdog_s
     """It hears no heartbeat of ours for so long (1016h): current off, and the tool is lifted without it."""
-    landing_s: Seconds = 10.0
+    landing_s: Seconds = _ACTUATOR.landing_s
     """No contact after so long is a fault."""
-    release_s: Seconds = 0.2
+    release_s: Seconds = _ACTUATOR.release_s
     """Longest from the order to force off."""
-    retract_s: Seconds = 5.0
+    retract_s: Seconds = _ACTUATOR.retract_s
     """Longest from force off until it tells that the tool is up. Motion goes on until then."""
-    stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = 10.0
+    stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = _ACTUATOR.stroke_mm
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
     unpowered: Unpowered = "lifts"
     """What its tool does without power: what balances it `lifts` it, or it `stays`; one that `presses` is refused."""
@@ -136,7 +138,8 @@ def _place(options: SpindleOptions | ActuatorOptions, context: DeviceContext) ->
 
 def _of(record: type[T], options: DriveOptions) -> T:
     """A record of the options that have the names of its fields."""
-    return record(**{field.name: getattr(options, field.name) for field in fields(cast("Any", record))})
+    known = {field.name for field in fields(cast("Any", record))} & set(type(options).model_fields)
+    return record(**{name: getattr(options, name) for name in known})
 
 
 def _build_spindle(options: SpindleOptions, context: DeviceContext) -> Spindle:

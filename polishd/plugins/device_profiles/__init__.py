@@ -44,7 +44,7 @@ class ProfileOptions(Section):
 class ActuatorOptions(ProfileOptions):
     """Keys of ``[actuator]`` with ``type = "actuator_profile"``. Times that are left out are the profile's."""
 
-    silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = 0.3
+    silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = ActuatorTimes().silence_s
     """No answer for so long: spindle off, and the robot takes the tool away."""
     watchdog_s: Annotated[float, Field(ge=0.1, le=60.0)] | None = None
     """So long without a word the actuator takes the force off and lifts, by itself."""
@@ -63,7 +63,7 @@ class SpindleOptions(ProfileOptions):
 
     pole_pairs: Annotated[int, Field(ge=1, le=24)] = 1
     """Of the motor, for drives that count in Hz: 50 Hz are 3000 rpm with one, 1500 rpm with two. [1]"""
-    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = 0.8
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = SpindleTimes().silence_s
     """No answer for so long: the link is lost."""
     watchdog_s: Annotated[float, Field(ge=0.1, le=60.0)] | None = None
     """The drive's own: so long without a word it stops. Words come every 100 ms."""
@@ -74,7 +74,7 @@ class SpindleOptions(ProfileOptions):
 class ForceSensorOptions(ProfileOptions):
     """Keys of ``[force_sensor]`` with ``type = "force_sensor_profile"``. Times that are left out are the profile's."""
 
-    silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = 0.3
+    silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = SensorTimes().silence_s
     """No new reading for so long: contact is left, as over a silent actuator."""
     delay_s: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     """Longest from a force that acts to its reading: the amplifier's filter, and the link."""
@@ -93,7 +93,7 @@ def _profile(options: ProfileOptions, context: DeviceContext, kind: Kind) -> Dev
     return profile
 
 
-def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, float]:
+def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, Any]:
     """What the section says, else the profile."""
     given = {name: getattr(options, name) for name in names}
     return {name: getattr(table, name) if value is None else value for name, value in given.items()}

@@ -14,17 +14,19 @@ from polishd.drivers.transport.address import line_address
 
 POLISHD_API = 1
 
+_TIMES = SensorTimes()
+
 
 class ForceSensorLineOptions(Section):
     """Keys of ``[force_sensor]`` with ``type = "force_sensor_line"``."""
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
-    silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = 0.3
+    silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = _TIMES.silence_s
     """No new reading for so long: contact is left, as over a silent actuator."""
-    delay_s: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1
+    delay_s: Annotated[float, Field(ge=0.0, le=5.0)] = _TIMES.delay_s
     """Longest from a force that acts to its reading: the amplifier's filter, and the link."""
-    tare_s: Annotated[float, Field(gt=0.0, le=60.0)] = 1.0
+    tare_s: Annotated[float, Field(gt=0.0, le=60.0)] = _TIMES.tare_s
     """Longest from the order until what it read then is 0."""
 
 

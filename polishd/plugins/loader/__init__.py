@@ -14,17 +14,19 @@ from polishd.drivers.transport.address import line_address
 
 POLISHD_API = 1
 
+_TIMES = LoaderTimes()
+
 
 class LoaderLineOptions(Section):
     """Keys of ``[loader]`` with ``type = "loader_line"``."""
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
-    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = 2.0
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = _TIMES.silence_s
     """No answer for so long: the link is lost."""
-    change_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 120.0
+    change_s: Annotated[float, Field(gt=0.0, le=3600.0)] = _TIMES.change_s
     """Longest from the order to take a part off, or to put one on, until it is clear of the cell."""
-    stop_s: Annotated[float, Field(gt=0.0, le=120.0)] = 5.0
+    stop_s: Annotated[float, Field(gt=0.0, le=120.0)] = _TIMES.stop_s
     """Longest from the order to standstill."""
 
 

@@ -20,7 +20,7 @@ class MonitorLineOptions(Section):
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
-    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = 2.0
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = MonitorTimes().silence_s
     """No answer for so long: its signals are not known any more."""
 
 

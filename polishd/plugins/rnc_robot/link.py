@@ -11,17 +11,19 @@ from polishd.config.values import Section
 from polishd.drivers.robot_link import REPORT_S, RobotLink
 from polishd.drivers.transport.address import tcp_address
 
+_TIMES = RobotTimes()
+
 
 class RobotLinkOptions(Section):
     """Keys of ``[robot]`` with ``type = "robot_link"``."""
 
     address: str
     """Where the controller listens: ``tcp://host:port``."""
-    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
+    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = _TIMES.watchdog_s
     """The controller's own: so long without a word from us it stops. A shorter one of the controller is refused."""
-    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 1.5
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = _TIMES.silence_s
     """No word from it for so long: the link is lost, and contact is left. It speaks every 50 ms."""
-    stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 5.0
+    stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = _TIMES.stop_s
     """Longest that it takes to stop, or to lift the tool off."""
 
 

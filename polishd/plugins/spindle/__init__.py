@@ -14,6 +14,8 @@ from polishd.drivers.transport.address import can_address
 
 POLISHD_API = 1
 
+_TIMES = SpindleTimes()
+
 
 class SpindleCanOptions(Section):
     """Keys of ``[spindle]`` with ``type = "spindle_can"``."""
@@ -22,11 +24,11 @@ class SpindleCanOptions(Section):
     """``slcan:PATH?bitrate=500000`` or ``socketcand://host:port/channel``."""
     node: Annotated[int, Field(ge=1, le=127)] = 5
     """CANopen node number. [1]"""
-    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 0.8
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = _TIMES.silence_s
     """No heartbeat or process data for so long: the link is lost. They come every 100 and 50 ms."""
-    watchdog_s: Annotated[float, Field(ge=0.5, le=60.0)] = 1.0
+    watchdog_s: Annotated[float, Field(ge=0.5, le=60.0)] = _TIMES.watchdog_s
     """The drive's own: so long without a command it stops. Commands come every 100 ms."""
-    spin_s: Annotated[float, Field(gt=0.0, le=120.0)] = 8.0
+    spin_s: Annotated[float, Field(gt=0.0, le=120.0)] = _TIMES.spin_s
     """Longest from standstill to any speed, or back."""
 
 

@@ -14,6 +14,8 @@ from polishd.drivers.profiled.shelf import profile_of
 
 POLISHD_API = 1
 
+_TIMES = ActuatorTimes()
+
 Seconds = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
@@ -22,17 +24,17 @@ class VoiceCoilOptions(Section):
 
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
-    watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = 1000
+    watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = round(1000 * _TIMES.watchdog_s)
     """So long without heartbeat the actuator retracts by itself. Heartbeats come every 50 ms."""
-    silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = 0.3
+    silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = _TIMES.silence_s
     """No answer for so long: spindle off, and the robot takes the tool away."""
-    landing_s: Seconds = 10.0
+    landing_s: Seconds = _TIMES.landing_s
     """No contact after so long is a fault."""
-    release_s: Seconds = 0.2
+    release_s: Seconds = _TIMES.release_s
     """Longest from the order to force off."""
-    retract_s: Seconds = 5.0
+    retract_s: Seconds = _TIMES.retract_s
     """Longest from force off until it tells that the tool is up. Motion goes on until then."""
-    stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = 10.0
+    stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = _TIMES.stroke_mm
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
     unpowered: Unpowered = "lifts"
     """What its tool does without power: a spring or its weight `lifts` it, it `stays`, which needs a robot that takes
@@ -49,6 +51,7 @@ class VoiceCoilOptions(Section):
             retract_s=self.retract_s,
             stroke_mm=self.stroke_mm,
             unpowered=self.unpowered,
+            keys={"watchdog_s": "watchdog_ms"},
         )
 
 

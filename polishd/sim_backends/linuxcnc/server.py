@@ -20,6 +20,8 @@ from polishd.sim_backends.linuxcnc.motion import Loaded, Sampled
 from polishd.sim_backends.runtime import LOOPBACK, Runtime
 
 TICK_S = 0.01
+TURN_S = 0.05
+"""Between two turns of the pendant: each is a command that LinuxCNC's task has to take."""
 START_S = 25.0
 ISOLATE = (
     *("setpriv", "--pdeathsig", "KILL", "unshare", "--map-root-user", "--mount", "--ipc", "--pid", "--fork"),
@@ -48,7 +50,9 @@ class LinuxCncServer:
         self._moved = self._rested = False
         self._override = SpeedOverride()
         self._turned = (1.0, False)
-        """The pendant's wheel and interlock."""
+        """The pendant's wheel and interlock, ..."""
+        self._turned_s = 0.0
+        """... and when they were turned last."""
         runtime.script.suffer = self._override.suffer
 
     async def run(self) -> None:
@@ -91,8 +95,8 @@ class LinuxCncServer:
     def _turn(self, now_s: float) -> None:
         """Work the pendant as the faults of the script say."""
         turned = self._override.reported(now_s), self._override.stands
-        if turned != self._turned:
-            self._turned = turned
+        if turned != self._turned and now_s >= self._turned_s + TURN_S:
+            self._turned, self._turned_s = turned, now_s
             self._runtime.link.pace(self._override.actual(now_s), now_s)
             pendant.write(self.folder / PENDANT, turned[0], inhibit=turned[1])
 

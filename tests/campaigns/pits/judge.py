@@ -10,15 +10,17 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from polishd.console.demo_files import DemoFiles
 from tests.campaigns.faults.judge import OFF, REACTIONS, UP, first, load
 from tests.campaigns.pits.cases import LINKS
-from tests.system.cell_rig import events, summary, whole_account
+from tests.system.cell_rig import account, events, summary
 from tests.system.sim_rig import wait_for
 
 MOST_NM = 150.0
@@ -27,6 +29,7 @@ WITHIN = 1.2
 """Times the bound, at most."""
 END_S = 300.0
 """Of a pass at speed 1, on a machine that is busy."""
+PROGRAM = "removal of the program as it is"
 LIE = "if the actuator misreads its force"
 """Fact of ``check``: what an actuator costs that presses up to process.force_max_n and reads the set point."""
 
@@ -58,9 +61,7 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
         assert events(files, "tool_landed"), process.output.read_text()
         wait_for(lambda: process.process.poll() is not None, f"the end of the pass after: {fault}", END_S)
         wait_for(lambda: _rests(files), "the cell to rest", END_S)
-        pit = whole_account(files)["pit"]
-        log = events(files)
-    return _finding(link, fault, files, log, pit, checked)
+    return _finding(link, fault, files, account(files)["pit"], checked)  # whole, once the simulator has ended
 
 
 def check(files: DemoFiles) -> Mapping[str, Any]:
@@ -71,12 +72,15 @@ def check(files: DemoFiles) -> Mapping[str, Any]:
     return dict(json.loads(done.stdout))
 
 
-def bound_nm(checked: Mapping[str, Any], *, unnoticed: bool) -> float:
-    """Removal that the check states: of a standing robot, or of a lying actuator that nothing can notice."""
-    if not unnoticed:
+def bound_nm(checked: Mapping[str, Any], planned_nm: float | None = None) -> float:
+    """Removal that the check states: of a standing robot, or of a lying actuator that nothing can notice.
+
+    That of an actuator it states for the program as it is: it grows with what is planned at the worst place.
+    """
+    if planned_nm is None:
         return float(checked["pit"]["removal_nm"])
-    more = re.findall(r"removes ([\d.]+) nm more", checked[LIE])
-    return float(more[-1])
+    more_nm = float(re.findall(r"removes ([\d.]+) nm more", checked[LIE])[-1])
+    return planned_nm * more_nm / float(checked[PROGRAM].split()[0])
 
 
 def _rests(files: DemoFiles) -> bool:
@@ -90,21 +94,25 @@ def _finding(
     link: str,
     fault: str,
     files: DemoFiles,
-    log: Sequence[Mapping[str, Any]],
     pit: Mapping[str, Any] | None,
     checked: Mapping[str, Any],
 ) -> Finding:
+    log = events(files)
     begun_s, landed_s = first(log, {"fault_begins"}), first(log, {"tool_landed"})
-    wrong_s = max(begun_s or 0.0, landed_s or 0.0)
+    assert begun_s is not None, "the fault did not begin"
+    assert landed_s is not None
+    wrong_s = max(begun_s, landed_s)
+    left = [event for event in log if landed_s <= event["mono_s"] < wrong_s and event["event"] == "retract"]
+    assert not left, f"contact was left before the fault: {summary(files)['reason']}"
     after = [event for event in log if event["mono_s"] >= wrong_s]
     unnoticed = fault in LINKS[link].unnoticed
     reason = str(summary(files)["reason"])
+    assert not reason.startswith(("LinkError", "HostFault")), f"this computer was too busy: {reason}"
     notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
-    removed_nm = max(pit["peak_nm"], 0.0) if pit else 0.0
-    limit_nm = bound_nm(checked, unnoticed=unnoticed)
+    assert pit is not None, "the plant knows of no fault"
+    removed_nm = max(pit["peak_nm"], 0.0)
+    limit_nm = bound_nm(checked, _planned_nm(files, pit) if unnoticed else None)
     wrong = []
-    if begun_s is None:
-        wrong.append("contact ended before the fault")
     if notice_s is None and not unnoticed:
         wrong.append("not noticed")
     if removed_nm > MOST_NM:
@@ -122,3 +130,13 @@ def _finding(
         wrong,
         load(),
     )
+
+
+def _planned_nm(files: DemoFiles, pit: Mapping[str, Any]) -> float:
+    """Planned removal at the worst place: all that the part lost there, less what was beyond plan."""
+    with np.load(files.sim_dir / "truth.npz") as truth:
+        removed_nm, pitch_mm = truth["start_nm"] - truth["height_nm"], float(truth["pitch_mm"])
+    ny, nx = removed_nm.shape
+    x_mm, y_mm = pit["at_mm"]
+    row, column = round(y_mm / pitch_mm + (ny - 1) / 2), round(x_mm / pitch_mm + (nx - 1) / 2)
+    return float(removed_nm[row, column]) - float(pit["peak_nm"])

@@ -21,6 +21,7 @@ from tests.system.sim_rig import ROOT
 FOUND = Finding("robot link", "override 50 %", "SafetyStop: slow", 0.2, 0.21, 8.0, 100.0, [], 0.5)
 CHECKED: dict[str, Any] = {
     "pit": {"removal_nm": 95.4},
+    "removal of the program as it is": "60.2 nm at most",
     "if the actuator misreads its force": "13 N removes 5.0 nm more; one that presses 18 N removes 30.1 nm more",
 }
 
@@ -44,8 +45,9 @@ def test_a_fault_in_contact_is_noticed_and_the_part_loses_no_more_than_the_check
 
 
 def test_the_bound_is_the_checks_own() -> None:
-    assert bound_nm(CHECKED, unnoticed=False) == 95.4
-    assert bound_nm(CHECKED, unnoticed=True) == 30.1
+    assert bound_nm(CHECKED) == 95.4
+    assert bound_nm(CHECKED, 60.2) == pytest.approx(30.1)
+    assert bound_nm(CHECKED, 120.4) == pytest.approx(60.2)
 
 
 def test_every_robot_link_has_both_faults_and_every_actuator_a_wrong_force() -> None:

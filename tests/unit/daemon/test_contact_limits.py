@@ -7,6 +7,7 @@ import itertools
 import math
 import time
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -102,6 +103,15 @@ async def test_force_and_place_of_the_tool(samples: list[ForceSample], error: ty
     assert len(watched.touch.forces) >= 1
     assert list(watched.fake.cell.heard_s) == ["actuator"]
     assert not watched.watch.silent
+
+
+@pytest.mark.parametrize(("mm", "on", "stops"), [(10.0, True, False), (10.1, True, True), (10.1, False, False)])
+async def test_a_contact_beyond_the_stroke_is_none(mm: float, on: bool, stops: bool) -> None:
+    watched = Watched(replace(LIMITS, deepest_mm=math.inf))
+    assert watched.fake.actuator.times.stroke_mm == 10.0
+    found = await watched.hear([force(0.0), force(0.1, mm=mm, on=on)])
+    assert isinstance(found, SafetyStop) is stops
+    assert not stops or "contact 10.10 mm out of its rest, and its stroke is 10 mm" in str(found)
 
 
 async def test_once_it_is_left_only_faults_count_and_the_place() -> None:

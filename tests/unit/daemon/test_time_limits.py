@@ -11,6 +11,7 @@ import pytest
 from polishd.daemon.time_limits import TimeLimits, safe_within_s, stays_on, too_short
 from polishd.model.times import ActuatorTimes, RobotTimes, SensorTimes, SpindleTimes
 
+IN_MS = {"watchdog_s": "watchdog_ms"}
 LIMITS = TimeLimits(ActuatorTimes(), RobotTimes(), SpindleTimes())
 
 
@@ -43,7 +44,13 @@ def test_what_goes_unseen_is_what_each_may_be_late_by_and_then_the_lift() -> Non
         ({"robot": RobotTimes(watchdog_s=math.inf)}, 8.0, []),
         ({}, 1.0, ["job.lookahead_s"]),
         ({"actuator": ActuatorTimes(retract_s=12.0)}, 8.0, ["robot.watchdog_s", "job.lookahead_s"]),
-        ({"actuator": ActuatorTimes(watchdog_s=0.3)}, 8.0, ["actuator.watchdog_ms"]),
+        ({"actuator": ActuatorTimes(watchdog_s=0.3)}, 8.0, ["actuator.watchdog_s"]),
+        (
+            {"actuator": ActuatorTimes(watchdog_s=0.3, keys={"watchdog_s": "watchdog_ms"})},
+            8.0,
+            ["actuator.watchdog_ms"],
+        ),
+        ({"robot": RobotTimes(watchdog_s=2.0, keys={"watchdog_s": "profile"})}, 8.0, ["robot.profile"]),
         ({"actuator": ActuatorTimes(silence_s=0.1)}, 8.0, ["actuator.silence_s"]),
         ({"spindle": SpindleTimes(watchdog_s=0.2)}, 8.0, ["spindle.watchdog_s"]),
     ],

@@ -20,7 +20,7 @@ def test_each_link_of_the_chain() -> None:
     rows = [(limit.key, round(limit.seconds, 6), round(limit.least_s, 6)) for limit in LIMITS.chain(8.5)]
     assert rows == [
         ("actuator.silence_s", 0.4, 0.15),
-        ("actuator.watchdog_ms", 2.0, 0.55),  # silence and a heartbeat
+        ("actuator.watchdog_s", 2.0, 0.55),  # silence and a heartbeat
         ("actuator.landing_s", 9.0, 0.0),
         ("actuator.release_s", 0.5, 0.0),
         ("actuator.retract_s", 4.0, 0.0),

@@ -12,7 +12,7 @@ from scipy import integrate
 from polishd.model.errors import ComputeError
 from polishd.model.process import NormalForce, ToolProcess
 from polishd.model.surface import FloatArray
-from polishd.process import contact
+from polishd.process import contact, naming
 
 PAPER = ToolProcess()
 DEPTH = 0.14834891
@@ -215,3 +215,15 @@ def test_what_is_not_known_is_the_processs_own() -> None:
     found = contact.relative_removal(ToolProcess(), unknown, np.array([500.0, np.nan, np.nan]))
     assert found == pytest.approx([0.5, 1.0, 1.0])
     assert contact.relative_removal(ToolProcess(), np.array([-0.01]), np.array([1000.0])) == [0.0], "noise about zero"
+
+
+def test_a_spindle_that_turns_the_wrong_way_removes_the_same_two_micrometres_aside() -> None:
+    """Preston's law takes the speed without its sign: neither a map nor the gate can name the direction."""
+    back = dataclasses.replace(PAPER, rpm=-PAPER.rpm)
+    x, y = np.meshgrid(np.linspace(-2.0, 2.0, 801), np.linspace(-2.0, 2.0, 801))
+    right, wrong = (np.abs(contact.removal_rate_nm_s(process, DEPTH, x, y)) for process in (PAPER, back))
+    assert np.allclose(wrong, right[:, ::-1], rtol=1e-12, atol=1e-9), "mirrored, across the lean"
+    assert wrong.sum() == pytest.approx(right.sum(), rel=1e-12)
+    aside_mm = (x * right).sum() / right.sum() - (x * wrong).sum() / wrong.sum()
+    assert aside_mm == pytest.approx(2 * float(contact.dissipative_shift_mm(PAPER, DEPTH)), rel=0.05)
+    assert 1e-3 < aside_mm < naming.LEAST_MM / 50

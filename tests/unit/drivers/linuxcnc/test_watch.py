@@ -30,7 +30,7 @@ def watch_of(
     at = np.array(sorted(asked or {}), dtype=np.int64)
     times = np.array([(asked or {})[k] for k in at.tolist()])
     program = replace(plan.program, block=at, time_s=times, encoding="dwell" if dwells else "feed")
-    watch = Watch(replace(plan, program=program), blocks)
+    watch = Watch(replace(plan, program=program, expected_time_s=times), blocks)
     watch.file = ProgramFile(lines, stops, "t")
     return watch
 
@@ -199,3 +199,17 @@ def test_records_are_in_order_once_and_fill_the_time(
     assert all(one.start_s <= one.end_s for one in found)
     assert all(a.end_s == b.start_s for a, b in pairwise(found))
     assert not found or (found[0].start_s == 0.0 and found[-1].end_s <= now + 1e-9)
+
+
+def test_a_line_that_the_motion_cannot_have_reached_is_not_believed() -> None:
+    """Where it begins to move LinuxCNC has told the line that it had read last: a pass of which none was executed."""
+    watch = watch_of(1000, stops=(4, 998), asked=dict.fromkeys(range(4, 998), 0.1))
+    watch.go(0.0)
+    watch.update(look(0.01, 999))
+    assert len(watch) == 0
+    watch.update(look(0.5, 6))
+    watch.update(look(0.6, 7))
+    assert len(watch) == watch.file.block_at(7) if watch.file is not None else False
+    for seconds in np.arange(0.7, 45.0, 0.1).tolist():
+        watch.update(look(seconds, 999))
+    assert len(watch) == watch.file.block_at(999), "it may be there by now, at the greatest override"
