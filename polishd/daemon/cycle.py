@@ -65,7 +65,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes
-        excess = await job.excess(plan, cell.limits.end_blur_s)
+        excess = await job.excess(plan)
         async with journal.phase(cycle, Phase.RUN), _fed(cell, job, plan, excess) as stream:
             await require_robot(cell, job.tools.now.contact.least_override)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)

@@ -230,13 +230,10 @@ class Job:
 
     # run
 
-    async def excess(self, plan: Plan, blur_s: float) -> ExcessMap:
-        """The limits of removal beyond that plan, for the robot's progress in contact.
-
-        ``blur_s``: how far off a block's reported end may be.
-        """
+    async def excess(self, plan: Plan) -> ExcessMap:
+        """The limits of removal beyond that plan, for the robot's progress in contact."""
         turn = self.tools.now
-        return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm, blur_s)
+        return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm)
 
     @property
     def knows_overhead(self) -> bool:

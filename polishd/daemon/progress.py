@@ -17,6 +17,7 @@ from polishd.model.errors import SafetyStop
 from polishd.model.program import Plan
 from polishd.model.surface import FloatArray
 from polishd.process.excess import Excess, ExcessMap
+from polishd.process.executed import pace
 
 STEP_S = 0.02
 """Between two looks at the time since the last progress."""
@@ -44,6 +45,10 @@ class ProgressLimits:
     """From the order to run until the first block begins."""
     release_s: float = 0.2
     """From leaving contact until the force is off."""
+    report_s: float = 0.1
+    """Greatest age of a report."""
+    blur_s: float = 0.0
+    """How far off a block's reported end may be, by a clock as fast as this one."""
     least_override: float = 0.0
     knows_overhead: bool = True
     """The planned times have the overhead of each point, as an earlier pass has shown it."""
@@ -54,7 +59,15 @@ class ProgressLimits:
     ) -> ProgressLimits:
         """Return them for a cell with these time limits; ``no_progress_s`` in the place of the derived one."""
         late_s = limits.no_progress_s if no_progress_s is None else no_progress_s
-        return cls(late_s, limits.robot.stop_s, limits.actuator.release_s, least_override, knows_overhead)
+        return cls(
+            late_s,
+            limits.robot.stop_s,
+            limits.actuator.release_s,
+            limits.robot.report_s,
+            limits.end_blur_s,
+            least_override,
+            knows_overhead,
+        )
 
 
 class Progress:
@@ -84,6 +97,8 @@ class Progress:
         """Beyond the planned times, and by how many points."""
         self._slow_s = self._recent_s = self._recent_points = 0.0
         """Of the last points: excess, expected time and number, fading."""
+        self._first: tuple[float, float] | None = None
+        """When the first point began that counts, as ``_point_began``."""
         self._new: list[int] = []
         """Points that were not judged yet."""
 
@@ -119,6 +134,7 @@ class Progress:
         reported_s, seen_s = block.end_s - began[0] - expected_s, self._clock_s - began[1] - expected_s
         self._point, self._point_began = point + 1, (block.end_s, self._clock_s)
         if point == 0:  # it begins at rest, off the part, and may take a while to start
+            self._first = self._point_began
             return
         self._reported.add(point, reported_s)
         self._seen.add(point, seen_s)
@@ -148,7 +164,10 @@ class Progress:
         standing_s = over_s + LOOK_S
         if standing_s <= 0.0 or self._reported is None or self._point >= self._block.size:
             return
-        if found := self._reported.beyond(self._point, standing_s, overhead_s=self._overhead_s):
+        blur_nm = self._blur_nm(self._reported)
+        if blur_nm is None:
+            return
+        if found := self._reported.beyond(self._point, standing_s, allowed_nm=blur_nm, overhead_s=self._overhead_s):
             beyond = f", {found.excess_nm:.1f} nm beyond the plan, at most {found.limit_nm:.1f} nm (limits.excess_nm)"
             raise SafetyStop(self._stands(f"expected {expected_s:.2f} s", stood_s, beyond))
 
@@ -186,20 +205,36 @@ class Progress:
             return None
         if not self._limits.knows_overhead and self._points < FIRST_POINTS:
             return None
-        allowed_nm, last, own_s = seen.peak_nm_s * self._limits.late_s, points[-1], self._overhead_s
+        if (blur_nm := self._blur_nm(reported)) is None:
+            return None
+        allowed_nm, last, own_s = blur_nm + seen.peak_nm_s * self._limits.late_s, points[-1], self._overhead_s
         judged: int | None = None
         for point in points:
             if point != last and judged is not None and not reported.far(point, judged):
                 continue
             judged = point
-            if found := reported.beyond(point, overhead_s=own_s) or seen.beyond(
+            if found := reported.beyond(point, allowed_nm=blur_nm, overhead_s=own_s) or seen.beyond(
                 point, allowed_nm=allowed_nm, overhead_s=own_s
             ):
                 return found
         slow = (self._slow_s - own_s * self._recent_points) / self._recent_s if self._recent_s > 0.0 else 0.0
-        return self._ahead(reported, last, slow) if slow > SLOW else None
+        return self._ahead(reported, last, slow, blur_nm) if slow > SLOW else None
 
-    def _ahead(self, excess: ExcessMap, point: int, slow: float) -> Excess | None:
+    def _blur_nm(self, excess: ExcessMap) -> float | None:
+        """Removal by which the reported times may be off; None while that is not known.
+
+        A simulated controller's clock may be faster than this one: its reports are as much farther apart by it.
+        """
+        blur_s = self._limits.blur_s
+        if not blur_s:
+            return 0.0
+        if self._first is None or self._point_began is None:
+            return None
+        process_s, wall_s = self._point_began[0] - self._first[0], self._clock_s - self._first[1]
+        most = pace(process_s, wall_s, self._limits.report_s)
+        return None if most is None else blur_s * max(most, 1.0) * excess.peak_nm_s
+
+    def _ahead(self, excess: ExcessMap, point: int, slow: float, blur_nm: float) -> Excess | None:
         """Excess that there will be when the force is off, should the motion stay as slow."""
         left_s = self._limits.release_s + LOOK_S
         counted: list[tuple[int, float]] = []
@@ -211,8 +246,8 @@ class Progress:
             left_s -= takes_s
         for later, more_s in counted:
             excess.add(later, more_s, times=0)
-        own_s = self._overhead_s
-        found = next((found for later, _ in counted if (found := excess.beyond(later, overhead_s=own_s))), None)
+        allowed = {"allowed_nm": blur_nm, "overhead_s": self._overhead_s}
+        found = next((found for later, _ in counted if (found := excess.beyond(later, **allowed))), None)
         for later, more_s in counted:
             excess.add(later, -more_s, times=0)
         return found

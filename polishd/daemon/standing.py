@@ -114,11 +114,8 @@ def _spot(recipe: Recipe) -> SpotFigures:
     return spot_figures(process) if tif is None else measured_figures(tif, process)
 
 
-def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float) -> ExcessMap:
-    """Return the limits of removal beyond that plan on the part: ``most_nm``, or by tolerance and plan.
-
-    ``blur_s``: how far off a block's reported end may be.
-    """
+def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None) -> ExcessMap:
+    """Return the limits of removal beyond that plan on the part: ``most_nm``, or by tolerance and plan."""
     share = TENTH if most_nm is None else 0.0
     return ExcessMap(
         in_part_frame(recipe, plan.program),
@@ -126,6 +123,5 @@ def excess_map(recipe: Recipe, plan: Plan, most_nm: float | None, blur_s: float)
         _spot(recipe),
         floor_nm=(tolerance_nm(recipe) or NO_TOLERANCE_NM) / 2 if most_nm is None else most_nm,
         share=share,
-        blur_s=blur_s,
         on_part=recipe.outline.contains,
     )

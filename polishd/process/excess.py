@@ -47,7 +47,6 @@ class ExcessMap:
         *,
         floor_nm: float,
         share: float = 0.0,
-        blur_s: float = 0.0,
         on_part: Callable[[FloatArray, FloatArray], BoolArray] | None = None,
     ) -> None:
         """Set the limit at each place: the larger of ``floor_nm`` and ``share`` of the planned removal there.
@@ -58,7 +57,6 @@ class ExcessMap:
             spot: the spot's profiles and its peak rate.
             floor_nm: limit where little is planned.
             share: limit relative to the planned removal.
-            blur_s: how far off a block's reported end may be; that much at the peak rate is no excess.
             on_part: which places (x, y), mm, are on the part: no others are judged. None: all are.
         """
         self.peak_nm_s = spot.peak_nm_s
@@ -76,7 +74,7 @@ class ExcessMap:
         planned = np.zeros(shape)
         np.add.at(planned, (self._cell[:, 0], self._cell[:, 1]), expected_s)
         planned_nm = scipy.signal.fftconvolve(planned, self._spot_nm_s, mode="same")
-        self._limit_nm: FloatArray = np.maximum(floor_nm, share * planned_nm) + blur_s * self.peak_nm_s
+        self._limit_nm: FloatArray = np.maximum(floor_nm, share * planned_nm)
         if on_part is not None:
             x, y = (self._origin_mm[axis] + np.arange(shape[axis]) * self._pitch_mm for axis in (0, 1))
             self._limit_nm[~on_part(x[:, None], y[None, :])] = np.inf

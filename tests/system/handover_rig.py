@@ -13,7 +13,7 @@ from polishd.config.cell import load_config
 from polishd.config.controller_profile import FOLDER
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from tests.system.cell_rig import with_keys, with_part, without, write_small
+from tests.system.cell_rig import PATIENT, with_keys, with_part, without, write_small
 
 Kind = Literal["opcua", "ads", "modbus"]
 PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads", "modbus": "plc-modbus"}
@@ -50,6 +50,7 @@ def hand_over(files: DemoFiles, kind: Kind) -> None:
         "profile": "controller.toml",
         "address": addresses[kind],
         "delivery": "folder:sim/programs",
+        "no_progress_s": PATIENT["robot"]["no_progress_s"],
     }
     section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])
     cell = without(files.cell.read_text(), "robot").replace('load = ["rnc_robot"', 'load = ["rnc_robot", "handover"')

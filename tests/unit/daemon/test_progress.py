@@ -220,6 +220,20 @@ def test_the_first_pass_may_show_what_a_point_costs_and_is_still_watched(overhea
         assert stood_s < overhead_s + LATEST_S + 3 * STEP_S if not slow else stood_s < 4 * took
 
 
+@pytest.mark.parametrize("speed", [1.0, 30.0])
+def test_how_well_an_end_is_known_is_no_slow_motion_at_any_speed_of_the_clock(speed: float) -> None:
+    """Reports 0.1 s apart tell of ends 29 ms off; a controller that is simulated faster is off by as much more."""
+    plan, late = plan_of(), np.random.default_rng(5).normal(0.0, 0.029, 201)
+    run = Run(plan, excess_of(plan), replace(LIMITS, blur_s=0.087))
+    for before_s, after_s in pairwise(late * speed):
+        run.block(BLOCK_S + after_s - before_s, took_s=BLOCK_S / speed)
+    assert run.progress.worst > 1.0
+    if speed == 1.0:
+        slow = Run(plan_of(), excess_of(plan), replace(LIMITS, blur_s=0.087))
+        _, why = slow.until_stopped(10.0, reported_s=2 * BLOCK_S, took_s=2 * BLOCK_S)
+        assert "slower than planned" in why
+
+
 def test_with_a_known_overhead_the_same_is_slow_motion() -> None:
     plan = plan_of()
     run = Run(plan, excess_of(plan))

@@ -22,9 +22,9 @@ def raster(tracks: int = 21, points: int = 60, pitch_mm: float = 0.5) -> FloatAr
     return np.concatenate(rows)
 
 
-def excess_map(floor_nm: float = 5.0, share: float = 0.0, **more: float) -> ExcessMap:
+def excess_map(floor_nm: float = 5.0, share: float = 0.0) -> ExcessMap:
     path = program(raster(), POINT_S)
-    return ExcessMap(path, path.time_s, SPOT, floor_nm=floor_nm, share=share, **more)  # type: ignore[arg-type]
+    return ExcessMap(path, path.time_s, SPOT, floor_nm=floor_nm, share=share)
 
 
 def test_a_standing_tool_removes_its_peak_rate() -> None:
@@ -66,11 +66,12 @@ def test_what_one_point_took_too_long_the_next_may_take_less() -> None:
     assert found.worst() < 1.5 * late_s * SPOT.peak_nm_s
 
 
-def test_how_well_an_end_is_known_is_no_excess() -> None:
-    found = excess_map(blur_s=0.1)
+def test_what_is_allowed_besides_comes_on_top() -> None:
+    found = excess_map()
     found.add(300, 0.1)
-    assert found.beyond(300, 4.0 / SPOT.peak_nm_s) is None
-    assert found.beyond(300, 6.0 / SPOT.peak_nm_s) is not None
+    allowed_nm = 0.1 * SPOT.peak_nm_s
+    assert found.beyond(300, 4.0 / SPOT.peak_nm_s, allowed_nm=allowed_nm) is None
+    assert found.beyond(300, 6.0 / SPOT.peak_nm_s, allowed_nm=allowed_nm) is not None
 
 
 def test_what_each_point_may_take_besides_is_no_excess() -> None:
