@@ -62,6 +62,9 @@ def beliefs_of(
         contact_h: of the pass.
         rates: least and largest rate that may be believed.
         volume: (k,) of `Identified`: the rate's stated error is that of all that the next pass removes.
+
+    The next pass may be another program's: on the tracks of a first touch rate and field cancel, over a part they do
+    not. So the stated error is that of an even pass, too, with all extensions in, and what leaving some out has moved.
     """
     out = without(learned.parameters, frozenset(taken))
     mean, covariance = conditioned(learned.mean, learned.covariance, out)
@@ -74,8 +77,11 @@ def beliefs_of(
     }
     rate = plan.at("rate")
     value = float(np.clip(np.exp(plan.mean[rate]), *rates))
+    even = np.where([name.startswith("field_") for name in known.names], 0.0, volume)
+    moved = float(even @ (mean - learned.mean))
+    sigma = max(np.sqrt(volume @ plan.covariance @ volume), np.hypot(np.sqrt(even @ known.covariance @ even), moved))
     return MachineBeliefs(
-        rate=Belief(value, value * float(np.sqrt(volume @ plan.covariance @ volume))),
+        rate=Belief(value, value * float(sigma)),
         applied=applied,
         mean=dict(zip(known.names, known.mean.tolist(), strict=True)),
         covariance=tuple(tuple(row) for row in known.covariance.tolist()),

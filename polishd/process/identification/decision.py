@@ -38,6 +38,8 @@ class Found:
     """Length of what the pass's plan did not count with, as far as that is limited."""
     parts: Mapping[str, float] = field(default_factory=dict)
     """The vector, by parameter."""
+    error: float = 0.0
+    """Standard error that is stated: with all extensions in, and with what leaving some out has moved."""
 
     @property
     def words(self) -> str:
@@ -45,15 +47,19 @@ class Found:
         if len(self.parts) == 1:
             (value,) = self.parts.values()
             slope = float(np.exp(value)) if self.name in LOGARITHMS else 1.0
-            error = f"{self.sigma * slope * self._scale:.2g}"
+            error = f"{self._error * slope * self._scale:.2g}"
             return f"{self.name} of {self._value(value):+.3g} +- {error} {self._unit}".rstrip()
-        size = f"{self.name} of {self.size * self._scale:.3g} +- {self.sigma * self._scale:.2g} {self._unit}"
+        size = f"{self.name} of {self.size * self._scale:.3g} +- {self._error * self._scale:.2g} {self._unit}"
         listed = ", ".join(f"{name} {value * self._scale:+.3g}" for name, value in self.parts.items())
         return f"{size} ({listed})"
 
     def words_of(self, limit: float) -> str:
         """A limit in the unit of the words."""
         return f"{self._value(limit):.3g} {self._unit}".rstrip()
+
+    @property
+    def _error(self) -> float:
+        return max(self.error, self.sigma)
 
     @property
     def _unit(self) -> str:
@@ -129,5 +135,7 @@ def _sizes(found: Identified) -> list[Found]:
         beyond = np.maximum(np.minimum(new, vector), 0.0) if name in UPWARDS else new
         unit, beyond_size = applied.parameters[own[0]].unit, float(np.linalg.norm(beyond))
         parts = {applied.names[k]: float(value) for k, value in zip(own, vector, strict=True)}
-        sizes.append(Found(name, size, sigma, unit, beyond_size, parts))
+        moved = float(along @ (vector - found.learned.mean[own]))
+        error = float(np.hypot(np.sqrt(along @ found.learned.covariance[np.ix_(own, own)] @ along), moved))
+        sizes.append(Found(name, size, sigma, unit, beyond_size, parts, error))
     return sizes

@@ -332,6 +332,7 @@ def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_
     alone = SimpleNamespace(extensions=frozenset({"compliance"}))
     found = SimpleNamespace(
         applied=applied,
+        learned=applied,
         extensions=alone.extensions,
         counted={"compliance": counted},
         displaced_mm=(0.0, 0.0),
