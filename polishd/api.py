@@ -86,9 +86,11 @@ from polishd.process.effect import Effect, SparseEffect
 from polishd.secret import SecretPlace, hide, read_secret
 
 if TYPE_CHECKING:
-    from polishd.drivers.transport.address import Address, SerialLine, Tcp, parse_address
+    from polishd.drivers.profiled.modbus_link import ModbusLink
+    from polishd.drivers.transport.address import Address, SerialLine, Tcp, line_address, parse_address
     from polishd.drivers.transport.background import Background
     from polishd.drivers.transport.numbered import NumberedLines
+    from polishd.drivers.transport.pace import Pace
     from polishd.drivers.transport.plain import PlainLines
     from polishd.drivers.transport.requests import RequestQueue
     from polishd.drivers.transport.streams import LineReader, open_stream
@@ -144,12 +146,14 @@ __all__ = [
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",
+    "ModbusLink",
     "Monitor",
     "MonitorTimes",
     "Notification",
     "NotifierType",
     "NumberedLines",
     "Optic",
+    "Pace",
     "Placement",
     "PlainLines",
     "Plan",
@@ -195,18 +199,21 @@ __all__ = [
     "hide",
     "hookimpl",
     "learn_rate",
+    "line_address",
     "open_stream",
     "parse_address",
     "read_secret",
 ]
 
 _TRANSPORT = {
-    "address": ("Address", "SerialLine", "Tcp", "parse_address"),
-    "background": ("Background",),
-    "numbered": ("NumberedLines",),
-    "plain": ("PlainLines",),
-    "requests": ("RequestQueue",),
-    "streams": ("LineReader", "open_stream"),
+    "profiled.modbus_link": ("ModbusLink",),
+    "transport.address": ("Address", "SerialLine", "Tcp", "line_address", "parse_address"),
+    "transport.background": ("Background",),
+    "transport.numbered": ("NumberedLines",),
+    "transport.pace": ("Pace",),
+    "transport.plain": ("PlainLines",),
+    "transport.requests": ("RequestQueue",),
+    "transport.streams": ("LineReader", "open_stream"),
 }
 
 if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
@@ -215,5 +222,5 @@ if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
         """What drivers are made of is imported when it is first asked for: commands without devices need no asyncio."""
         for module, names in _TRANSPORT.items():
             if name in names:
-                return getattr(import_module(f"polishd.drivers.transport.{module}"), name)
+                return getattr(import_module(f"polishd.drivers.{module}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
