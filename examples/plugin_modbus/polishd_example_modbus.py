@@ -91,8 +91,8 @@ class Actuator:
     async def identify(self) -> Identity:
         """See Device."""
         words = await self._ask(lambda: self._link.read("input", 100, 30))
-        texts = [_text(words[first : first + count]) for first, count in TEXTS]
-        return Identity(*texts, str(words[28] << 16 | words[29]))
+        vendor, model, serial, firmware = (_text(words[first : first + count]) for first, count in TEXTS)
+        return Identity(vendor, model, serial, firmware, str(words[28] << 16 | words[29]))
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means retracted."""
