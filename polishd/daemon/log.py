@@ -12,7 +12,8 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from pathlib import Path
 
-from polishd.plain import plain, printable
+from polishd.model.printable import printable
+from polishd.plain import plain
 
 LOG_NAME = "polishd.log"
 _MAX_BYTES = 10_000_000

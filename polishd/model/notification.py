@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from polishd.model.concern import Severity
-from polishd.plain import printable
+from polishd.model.printable import printable
 
 TITLE_LETTERS = 140
 _WITH_A_DIGIT = re.compile(r"\S*\d\S*")

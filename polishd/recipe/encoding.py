@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from polishd.model.errors import ConfigError
-from polishd.plain import printable
+from polishd.model.printable import printable
 
 Arrays = Mapping[str, NDArray[Any] | float]
 T = TypeVar("T")

@@ -14,8 +14,9 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
+from polishd.model.printable import printable
 from polishd.model.tolerance import Judged, judged_of
-from polishd.plain import plain, printable
+from polishd.plain import plain
 from polishd.show.terminal import say
 
 WIDE = 160

@@ -9,7 +9,7 @@ import logging
 
 import typer
 
-from polishd.plain import printable
+from polishd.model.printable import printable
 
 
 def say(text: str, *, err: bool = False, nl: bool = True) -> None:

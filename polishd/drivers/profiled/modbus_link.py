@@ -14,11 +14,11 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from pymodbus.pdu import bit_message as bit
 from pymodbus.pdu import register_message as word
 
-from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_tables import Table
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
 from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 from polishd.drivers.transport.streams import drop_stale
+from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 
 READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
     "coil": (bit.ReadCoilsRequest, bit.ReadCoilsResponse),

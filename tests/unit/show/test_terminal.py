@@ -22,7 +22,7 @@ from polishd.model.concern import NOT_ASKED, Severity
 from polishd.model.errors import DeviceRefused
 from polishd.model.events import Ordered, PartWanted
 from polishd.model.notification import Notification
-from polishd.plain import printable
+from polishd.model.printable import printable
 from polishd.recipe.encoding import table
 from polishd.show import tables
 from polishd.show.tables import Terminal, key_table, record_table
