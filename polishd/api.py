@@ -89,10 +89,12 @@ from polishd.process.effect import Effect, SparseEffect
 from polishd.secret import SecretPlace, hide, read_secret
 
 if TYPE_CHECKING:
-    from polishd.drivers.transport.address import Address, SerialLine, Tcp, parse_address
+    from polishd.drivers.profiled.modbus_link import ModbusLink
+    from polishd.drivers.transport.address import Address, SerialLine, Tcp, line_address, parse_address
     from polishd.drivers.transport.background import Background
     from polishd.drivers.transport.claims import claim_address
     from polishd.drivers.transport.numbered import NumberedLines
+    from polishd.drivers.transport.pace import Pace
     from polishd.drivers.transport.plain import PlainLines
     from polishd.drivers.transport.requests import RequestQueue
     from polishd.drivers.transport.streams import LineReader, open_stream
@@ -150,6 +152,7 @@ __all__ = [
     "MeasuredCompliance",
     "MeasuredTif",
     "Metrology",
+    "ModbusLink",
     "Monitor",
     "MonitorTimes",
     "Notification",
@@ -157,6 +160,7 @@ __all__ = [
     "NumberedLines",
     "Optic",
     "OwnLines",
+    "Pace",
     "Placement",
     "PlainLines",
     "Plan",
@@ -203,19 +207,22 @@ __all__ = [
     "hide",
     "hookimpl",
     "learn_rate",
+    "line_address",
     "open_stream",
     "parse_address",
     "read_secret",
 ]
 
 _TRANSPORT = {
-    "address": ("Address", "SerialLine", "Tcp", "parse_address"),
-    "background": ("Background",),
-    "claims": ("claim_address",),
-    "numbered": ("NumberedLines",),
-    "plain": ("PlainLines",),
-    "requests": ("RequestQueue",),
-    "streams": ("LineReader", "open_stream"),
+    "profiled.modbus_link": ("ModbusLink",),
+    "transport.address": ("Address", "SerialLine", "Tcp", "line_address", "parse_address"),
+    "transport.background": ("Background",),
+    "transport.claims": ("claim_address",),
+    "transport.numbered": ("NumberedLines",),
+    "transport.pace": ("Pace",),
+    "transport.plain": ("PlainLines",),
+    "transport.requests": ("RequestQueue",),
+    "transport.streams": ("LineReader", "open_stream"),
 }
 
 if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
@@ -224,5 +231,5 @@ if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
         """What drivers are made of is imported when it is first asked for: commands without devices need no asyncio."""
         for module, names in _TRANSPORT.items():
             if name in names:
-                return getattr(import_module(f"polishd.drivers.transport.{module}"), name)
+                return getattr(import_module(f"polishd.drivers.{module}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerRTU, FramerSocket
@@ -13,11 +14,11 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from pymodbus.pdu import bit_message as bit
 from pymodbus.pdu import register_message as word
 
-from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_tables import Table
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
 from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 from polishd.drivers.transport.streams import drop_stale
+from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 
 READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
     "coil": (bit.ReadCoilsRequest, bit.ReadCoilsResponse),
@@ -45,13 +46,18 @@ class ModbusLink(UnnumberedLink):
     """Modbus RTU, whose answers bear no number, or Modbus TCP, whose line is treated as strictly."""
 
     def __init__(
-        self, address: Tcp | SerialLine, unit: int, silence_s: float, pause_s: float, refusals: dict[int, str]
+        self,
+        address: Tcp | SerialLine,
+        unit: int,
+        silence_s: float,
+        pause_s: float = 0.0,
+        refusals: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
         """See UnnumberedLink. ``pause_s`` of silence before a request; ``refusals``: its exception codes."""
         super().__init__(address, silence_s)
         self.name = f"{address} unit {unit}"
         self._unit = unit
-        self._refusals = REFUSALS | refusals
+        self._refusals = {**REFUSALS, **refusals}
         serial = isinstance(address, SerialLine)
         self._framer = (FramerRTU if serial else FramerSocket)(DecodePDU(False))
         # the standard's three and a half bytes, and its least of them for fast lines
