@@ -1,9 +1,9 @@
 """The devices of a cell.
 
 Every driver keeps these rules. ``make_safe`` is idempotent, bounded in time and allowed in any state, also before
-``open`` and after ``close``. A driver connects to what this process has claimed only. No driver repeats a write on its own. A lost link raises LinkError at once to whoever
-waits. ``times`` says how long its actions may take, from its config, also before ``open``: the daemon's own limits are
-derived from that (``daemon.time_limits``).
+``open`` and after ``close``. A driver connects only to what this process has claimed. No driver repeats a write on its
+own. A lost link raises LinkError at once to whoever waits. ``times`` says how long its actions may take, from its
+config, also before ``open``: the daemon's own limits are derived from that (``daemon.time_limits``).
 """
 
 from __future__ import annotations
