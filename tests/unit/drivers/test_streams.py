@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
-from polishd.api import ByteStream, LinkError
+from polishd.api import ByteStream, DeviceClaimed, LinkError
 from polishd.drivers.transport import streams
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.streams import LineReader, ReadBuffer, open_stream
+from polishd.ports import address_claims
 from tests.fakes.wires import Peer, PtyWire, TcpWire
 from tests.patience import within
 
@@ -153,3 +155,33 @@ async def test_lines_are_cut_out_of_anything(ends: Ends) -> None:
     peer.send(b"unfinished")
     with pytest.raises(LinkError, match="silent"):
         await lines.next(0.02)
+
+
+async def test_an_address_that_another_program_has_is_not_connected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And once it is free it is claimed while the stream is open, and no longer."""
+    connected = 0
+
+    class Counts(Recorder):
+        def on_connect(self) -> None:
+            nonlocal connected
+            connected += 1
+
+    wire = await TcpWire(Counts()).start()
+    there = Tcp("localhost", wire.port)
+    with monkeypatch.context() as patched:
+
+        def busy(path: Path) -> int:
+            raise BlockingIOError(errno.EWOULDBLOCK, '{"pid": 7, "command": "polishd run", "cell": "north"}')
+
+        patched.setattr(address_claims, "_lock_file", busy)
+        with pytest.raises(DeviceClaimed, match=r"pid 7 \(polishd run\), cell 'north'"):
+            await open_stream(there)
+    await asyncio.sleep(0.05)
+    assert connected == 0
+    stream = await open_stream(there)
+    held = set(stream.claimed.keys)
+    assert f"tcp:localhost:{wire.port}" in held
+    await stream.close()
+    assert not stream.claimed.keys
+    assert not held & set(address_claims._locks)
+    await wire.close()
