@@ -17,7 +17,7 @@ from typer import Argument, Option
 from polishd import __version__
 from polishd.console.cli import Reason, jobs, opcua, recordings, reports, services
 from polishd.console.shop_cli import app as shops
-from polishd.model.errors import PolishdError
+from polishd.model.errors import ComputeError, PolishdError
 from polishd.show.terminal import escape_logs, say
 from polishd.workbench.cli import app as workbench
 from polishd.workbench.options import Cell, Json
@@ -380,6 +380,14 @@ def main() -> None:
     except PolishdError as error:
         say(f"polishd: {_with_cell(str(error))}", err=True)
         sys.exit(error.exit_code)
+    except MemoryError as error:
+        what = str(error) or "the computation"
+        say(
+            f"polishd: this computer has too little memory: {what}. Check sizes and pitches in the files "
+            "(part, process.grid_mm, plant.pitch_mm), or end other programs",
+            err=True,
+        )
+        sys.exit(ComputeError.exit_code)
     except OSError as error:
         full = error.errno == errno.ENOSPC
         name = error.filename or (_full_output() if full else None)

@@ -34,7 +34,7 @@ from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
 from polishd.config.tools import ToolSection, laid_over
-from polishd.config.values import Name, Texts, as_tuple
+from polishd.config.values import Name, Texts, as_tuple, require_cells
 from polishd.config.web import ServedDocument
 from polishd.hookspecs import DeviceType, NotifierType
 from polishd.model.devices import port_of
@@ -208,6 +208,7 @@ def consistent(config: CellConfig) -> CellConfig:
     """The same; ConfigError, as of ``load_config``, where values that are right alone do not go together."""
     wrong = (
         *_wrong_force(config),
+        *_wrong_grid(config),
         *_wrong_devices(config),
         *_wrong_signals(config),
         *_wrong_tolerance(config),
@@ -255,6 +256,16 @@ def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
             "tolerance",
             '3/A is the power, which part.alignment = "power" takes off: nothing is left to judge; use "tilt"',
         )
+
+
+def _wrong_grid(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """The same of the grid; a part whose corners are in a file is judged where that is read."""
+    if config.part.polygon_file is None:
+        wide, high = (2 * half for half in config.part.outline.half_mm)
+        try:
+            require_cells(wide, high, config.process.grid_mm, "process.grid_mm")
+        except ValueError as error:
+            yield "process.grid_mm", str(error).partition(": ")[2]
 
 
 def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:

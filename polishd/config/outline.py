@@ -8,27 +8,29 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.values import Pair, Positive, Section, as_tuple
+from polishd.config.values import Section, Size, as_tuple
 from polishd.model.errors import ComputeError
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 
 OUTLINES = ("aperture_mm", "rectangle_mm", "hexagon_mm", "polygon_mm", "polygon_file")
 """Each says the outline: what has one has no other."""
 Corners = tuple[tuple[float, float], ...]
+Coordinate = Annotated[float, Field(ge=-5000, le=5000)]
+Corner = Annotated[tuple[Coordinate, Coordinate], BeforeValidator(as_tuple)]
 
 
 class OutlineKeys(Section):
     """The outline of a part about its centre."""
 
-    aperture_mm: Annotated[float, Field(gt=0, le=5000)] | None = None
+    aperture_mm: Size | None = None
     """Diameter of a round part."""
-    hole_mm: Positive | None = None
+    hole_mm: Size | None = None
     """Diameter of a round hole in the middle of a round part; what lies in it is no part."""
-    rectangle_mm: Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple)] | None = None
+    rectangle_mm: Annotated[tuple[Size, Size], BeforeValidator(as_tuple)] | None = None
     """Instead of `aperture_mm`: sides of a rectangular part, along its x and y."""
-    hexagon_mm: Positive | None = None
+    hexagon_mm: Size | None = None
     """Instead: width across flats of a regular hexagon; two of its corners lie on the part's x."""
-    polygon_mm: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] | None = None
+    polygon_mm: Annotated[tuple[Corner, ...], BeforeValidator(as_tuple), Field(max_length=10_000)] | None = None
     """Instead: corners (x, y) of any other, in order around it."""
 
     @model_validator(mode="after")

@@ -196,7 +196,7 @@ class ProcessSection(Section):
     correction: Correction = "exact"
     """How the dwell accounts for the robot's compliance: not, afterwards point by point, by gamma (eq. 49), by gamma
     to the power `depth_exponent`, or by the spot of each point's own depth."""
-    grid_mm: Annotated[float, Field(gt=0, le=20)] = 0.5
+    grid_mm: Annotated[float, Field(ge=0.01, le=20)] = 0.5
     """Pitch of the grid on which the dwell is solved: half the raster's step, or lines can ripple unseen. Finer
     costs time and memory with its square."""
     tif: Text | None = None

@@ -62,7 +62,7 @@ class Artefact(Section):
 
     part_id: str = "ARTEFACT"
     """Its name in the map."""
-    diameter_mm: Annotated[float, Field(gt=5)] = 100.0
+    diameter_mm: Annotated[float, Field(gt=5, le=5000)] = 100.0
     """Of the flat."""
     bumps: Annotated[tuple[Bump, ...], BeforeValidator(as_tuple)] = ()
     """What stands on it: `[artefact]` of the instrument's profile says the same."""
@@ -87,11 +87,11 @@ class Robot(Section):
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     report_ms: Positive = 20.0
     """Of such a PLC: how often it renews what it tells, wall time."""
-    reads_ahead: Annotated[int, Field(ge=0)] = 0
+    reads_ahead: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
-    window: Annotated[int, Field(ge=1)] = 16384
+    window: Annotated[int, Field(ge=1, le=10_000_000)] = 16384
     """Blocks that it holds ahead of the motion. [1]"""
     corner_deg: float = 30.0
     """Change of direction beyond which it stops at a block's end."""
@@ -121,7 +121,7 @@ class Actuator(Section):
     """File of the device profile, for `profile` and `profile_tcp`."""
     port: Port = 0
     """TCP port on loopback, for modbus_tcp, socketcand and profile_tcp; 0: any that is free. [1]"""
-    baud: Annotated[int, Field(ge=1200)] = 115200
+    baud: Annotated[int, Field(ge=1200, le=12_000_000)] = 115200
     """Pace of the serial line. [bit/s]"""
     unit: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus unit number. [1]"""
@@ -156,7 +156,7 @@ class Spindle(Section):
     """TCP port on loopback, for socketcand and profile_tcp; 0: any that is free. [1]"""
     node: Annotated[int, Field(ge=1, le=127)] = 5
     """CANopen node number. [1]"""
-    max_rpm: Annotated[int, Field(ge=1)] = 3000
+    max_rpm: Annotated[int, Field(ge=1, le=200_000)] = 3000
     """Fastest that it turns; more is refused."""
     spin_s: Positive = 3.0
     """From standstill to 1000 rpm, simulated clock."""
@@ -187,7 +187,7 @@ class Line(Section):
     """Its line."""
     port: Port = 0
     """TCP port on loopback; 0: any that is free. [1]"""
-    baud: Annotated[int, Field(ge=1200)] = 115200
+    baud: Annotated[int, Field(ge=1200, le=12_000_000)] = 115200
     """Pace of the serial line. [bit/s]"""
 
 

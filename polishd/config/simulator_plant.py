@@ -21,6 +21,7 @@ from polishd.config.values import (
     Text,
     Vector,
     as_tuple,
+    require_cells,
 )
 from polishd.model.process import FLAT, NormalForce, Projection, ToolProcess
 
@@ -40,11 +41,11 @@ class Plant(OutlineKeys):
     """Process seconds per wall second while the robot runs. [1]"""
     part_id: str = "DEMO-100"
     """The part's name in the maps; `part.id` of the cell must be the same."""
-    aperture_mm: Annotated[float, Field(gt=5)] | None = 100.0
+    aperture_mm: Annotated[float, Field(gt=5, le=5000)] | None = 100.0
     """Diameter of a round part, which counts where no other key says the outline."""
     edge_mm: NotNegative = 3.0
     """Width of the rim that the true RMS and PV in the logs leave out."""
-    ring_mm: Annotated[float, Field(ge=3)] = 15.0
+    ring_mm: Annotated[float, Field(ge=3, le=1000)] = 15.0
     """Width of the flush waster around the part: room for landing pads and overrun."""
     pitch_mm: Annotated[float, Field(gt=0.05, le=1)] = 0.5
     """Of the true surface, and of the maps."""
@@ -79,6 +80,12 @@ class Plant(OutlineKeys):
     def reach_mm(self) -> float:
         """From the vertex to the farthest of part and ring."""
         return math.hypot(*self.off_axis_mm) + self.outline.radius_mm + self.ring_mm
+
+    @model_validator(mode="after")
+    def _can_be_simulated(self) -> Self:
+        across_mm = 2 * (self.outline.radius_mm + self.ring_mm)
+        require_cells(across_mm, across_mm, self.pitch_mm, "pitch_mm")
+        return self
 
     @model_validator(mode="after")
     def _is_a_surface(self) -> Self:

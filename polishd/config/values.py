@@ -46,6 +46,21 @@ def _require_usable(value: Any) -> None:
             _require_usable(item)
 
 
+MOST_CELLS = 16_000_000
+"""Cells of a grid over a part: 4000 along each side."""
+
+
+def require_cells(wide_mm: float, high_mm: float, pitch_mm: float, key: str) -> None:
+    """ValueError where a grid of that pitch has more cells than a computer can work with."""
+    cells = (wide_mm / pitch_mm + 1) * (high_mm / pitch_mm + 1)
+    if cells > MOST_CELLS:
+        least_mm = math.sqrt(wide_mm * high_mm / MOST_CELLS)
+        raise ValueError(
+            f"{key}: {pitch_mm:g} mm makes a grid of {cells:.2g} cells over {wide_mm:g} mm x {high_mm:g} mm, at most "
+            f"{MOST_CELLS:.2g} can be computed; give at least {least_mm:.2g} mm"
+        )
+
+
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Text = Annotated[str, StringConstraints(min_length=1)]
 Texts = Annotated[tuple[Text, ...], BeforeValidator(as_tuple)]
@@ -54,9 +69,11 @@ NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]
 ShareOrNone = Annotated[float, Field(ge=0, lt=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
-Seconds = Annotated[float, Field(gt=0, le=3600)]
-Force = Annotated[float, Field(gt=0, le=500)]
-Speed = Annotated[float, Field(gt=0, le=20000)]
+Seconds = Annotated[float, Field(gt=0, le=3600), AfterValidator(_not_tiny)]
+Force = Annotated[float, Field(ge=0.01, le=500)]
+Speed = Annotated[float, Field(gt=0, le=20000), AfterValidator(_not_tiny)]
+Size = Annotated[float, Field(ge=0.1, le=5000)]
+"""Of a part, or of what is as large, mm."""
 Dip = Annotated[float, Field(ge=0, lt=90)]
 Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]

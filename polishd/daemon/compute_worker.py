@@ -11,6 +11,8 @@ import struct
 import sys
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from polishd.daemon.priority import compute_last
@@ -33,6 +35,10 @@ def pack(value: object) -> list[bytes | memoryview]:
     return framed
 
 
+OOM_SCORE = 500
+"""Of 1000: what the kernel ends first where memory is out."""
+
+
 def unpack(pieces: list[bytes]) -> Any:
     """The value of a message's pieces; arrays are writable."""
     main, *buffers = pieces
@@ -43,6 +49,7 @@ def unpack(pieces: list[bytes]) -> Any:
 def main() -> None:
     """Serve calls on stdin and stdout until stdin ends. What a call prints goes to stderr."""
     _die_with_parent()
+    _die_before_parent()
     compute_last()
     for name in EARLY:
         importlib.import_module(name)
@@ -93,6 +100,12 @@ def _read(calls: BinaryIO) -> list[bytes] | None:
     if len(head) < LENGTH.size:
         return None
     return [calls.read(LENGTH.unpack(calls.read(LENGTH.size))[0]) for _ in range(LENGTH.unpack(head)[0])]
+
+
+def _die_before_parent() -> None:
+    """Where memory is out the kernel ends this process, which is replaced, and not the daemon, which may press."""
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(OOM_SCORE))
 
 
 def _die_with_parent() -> None:

@@ -10,8 +10,8 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict, dataclass
 from heapq import nlargest
 from pathlib import Path
@@ -34,6 +34,10 @@ WINDOW_S = 60.0
 """For so long a lag of the loop is remembered."""
 MEMORY_SHARE = 0.02
 """Of the computer's memory; with less left the kernel begins to kill."""
+CGROUPS, OWN_CGROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+V1_FILES, V2_FILES = ("memory.limit_in_bytes", "memory.usage_in_bytes"), ("memory.max", "memory.current")
+MOST_MEMORY = 1 << 50
+"""A limit of a control group that is larger is none."""
 SHARE = 0.5
 """Of a watchdog: what is later than that may be too late the next time."""
 
@@ -166,13 +170,46 @@ def _left(state_dir: Path, run_dir: Path, writes: Writes) -> dict[str, Figure]:
             found.append(Figure(room.files_name, room.left_files, room.needed_files, advice, least=True))
     if (memory := _memory_mb()) is not None:
         total_mb, left_mb = memory
-        advice = "end other programs on this computer"
+        advice = "end other programs on this computer, or give the service more (MemoryMax)"
         found.append(Figure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
     return {figure.name: figure for figure in found}
 
 
 def _memory_mb() -> tuple[float, float] | None:
-    """All, and what programs may still have; None where the kernel does not say."""
+    """All, and what programs may still have; None where the kernel does not say.
+
+    Of the computer, or of the control group (a service, a container) with the least left, where that is less.
+    """
+    found = [*([host] if (host := _host_memory_mb()) else []), *_group_memory_mb()]
+    return min(found, key=lambda one: one[1] / one[0], default=None)
+
+
+def _group_memory_mb(root: Path = CGROUPS, own: Path = OWN_CGROUPS) -> Iterator[tuple[float, float]]:
+    """Limit, and what is left of it, of each control group of this process that has one."""
+    try:
+        lines = own.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        base = root / "memory" if controllers else root
+        limit, used = V1_FILES if controllers else V2_FILES
+        folder = base / path.lstrip("/")
+        while True:
+            with suppress(OSError, ValueError):  # a group without a limit says "max", or the root has no such file
+                total = int((folder / limit).read_text())
+                cache = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+                left = total - int((folder / used).read_text()) + int(cache.get("inactive_file", 0))
+                if 0 < total < MOST_MEMORY:
+                    yield total / MB, max(left, 0) / MB
+            if folder == base:
+                break
+            folder = folder.parent
+
+
+def _host_memory_mb() -> tuple[float, float] | None:
     try:
         lines = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
     except OSError:

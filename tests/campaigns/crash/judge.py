@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.daemon.journal import JOURNAL_NAME, Journal
-from polishd.daemon.journal_check import register_checksum
+from polishd.daemon.journal_check import CommitRecord, register_checksum
 from polishd.daemon.journal_schema import connect
 from polishd.model.errors import PolishdError
 from tests.campaigns.crash.disk import Files
@@ -129,7 +129,8 @@ class Judge:
         """Arrays that are there already are not written again."""
         for path in (self._folder / STATE).rglob("*"):
             name = str(path.relative_to(self._folder))
-            if path.is_file() and (JOURNAL_NAME in name or files.get(name) is not self._there.get(name)):
+            ours = JOURNAL_NAME in name or CommitRecord.NAME in name  # written by each start
+            if path.is_file() and (ours or files.get(name) is not self._there.get(name)):
                 path.unlink()
         for name, content in files.items():
             path = self._folder / name

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -307,3 +308,31 @@ def test_worker_does_not_outlive_a_killed_daemon() -> None:
         daemon.send_signal(signal.SIGKILL)
     while alive(worker):  # pytest's timeout is the limit
         time.sleep(0.005)
+
+
+def _too_much() -> None:
+    """Under a limit of its own, as a control group or a small computer sets one."""
+    with Path("/proc/self/statm").open() as file:
+        held = int(file.read().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (held + (64 << 20), before[1]))
+    try:
+        np.ones(1 << 28)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+async def test_a_worker_without_memory_is_an_error_and_stays(compute: Compute) -> None:
+    with pytest.raises(ComputeError, match=r"_too_much failed: \S*MemoryError: Unable to allocate 2\.00 GiB"):
+        await compute(_too_much)
+    pid = compute.pid
+    assert await compute(os.getpid) == pid
+
+
+async def test_the_kernel_ends_the_worker_before_the_daemon_where_memory_is_out(compute: Compute) -> None:
+    await compute.start()
+    assert _oom_score(str(compute.pid)) > _oom_score("self")
+
+
+def _oom_score(process: str) -> int:
+    return int(Path(f"/proc/{process}/oom_score_adj").read_text())

@@ -229,3 +229,32 @@ def test_memory_is_not_judged_where_the_kernel_does_not_say(tmp_path: Path, monk
     monkeypatch.setattr(health, "_memory_mb", lambda: None)
     figures = {f"{disk}_disk_{unit}" for disk in ("state", "run") for unit in ("mb", "files")}
     assert set(health._left(tmp_path, tmp_path, Writes.of(0))) <= figures
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_control_groups_limit_counts_where_less_is_left_in_it(tmp_path: Path, version: int) -> None:
+    """The kernel ends a process over the limit of its service, however much the computer has."""
+    own = tmp_path / "cgroup"
+    own.write_text("1:name=systemd:/x\n4:memory:/system/cell\n" if version == 1 else "0::/system/cell\n")
+    limit, used = health.V1_FILES if version == 1 else health.V2_FILES
+    base = tmp_path / "memory" if version == 1 else tmp_path
+    for folder, most, now in ((base / "system" / "cell", 400_000_000, 398_000_000), (base / "system", 1 << 60, 1)):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / limit).write_text(f"{most}\n")
+        (folder / used).write_text(f"{now}\n")
+        (folder / "memory.stat").write_text("anon 1\ninactive_file 1000000\n")
+    if version == 2:
+        (base / "system" / limit).write_text("max\n")
+    assert list(health._group_memory_mb(tmp_path, own)) == [(400.0, 3.0)]
+    assert list(health._group_memory_mb(tmp_path, tmp_path / "none")) == []
+
+
+async def test_a_service_at_its_memory_limit_holds_before_anything_is_measured(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(health, "_group_memory_mb", lambda: iter([(400.0, 3.0)]))
+    async with Running(bench) as running:
+        await running.held()
+        assert "memory_mb 3, at least 8: end other programs" in running.daemon.reason
+        assert "give the service more (MemoryMax)" in running.daemon.reason
+        assert bench.moved() == []

@@ -53,8 +53,8 @@ class Orientation(_Strict):
 class Dwell(_Strict):
     """What a dwell's number means, and how finely and how far it may be written."""
 
-    unit_s: float = Field(1.0, gt=0)
-    quantum_s: float = Field(gt=0)
+    unit_s: float = Field(1.0, ge=1e-9, le=1e6)
+    quantum_s: float = Field(ge=1e-9, le=1e3)
     """Step of the times that are written: as fine as numbers go, or the cycle that the controller ends a dwell with."""
     max_s: float = Field(float("inf"), gt=0)
     fly_by: Literal["refuse", "warn"] = "refuse"
@@ -150,14 +150,14 @@ class Profile(_Strict):
     ignore_case: bool = False
     span_lines: bool = False
     """Whether a statement may run over several lines."""
-    unit_mm: float = Field(1.0, gt=0)
+    unit_mm: float = Field(1.0, ge=1e-9, le=1e6)
     """Length of a written unit of x, y, z."""
     feed_units_mm_min: dict[str, Annotated[float, Field(gt=0)]] = Field(default_factory=dict)
     """One written unit of ``feed`` by what the field ``feed_unit`` holds (lower case; "" where there is none)."""
     exact_stop: list[Text] = []
     """What the field ``zone`` of a move that stops holds (lower case); no zone and a zone of 0 stop too."""
     declare_before_use: bool = False
-    line_limit: int = Field(0, ge=0)
+    line_limit: int = Field(0, ge=0, le=1_000_000_000)
     """Lines of a routine that the controller takes; 0: any number."""
     orientation: Orientation
     dwell: Dwell

@@ -34,9 +34,9 @@ class DwellRules(_Strict):
     decimals: Annotated[int, Field(ge=0, le=9)]
     """Of new numbers in seconds, where the program's own have fewer."""
     most_decimals: Annotated[int, Field(ge=0, le=12)]
-    resolution_s: Annotated[float, Field(ge=0)] = 0.0
+    resolution_s: Annotated[float, Field(ge=0, le=1e3)] = 0.0
     """What the controller really resolves, where that is coarser than what can be written."""
-    longest_s: Annotated[float, Field(gt=0)]
+    longest_s: Annotated[float, Field(ge=1e-6, le=1e12)]
     written: str
     """How a new dwell block begins; the number follows."""
     own_block: bool
