@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 UR = "Universal Robots, 'DH Parameters for calculations of kinematics and dynamics'"
-AS_IF_RIGID = (4e8, 4e8, 3e8, 1e8, 1e8, 8e7)
-"""Stiffer than such an arm is, N mm/rad: what nobody has measured changes little."""
+GIVES_MM_PER_N = 1e-3
+"""A joint that nobody has measured lets the tip of the outstretched arm give way by so much: less than any arm does."""
+UNKNOWN_N_MM_PER_RAD = 1e9
+"""The same of an arm of which not even the rows are known: its reach is taken for 1 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +34,13 @@ class Arm:
             "dh": self.dh,
             "joint_limits_deg": ((-self.turn_deg, self.turn_deg),) * len(self.dh),
             "home_deg": self.home_deg,
-            "joint_stiffness_n_mm_per_rad": AS_IF_RIGID,
         }
+
+
+def as_if_rigid(dh: Sequence[Sequence[float]], tool_length_mm: float) -> tuple[float, ...]:
+    """Joint stiffnesses, N mm/rad, of an arm with these rows whose stiffness nobody has measured."""
+    reach_mm = sum(math.hypot(row[0], row[2]) for row in dh) + tool_length_mm
+    return (float(f"{reach_mm**2 / GIVES_MM_PER_N:.2g}"),) * len(dh)
 
 
 def _universal_robots(model: str, *lengths_mm: float) -> Arm:

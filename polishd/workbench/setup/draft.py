@@ -21,7 +21,7 @@ from polishd.model.robot import SerialRobot
 from polishd.process.paths.spacing import on_optic
 from polishd.process.robot.dh_chain import chain
 from polishd.workbench.setup.answers import Answers
-from polishd.workbench.setup.arms import ARMS
+from polishd.workbench.setup.arms import ARMS, UNKNOWN_N_MM_PER_RAD, as_if_rigid
 from polishd.workbench.setup.sample import Sample
 
 ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report")
@@ -32,8 +32,10 @@ PART = "PART-1"
 AROUND_MM = 15.0
 """How far beside the part the tool goes: turns and landing of a path, and some room."""
 ABOVE_MM = 60.0
-BLANK_ARM = ("dh", "joint_limits_deg", "home_deg", "joint_stiffness_n_mm_per_rad")
+BLANK_ARM = ("dh", "joint_limits_deg", "home_deg")
 """What only a data sheet says of an arm."""
+STIFFNESS = "kinematics.joint_stiffness_n_mm_per_rad"
+NOT_MEASURED = "not the arm's: as if nearly rigid; polishd calibrate stiffness fits them"
 
 LANGUAGES = {"universal_robots": "urscript"}
 """Of robots whose controllers take one language only."""
@@ -98,7 +100,7 @@ class Draft:
     assumed: dict[str, str] = field(default_factory=dict)
     """By dotted key, of what nobody answered: what to look at."""
     blank: tuple[str, ...] = ()
-    """Keys of [kinematics] that a person has to fill in; meanwhile those of some arm stand there."""
+    """Dotted keys that a person has to fill in; meanwhile comments show those of some arm."""
     files: dict[str, bytes] = field(default_factory=dict)
     """What is written beside the cell, by name."""
 
@@ -201,19 +203,35 @@ def _assume_robot(draft: Draft) -> None:
     if arm is not None and kinematics.get("type", "serial") != "serial":
         raise draft.answers.own.error("kinematics.arm", 'goes with type = "serial", and says that itself; drop type')
     if arm is None and kinematics.get("type") == "serial" and "dh" not in kinematics:
-        arm, draft.blank = next(iter(ARMS)), tuple(key for key in BLANK_ARM if key not in kinematics)
+        arm = next(iter(ARMS))
+        unknown = [f"kinematics.{key}" for key in BLANK_ARM if key not in kinematics]
+        draft.blank = (*unknown, *(() if draft.has("part.origin_mm") else ("part.origin_mm",)))
     if arm is not None:
         for key, value in ARMS[arm].keys().items():
-            stiff = "stiffness" in key and "not the arm's: as if nearly rigid; polishd calibrate stiffness fits them"
-            draft.assume(f"kinematics.{key}", value, stiff or "")
+            draft.assume(f"kinematics.{key}", value)
     where = "measured in the robot's base frame, on the real part's seat"
     if kinematics.get("type") == "serial":
         draft.assume("kinematics.tool_length_mm", 150.0, "measured: flange to the tool's tip")
+        draft.assume(STIFFNESS, _rigid(draft), NOT_MEASURED)
         draft.assume("part.origin_mm", _home_mm(draft), f"{where}; here: under the tool with the arm at home")
         draft.assume("part.rotation_rpy_deg", [0.0, 0.0, 0.0], f"{where}; here: facing up, base z up")
     else:
         draft.assume("part.origin_mm", [300.0, 220.0, 2315.0], where)
         draft.assume("part.rotation_rpy_deg", [180.0, 0.0, 0.0], f"{where}; here: facing up, base z down")
+
+
+def _rigid(draft: Draft) -> tuple[float, ...]:
+    """Stiffnesses of an arm that nobody has measured, from its own rows where they are known and sound."""
+    dh, tool_mm = draft.raw["kinematics"].get("dh"), draft.raw["kinematics"].get("tool_length_mm")
+    numbers = [tool_mm, *(value for row in dh for value in row)] if _are_rows(dh) else []
+    if "kinematics.dh" in draft.blank or not numbers or not all(isinstance(value, int | float) for value in numbers):
+        return (UNKNOWN_N_MM_PER_RAD,) * 6
+    return as_if_rigid(dh, tool_mm)
+
+
+def _are_rows(dh: Any) -> bool:
+    """Return whether these are rows of four; whoever reads the cell says what is wrong with others."""
+    return isinstance(dh, list | tuple) and all(isinstance(row, list | tuple) and len(row) == 4 for row in dh)
 
 
 def _home_mm(draft: Draft) -> list[float]:

@@ -54,7 +54,7 @@ def _keys(draft: Draft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
     if (arm := draft.answers.own.kinematics.arm) and name == "kinematics":
         yield f"# {ARMS[arm].title}. Rows: {ARMS[arm].source}"
     for key, value in sorted(section.items(), key=lambda item: item[0] != "type"):
-        blank = name == "kinematics" and key in draft.blank
+        blank = f"{name}.{key}" in draft.blank
         why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
             yield f"{LOOK}{why}"

@@ -122,7 +122,7 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
     text = cell_text(draft)
     said = _add_program(draft, config)
     files = {CELL: text.encode(), **draft.files}
-    return NewCell(draft.folder, files, draft.assumed, tuple(f"kinematics.{key}" for key in draft.blank), said)
+    return NewCell(draft.folder, files, draft.assumed, draft.blank, said)
 
 
 @contextmanager

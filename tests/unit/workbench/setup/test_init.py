@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +149,46 @@ def test_an_arm_without_rows_is_left_to_be_filled_in_and_says_where(tmp_path: Pa
     text = "\n".join(line for line in filled if re.match(r"\[|\]|\w+ = |  \[", line))
     (tmp_path / "filled.toml").write_text(text)
     assert isinstance(load_config(tmp_path / "filled.toml").robot_model(), SerialRobot)
+
+
+OWN_ROWS = """
+[kinematics]
+type = "serial"
+tool_length_mm = 200.0
+dh = [[260, -90, 675, 0], [680, 0, 0, 0], [35, -90, 0, 0], [0, 90, 670, 0], [0, -90, 0, 0], [0, 0, 115, 0]]
+joint_limits_deg = [[-170, 170], [-190, 45], [-120, 156], [-185, 185], [-120, 120], [-350, 350]]
+home_deg = [0, -60, 70, 0, 60, 0]
+
+[part]
+id = "MIRROR-7"
+aperture_mm = 20
+rotation_rpy_deg = [180.0, 0.0, 0.0]
+"""
+
+
+def test_an_arm_of_ones_own_is_asked_for_no_stiffness_and_gets_none_of_another_arm(tmp_path: Path) -> None:
+    told = init(tmp_path, OWN_ROWS)
+    assert told["fill_in"] == []
+    assert "calibrate stiffness" in told["look"]["kinematics.joint_stiffness_n_mm_per_rad"]
+    robot = load_config(tmp_path / "cell" / "cell.toml").robot_model()
+    assert isinstance(robot, SerialRobot)
+    reach_mm = 675 + 260 + 680 + 35 + 670 + 115 + 200
+    assert len(set(robot.joint_stiffness_n_mm_per_rad)) == 1
+    assert 0.8 < robot.joint_stiffness_n_mm_per_rad[0] * 1e-3 / reach_mm**2 < 1.3
+    given = OWN_ROWS.replace("tool_length", f"joint_stiffness_n_mm_per_rad = {[3e7] * 6}\ntool_length")
+    told = init(tmp_path, given, "--force")
+    assert "kinematics.joint_stiffness_n_mm_per_rad" not in told["look"]
+    assert load_config(tmp_path / "cell" / "cell.toml").robot_model() == replace(
+        robot, joint_stiffness_n_mm_per_rad=(3e7,) * 6
+    )
+
+
+def test_of_an_unknown_arm_no_value_of_another_one_is_in_force(tmp_path: Path) -> None:
+    told = init(tmp_path, LENS.replace('arm = "ur10e"', 'type = "serial"'))
+    assert told["fill_in"] == ["kinematics.dh", "kinematics.joint_limits_deg", "kinematics.home_deg", "part.origin_mm"]
+    values = tomllib.loads(told["texts"]["cell.toml"])
+    assert set(values["kinematics"]) == {"type", "tool_length_mm", "joint_stiffness_n_mm_per_rad"}
+    assert "origin_mm" not in values["part"]
 
 
 @pytest.mark.full
