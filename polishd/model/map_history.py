@@ -10,6 +10,8 @@ from typing import Any
 MOST_DEPTH = 50
 """Steps one after the other."""
 MOST_CHARACTERS = 2**20
+SYSTEM_ERROR = "system error"
+"""Role of the instrument's own error among the inputs of a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,13 @@ class MapStep:
         """Whether an instrument's profile is in it, of its own or of all that it was made of."""
         before = [one.history is not None and one.history.profiled for one in self.inputs]
         return "profile" in self.options or (bool(before) and all(before))
+
+    @property
+    def less_system(self) -> bool:
+        """Whether the instrument's own error is off it, or it is that error, or of all that it was made of."""
+        before = [one.history is not None and one.history.less_system for one in self.inputs]
+        own = {"system", "result"} & set(self.options) or any(one.role == SYSTEM_ERROR for one in self.inputs)
+        return bool(own) or (bool(before) and all(before))
 
     def to_json(self) -> str:
         """One line of ASCII, which every format can hold; ValueError where it is beyond what is read back."""

@@ -97,6 +97,8 @@ class SurfaceMap:
     fiducials_px: tuple[tuple[float, float], ...] = ()
     """(row, column) of the marks that the file lists, in this array's own pixels."""
     reader_version: int = 0
+    pitches_mm: tuple[float, float] | None = None
+    """Width and height of a pixel that is not square; ``pitch_mm`` is None then, until the map is resampled."""
     masks: tuple[MaskCount, ...] = ()
     """What was laid over it by hand: a sample outside any of these has no data any more."""
     history: MapStep | None = None

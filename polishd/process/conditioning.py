@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +76,7 @@ def condition(
             or masks of another grid.
         WrongPart: data over much more than the aperture.
     """
+    surface = squared(surface)
     _check(surface, outline)
     grid = process_grid(outline, grid_mm, margin_mm)
     raw = resample_registered(surface.height_nm, surface.grid, grid, registration)
@@ -90,6 +91,44 @@ def condition(
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
     height = height - fitted(height, metric, removal)
     return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric)
+
+
+def squared(surface: SurfaceMap) -> SurfaceMap:
+    """The map on square pixels of the finer of its two pitches; one that has one pitch, or none, as it is.
+
+    Heights are interpolated by cubic splines along the coarser axis, from a map whose holes are filled; a new sample
+    has data where both of its neighbours have.
+    """
+    if surface.pitches_mm is None:
+        return surface
+    wide, high = surface.pitches_mm
+    axis, pitch = (0, wide) if wide < high else (1, high)
+    step = pitch / max(wide, high)
+    old = surface.height_nm.shape[axis]
+    new = int((old - 1) / step + 1e-9) + 1
+    place = (np.arange(new) - (new - 1) / 2) * step + (old - 1) / 2
+    spline = scipy.interpolate.make_interp_spline(
+        np.arange(old), fill_holes(surface.height_nm), k=min(3, old - 1), axis=axis
+    )
+    low = np.clip(np.floor(place + 1e-9).astype(np.intp), 0, old - 1)
+    near = np.minimum(low + (place - low > 1e-6), old - 1)
+    valid = surface.valid.take(low, axis) & surface.valid.take(near, axis)
+    marks = [list(mark) for mark in surface.fiducials_px]
+    for mark in marks:
+        mark[axis] = (mark[axis] - (old - 1) / 2) / step + (new - 1) / 2
+    doubt = surface.doubts.get("square pixels")
+    said = f"pixels of {wide:.6g} x {high:.6g} mm: resampled to {pitch:.6g} mm"
+    return replace(
+        surface,
+        height_nm=np.where(valid, spline(np.clip(place, 0, old - 1)), np.nan),
+        pitch_mm=pitch,
+        pitches_mm=None,
+        unsaid=surface.unsaid - {"square pixels"},
+        doubts={key: words for key, words in surface.doubts.items() if key != "square pixels"},
+        warnings=(*(words for words in surface.warnings if words != doubt), said),
+        factors={**surface.factors, "pitches_mm": (wide, high)},
+        fiducials_px=tuple((row, column) for row, column in marks),
+    )
 
 
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from polishd.model.errors import BadMap
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
+from polishd.process.conditioning import squared
 from polishd.process.orientation import Orientation
 from polishd.process.plausible import scale_fault
 
@@ -18,7 +19,7 @@ ANSWERS = {
     "unit": "unit_nm, the nanometres in one unit of its heights",
     "surface": '"surface" in gives, with factor = 0.5 where its heights are of the wavefront',
     "orientation": '"orientation" in gives, with mirror and rotation_deg as they are',
-    "square pixels": "nothing: no profile mends pixels that are not square; resample the map",
+    "square pixels": "nothing: its pixels are not square, of a size not known; export the map with its lateral scale",
 }
 """What a profile answers, and with which key."""
 SYSTEM = re.compile(r"(?:Zygo.*, system )?(\d+)")
@@ -42,6 +43,7 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: b
         BadMap: as `require_profile` does.
     """
     require_profile(surface, instrument, partly=partly)
+    surface = squared(surface)
     if instrument is None:
         return surface
     pitch = _pitch_mm(surface, instrument)
@@ -86,14 +88,23 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
         _all_said(name, surface)
         return
     _of_this_instrument(name, surface, instrument)
-    unanswered = sorted(_asked(surface) - _answered(instrument))
-    if unanswered and not partly:
-        raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
-                     f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
+    if not partly:
+        require_answered(surface, instrument)
     _require_pitch(name, surface, instrument)
 
 
+def require_answered(surface: SurfaceMap, instrument: Instrument) -> None:
+    """BadMap where neither the map, nor the profile, says all that polishing takes of it."""
+    name = surface.path.name if surface.path is not None else "the map"
+    unanswered = sorted(_asked(surface) - _answered(instrument))
+    if unanswered:
+        raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
+                     f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
+
+
 def _asked(surface: SurfaceMap) -> frozenset[str]:
+    if surface.pitches_mm is not None:  # it is resampled, and has a pitch then
+        return surface.unsaid - {"square pixels"}
     return surface.unsaid | ({"pitch"} if surface.pitch_mm is None else frozenset())
 
 
@@ -140,7 +151,8 @@ def _pitch_mm(surface: SurfaceMap, instrument: Instrument) -> float | None:
 
 
 def _require_pitch(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
-    given, own = surface.pitch_mm, instrument.pitch_mm
+    given = surface.pitch_mm if surface.pitches_mm is None else min(surface.pitches_mm)
+    own = instrument.pitch_mm
     fault = "" if own is None else scale_fault(surface.height_nm.shape, own)
     if fault:
         raise BadMap(f"{name}: the profile {instrument.name!r} gives it a pitch of {own:g} mm: {fault}; mend pitch_mm")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.config.places import did_you_mean, listed
-from polishd.config.profile import load_profile
+from polishd.config.profile import Profile, load_profile
 from polishd.hooks.loader import Hooks
-from polishd.hookspecs import Learner, RemovalModel
+from polishd.hookspecs import Learner, RemovalModel, SurfaceReader
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
@@ -46,12 +46,18 @@ def system_of(config: CellConfig, hooks: Hooks) -> SystemMap | None:
     """The instrument's own error; None where its profile names no map. ConfigError where it is not to be trusted."""
     if config.profile_path is None:
         return None
-    profile = load_profile(config.profile_path)
-    record, again = profile.system, f"polishd calibrate instrument {config.path.name} makes another"
+    return system_of_profile(load_profile(config.profile_path), hooks.surface_readers().values(), config.path.name)
+
+
+def system_of_profile(
+    profile: Profile, readers: Collection[SurfaceReader], cell: str = "CELL.toml"
+) -> SystemMap | None:
+    """The same of a profile; ``cell`` is the cell's file in what errors advise."""
+    record, again = profile.system, f"polishd calibrate instrument {cell} makes another"
     if record is None:
         return None
     try:
-        surface = read_map(profile.path.parent / record.map, hooks.surface_readers().values())
+        surface = read_map(profile.path.parent / record.map, readers)
     except SurfaceError as error:
         raise profile.error("system.map", str(error)) from error
     if surface.sha256 != record.map_sha256:

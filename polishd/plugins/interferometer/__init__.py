@@ -17,12 +17,13 @@ from polishd.plugins.interferometer.formats.points import POINTS
 from polishd.plugins.interferometer.formats.sdf import SDF
 from polishd.plugins.interferometer.formats.tail import TAIL
 from polishd.plugins.interferometer.formats.tiff import TIFF
+from polishd.plugins.interferometer.formats.wyko_text import WYKO_TEXT
 from polishd.plugins.interferometer.formats.x3p import X3P
 from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII
 from polishd.plugins.interferometer.formats.zygo_xyz import ZYGO_XYZ
 
 POLISHD_API = 1
-READERS = (METROPRO, DATX, FOURD, X3P, SDF, GWY, FITS, TIFF, NPY, ZYGO_ASCII, ZYGO_XYZ, CODEV, POINTS, TAIL)
+READERS = (METROPRO, DATX, FOURD, X3P, SDF, GWY, FITS, TIFF, NPY, ZYGO_ASCII, ZYGO_XYZ, WYKO_TEXT, CODEV, POINTS, TAIL)
 """Formats with a magic number first, then texts, then those that judge by name."""
 
 

@@ -40,6 +40,9 @@ def tif(
     after: Annotated[Path, Argument(metavar="AFTER", help="Map after it.")],
     seconds: Annotated[float, Option(metavar="S", help="Time on the spot.")],
     cell: OfCell = None,
+    profile: Annotated[
+        Path | None, Option(metavar="P.toml", help="The instrument's profile; default: the cell's.", readable=False)
+    ] = None,
     depth_ratio: Annotated[float, Option(metavar="G", help="Gamma where the spot was made.")] = 1.0,
     azimuth_deg: Annotated[float, Option(help="Where the spindle leaned, from the map's x.")] = 0.0,
     radius_mm: Annotated[float | None, Option(help="The spot's rim; default: found.")] = None,
@@ -49,7 +52,8 @@ def tif(
     """Make a measured TIF, and the Preston constant, out of a spot's maps."""
     from polishd.workbench.calibration.verbs import SpotPlace, tif_verb
 
-    tif_verb((before, after), seconds, cell, SpotPlace(depth_ratio, azimuth_deg, radius_mm), out, as_json=as_json)
+    place = SpotPlace(depth_ratio, azimuth_deg, radius_mm)
+    tif_verb((before, after), seconds, cell, place, out, profile=profile, as_json=as_json)
 
 
 @app.command()

@@ -62,7 +62,7 @@ def instrument_verb(
     if asked.angles is None and asked.at is None:
         _advise(config, profile, as_json=as_json)
         return
-    source = MapSource.of(config.path, profile.path, partly=False)
+    source = MapSource.of(config.path, profile.path, partly=False, system=False)
     options = _options(config, profile, asked)
     if asked.at is not None and not files:
         raise typer.BadParameter("--at lists files: name them, or say --angles and take maps as they come")

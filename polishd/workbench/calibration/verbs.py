@@ -21,6 +21,7 @@ from polishd.process.calibration.exponent import fit_exponent
 from polishd.process.calibration.judgement import doubts
 from polishd.process.calibration.loading import LoadingTests
 from polishd.process.calibration.stiffness import StiffnessFit, fit_stiffness
+from polishd.process.instrument import require_answered
 from polishd.process.measured_tif import TifReport, preston_from_tif, tif_from_maps
 from polishd.show.tables import emit, key_table, record_table, stderr
 from polishd.workbench.maps.files import MapSource
@@ -131,18 +132,27 @@ class SpotPlace:
 
 
 def tif_verb(
-    maps: tuple[Path, Path], seconds: float, cell: Path | None, place: SpotPlace, out: Path | None, *, as_json: bool
+    maps: tuple[Path, Path],
+    seconds: float,
+    cell: Path | None,
+    place: SpotPlace,
+    out: Path | None,
+    *,
+    profile: Path | None = None,
+    as_json: bool,
 ) -> None:
     """Make a measured TIF of two maps, and the Preston constant that goes with it."""
     _require_toml(out)
     config = None if cell is None else load_config(cell)
     process = ToolProcess() if config is None else config.tool_process()
-    tif, report = tif_of_maps(MapSource.of(cell), maps, seconds, place)
+    source = MapSource.of(cell, profile)
+    tif, report = tif_of_maps(source, maps, seconds, place)
     preston = preston_from_tif(process, place.depth_ratio, tif)
     if out is not None:
         _write_tif_fragment(out, config, tif, preston, f"a spot of {seconds:g} s, {maps[0].name} to {maps[1].name}")
-    answer = {**asdict(report), "preston_cm2_per_n": preston}
-    _emit(answer, out, as_json=as_json, table=lambda: key_table("measured TIF", _tif_rows(answer)))
+    answer = {**asdict(report), "preston_cm2_per_n": preston, "read_by": source.options}
+    table = key_table("measured TIF", _tif_rows(answer))
+    _emit(answer, out, as_json=as_json, table=lambda: table, lines=[source.read_by])
 
 
 def tif_of_maps(
@@ -153,6 +163,8 @@ def tif_of_maps(
     for path, found in zip(maps, (before, after), strict=True):
         if found.pitch_mm is None:
             raise BadMap(f"{path}: has no lateral scale; export it with one")
+        if source.instrument is not None:
+            require_answered(found, source.instrument)
     if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
         raise BadMap(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
     return tif_from_maps(before.height_nm, after.height_nm, before.grid.pitch_mm, seconds, **asdict(place))

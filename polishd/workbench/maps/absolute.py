@@ -59,7 +59,7 @@ class Apart:
 
 def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: bool) -> None:
     """Tell part and instrument apart; write both where they are wanted."""
-    source = MapSource.by(asked)
+    source = MapSource.by(asked, system=False)  # that is what is looked for
     _require_targets(files, asked, source)
     poses = poses_of(asked, files)
     apart = tell_apart([source.read(path) for path in files], poses, asked, source)

@@ -27,7 +27,8 @@ from polishd.workbench.maps.subtract import draw_maps, less
 
 def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool) -> None:
     """Average the maps, each without the system error, piston and tilt; write the mean where it is wanted."""
-    source, system, mixed = MapSource.by(asked), asked.system, asked.mixed
+    system, mixed = asked.system, asked.mixed
+    source = MapSource.by(asked, system=system is None)  # one of them, not both
     require_picture(asked.picture)
     if asked.out is not None:
         require_target(asked.out, files if system is None else [*files, system], source, force=asked.force)

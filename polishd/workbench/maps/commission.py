@@ -64,7 +64,7 @@ def prove_profile(
     given = load_profile(profile)
     if not given.bumps:
         raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")
-    seen = MapSource.of(cell, profile, None, masks, partly=False).read(surface)
+    seen = MapSource.of(cell, profile, None, masks, partly=False, system=False).read(surface)
     try:
         proof = prove(seen, given.bumps)
     except BadMap as error:

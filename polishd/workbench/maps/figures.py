@@ -63,6 +63,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: m
         "rows": height.shape[0],
         "cols": height.shape[1],
         "pitch_mm": pitch,
+        "pitches_mm": None if surface.pitches_mm is None else list(surface.pitches_mm),
         "missing": int(np.count_nonzero(~surface.valid)) - masked_out(surface),
         **heights_nm(height, level, mask),
         "bands": None

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,10 +15,15 @@ from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import BadMap, ConfigError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
+from polishd.plugins.interferometer.formats.scales import IN_UNITS, NO_PITCH, nm_per, pitch
 from polishd.recipe.files import read_map
 from polishd.show.tables import stdout
 from polishd.workbench.maps.masks import Mask, masked
 from polishd.workbench.maps.options import ReadOptions
+
+if TYPE_CHECKING:  # these verbs start in half the time without
+    from polishd.config.cell import CellConfig
+    from polishd.process.absolute import SystemMap
 
 PROFILED = "its history says that a profile is in it: not applied again"
 """The warning of a map that was turned and scaled before."""
@@ -39,6 +44,10 @@ class MapSource:
     """Laid over each map, as the profile turns it."""
     partly: bool = True
     """The profile need not say all that a file leaves open: enough to look."""
+    system: SystemMap | None = None
+    """The instrument's own error, taken off each map that still has it."""
+    units: tuple[str | None, str] | None = None
+    """Of places and heights, of files that do not say theirs."""
 
     @classmethod
     def of(
@@ -48,33 +57,55 @@ class MapSource:
         as_format: str | None = None,
         masks: Sequence[str] | None = None,
         *,
+        units: str | None = None,
         partly: bool = True,
+        system: bool = True,
     ) -> MapSource:
-        """The cell's plugins, without a cell polishd's own; ConfigError or PluginError where a file is broken.
+        """The cell's plugins and its instrument's profile, without a cell polishd's own plugins.
+
+        ``profile`` is taken instead of the cell's. ``system``: take the profile's system map off, where it names one.
+
+        Raises:
+            ConfigError, PluginError: a file is broken.
 
         ``as_format``: read files as this format or ending, whatever they are called; BadParameter where it is none. Of
         a mask, as ``--mask`` has it, that is none: what ``Mask.of`` raises.
         """
-        readers = readers_for(cell)
+        config, readers = _of_cell(cell)
         asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
-        instrument = None
-        if profile is not None:
+        instrument = system_map = None
+        path = config.profile_path if profile is None and config is not None else profile
+        if path is not None:
             from polishd.config.profile import load_profile
+            from polishd.recipe.making import system_of_profile
 
-            instrument = load_profile(profile).instrument
-        source = cls(readers, asked, instrument, partly=partly)
+            given = load_profile(path)
+            instrument = given.instrument
+            own = {} if cell is None else {"cell": cell.name}
+            system_map = system_of_profile(given, readers.values(), **own) if system else None
+        source = cls(readers, asked, instrument, partly=partly, system=system_map, units=_units(units))
         return replace(source, masks=tuple(Mask.of(text, source.read) for text in masks or ()))
 
     @classmethod
-    def by(cls, asked: ReadOptions) -> MapSource:
+    def by(cls, asked: ReadOptions, *, system: bool = True) -> MapSource:
         """As the command line asks; errors: those of ``of``."""
-        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks)
+        return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks, units=asked.units, system=system)
 
     @property
     def options(self) -> dict[str, Any]:
         """How maps are read, for a history: values of JSON."""
         told: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
-        return told | ({"profile": self.instrument.name} if self.instrument is not None else {})
+        told |= {"profile": self.instrument.name} if self.instrument is not None else {}
+        told |= {"units": [one for one in self.units if one]} if self.units is not None else {}
+        return told | ({"system": self.system.surface.sha256} if self.system is not None else {})
+
+    @property
+    def read_by(self) -> str:
+        """How maps are read, in a line for people."""
+        if self.instrument is None:
+            return "maps are taken as their files say: no instrument's profile is named"
+        less = "" if self.system is None else ", less its system map"
+        return f"maps are read by the profile {self.instrument.name!r}{less}"
 
     def read(self, path: Path) -> SurfaceMap:
         """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
@@ -85,28 +116,80 @@ class MapSource:
         if odd:
             raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.asked)
+        if self.units is not None:
+            surface = _in_units(surface, *self.units)
         if self.instrument is not None:
             surface = self._as_profiled(surface, self.instrument)
         return masked(surface, self.masks)
 
     def _as_profiled(self, surface: SurfaceMap, instrument: Instrument) -> SurfaceMap:
-        """Once: what a verb made of profiled maps is taken as it is."""
-        if self.partly and surface.history is not None and surface.history.profiled:
-            return replace(surface, warnings=(*surface.warnings, PROFILED))
-        from polishd.process.instrument import as_profiled
+        """Once: what a verb made of profiled maps is taken as it is, and so what the system map is off already."""
+        step = surface.history
+        if self.partly and step is not None and step.profiled:
+            surface = replace(surface, warnings=(*surface.warnings, PROFILED))
+        else:
+            from polishd.process.instrument import as_profiled
 
-        return as_profiled(surface, instrument, partly=self.partly)
+            surface = as_profiled(surface, instrument, partly=self.partly)
+        if self.system is None or (step is not None and step.less_system):
+            return surface
+        factors = {**surface.factors, "system": self.system.surface.sha256}
+        return replace(self.system.off(surface), factors=factors)
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
     """The readers of the cell's plugins by name, in the order in which they are asked; without a cell polishd's own."""
+    return _of_cell(cell)[1]
+
+
+def _of_cell(cell: Path | None) -> tuple[CellConfig | None, Mapping[str, SurfaceReader]]:
+    """The cell, None without one, and the readers."""
     if cell is not None:
         from polishd.hooks.cell import load_cell
 
-        return load_cell(cell)[1].surface_readers()
+        config, hooks = load_cell(cell)
+        return config, hooks.surface_readers()
     from polishd.hooks.loader import load_plugins
 
-    return load_plugins([READERS]).surface_readers()
+    return None, load_plugins([READERS]).surface_readers()
+
+
+def _units(text: str | None) -> tuple[str | None, str] | None:
+    """Of ``--units``; BadParameter where they are none of length."""
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if len(words) > 2 or any(nm_per(word) is None for word in words):
+        raise typer.BadParameter(
+            f"--units {text!r}: two units of length, of places and heights, as mm,nm; or one, of heights"
+        )
+    return (words[0] if len(words) == 2 else None), words[-1]
+
+
+def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceMap:
+    """The map with the units that its file does not say."""
+    nm, mm = nm_per(height) or 1.0, None if lateral is None else nm_per(lateral)
+    pitches = surface.factors.get(IN_UNITS)
+    answered = {"unit"} & surface.unsaid
+    found = NO_PITCH
+    if mm is not None and pitches is not None and surface.pitch_mm is None:
+        answered = answered | {"pitch"}
+        found = pitch(surface.path or Path(), *(value * mm / 1e6 for value in pitches))
+    if not answered:
+        return replace(surface, warnings=(*surface.warnings, f"--units {height}: not used: the file says its own"))
+    settled = {surface.doubts.get(key) for key in answered}
+    left = {key: words for key, words in surface.doubts.items() if key not in answered}
+    new = dict(found.doubts) if "pitch" in answered else {}
+    return replace(
+        surface,
+        height_nm=surface.height_nm * nm if "unit" in answered else surface.height_nm,
+        pitch_mm=found.mm if "pitch" in answered else surface.pitch_mm,
+        pitches_mm=found.both_mm if "pitch" in answered else surface.pitches_mm,
+        factors={**surface.factors, "units": [lateral, height]},
+        unsaid=(surface.unsaid - answered) | new.keys(),
+        doubts=left | new,
+        warnings=(*(words for words in surface.warnings if words not in settled), *new.values()),
+    )
 
 
 def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:

@@ -13,10 +13,12 @@ from polishd.workbench.options import Picture
 
 # readable=False, here and in cli.py: what cannot be read is exit code 8, as what is broken is; typer would make it 2
 Profile = Annotated[
-    Path | None, Option(metavar="P.toml", help="The instrument's profile: apply it first.", readable=False)
+    Path | None,
+    Option(metavar="P.toml", help="The instrument's profile: apply it first, and its system map.", readable=False),
 ]
 OfCell = Annotated[
-    Path | None, Option("--cell", metavar="CELL.toml", help="Read as this cell does: with its plugins.", readable=False)
+    Path | None,
+    Option("--cell", metavar="CELL.toml", help="Read as this cell does: plugins, profile, system map.", readable=False),
 ]
 AsFormat = Annotated[
     str | None, Option("--format", metavar="NAME", help="Read as this format, or ending, whatever a file is called.")
@@ -29,6 +31,14 @@ Masks = Annotated[
         help="Only what lies in it counts; may be repeated: then what lies in all. circle:X,Y,R, annulus:X,Y,R,r, "
         "rectangle:X,Y,W,H, hexagon:X,Y,W in mm from the map's centre; polygon:FILE, map:FILE (where that has data). "
         "not: before it takes what lies outside, px: means pixels.",
+    ),
+]
+Units = Annotated[
+    str | None,
+    Option(
+        "--units",
+        metavar="XY,Z",
+        help="Units of a file that does not say them: of places and heights, as mm,nm; one alone is of heights.",
     ),
 ]
 BANDS = "33,0.12"
@@ -47,6 +57,7 @@ class ReadOptions:
     profile: Profile = None
     cell: OfCell = None
     as_format: AsFormat = None
+    units: Units = None
     masks: Masks = None
 
 

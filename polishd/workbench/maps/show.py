@@ -89,12 +89,11 @@ def _row(name: str, answer: Mapping[str, Any]) -> tuple[str, ...]:
 def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     missing, trim = f"{answer['missing']} missing", f", {answer['trim']} px trimmed" if answer["trim"] else ""
     missing += f", {answer['masked']} masked" if answer["masks"] else ""
-    pitch = answer["pitch_mm"]
     rows = [
         ("format", f"{answer['format']}, reader {answer['reader_version']}"),
         ("samples", f"{answer['rows']} x {answer['cols']}, {missing}; {answer['samples']} count{trim}"),
         *((f"mask {shown(record['mask'])}", mask_words(record)) for record in answer["masks"]),
-        ("pitch", "none" if pitch is None else f"{pitch:.7g} mm"),
+        ("pitch", _pitch_words(answer)),
         ("PV, RMS", _pair(answer, "")),
         ("level", f"{_pair(answer, '_tilt_removed')} (piston and tilt removed)"),
         (f"PVr ({answer['pvr_terms']} terms)", or_dash(answer["pvr_nm"], ".6f", " nm")),
@@ -107,6 +106,13 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     if answer["unsaid"]:
         rows.append(("the file does not say", ", ".join(answer["unsaid"])))
     return [*rows, ("sha256", answer["sha256"])]
+
+
+def _pitch_words(answer: Mapping[str, Any]) -> str:
+    if answer["pitches_mm"] is not None:
+        wide, high = answer["pitches_mm"]
+        return f"{wide:.7g} x {high:.7g} mm (pixels are not square)"
+    return "none" if answer["pitch_mm"] is None else f"{answer['pitch_mm']:.7g} mm"
 
 
 def date_words(answer: Mapping[str, Any]) -> str:

@@ -70,7 +70,10 @@ def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: b
     require_picture(asked.picture)
     if asked.out is not None:
         require_target(asked.out, [first, second], source, force=asked.force)
-    maps = [source.read(path) for path in (first, second)]
+    other = source.read(second)
+    if other.history is not None and other.history.options.get("result") == "instrument":
+        source = replace(source, system=None)  # it is what is taken off
+    maps = [source.read(first), other]
     found = less(*maps)
     mask = found.pair.mask
     heights = (*found.pair.heights_nm, found.surface.height_nm)

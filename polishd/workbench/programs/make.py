@@ -174,7 +174,7 @@ def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
         return apertures.over_outline(config.outline())
     name, _, rest = options.aperture.partition(":")
     if name == "mask" and rest:
-        measured = MapSource.of().read(Path(rest))
+        measured = MapSource.of(options.cell).read(Path(rest))
         return apertures.over_mask(measured.grid, measured.valid)
     if name == "polygon" and rest:
         return apertures.over_outline(read_polygon(Path(rest)))

@@ -62,6 +62,7 @@ class Format:
         return SurfaceMap(
             height_nm=height_nm,
             pitch_mm=lateral.mm,
+            pitches_mm=lateral.both_mm,
             sha256=content if isinstance(content, str) else sha256_of(content),
             path=path,
             warnings=(*left.values(), *warnings),

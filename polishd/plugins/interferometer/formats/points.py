@@ -17,9 +17,9 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import content_of, parsing, scaled, sha256_of
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, Gridded, gridded
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
+from polishd.plugins.interferometer.formats.scales import IN_UNITS, NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
-FORMAT = Format("points", 2)
+FORMAT = Format("points", 3)
 SUFFIXES = (".xyz", ".csv", ".txt", ".asc", ".pts")
 MOST_HEADER_LINES = 64
 NUMBER = rb"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
@@ -51,7 +51,7 @@ class Header(NamedTuple):
 
 def sniff(head: bytes, path: Path) -> bool:
     """True for text of the usual names whose first lines come to two numbers at the start of one."""
-    if path.suffix.lower() not in SUFFIXES or b"\0" in head or head.startswith(b"Zygo"):
+    if path.suffix.lower() not in SUFFIXES or b"\0" in head or head.startswith((b"Zygo", b"Wyko")):
         return False
     return any(POINT.match(line) for line in head.splitlines()[:MOST_HEADER_LINES])
 
@@ -76,7 +76,7 @@ def read(path: Path) -> SurfaceMap:
         checked(path, height_nm, height.nm),
         height=height,
         lateral=lateral,
-        factors={"nm_per_unit": height.nm, "points": len(table)},
+        factors={"nm_per_unit": height.nm, "points": len(table), **_unscaled(lateral, found)},
         doubts=doubts,
         warnings=() if whole else (CUT,),
         orientation=ORIENTATION,
@@ -94,7 +94,10 @@ def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
         if POINT.match(line):
             return header, content[at:]
         titles = _header(line.decode("utf-8", "replace"))
-        if titles and not (titles.unknown and header.units != ("", "", "")):
+        units = _units(line.decode("utf-8", "replace"))
+        if units:
+            header = header._replace(units=tuple(units[at] for at in header.order))
+        elif titles and not (titles.unknown and header.units != ("", "", "")):
             header = titles
         if end < 0:
             break
@@ -102,9 +105,29 @@ def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
     raise BadMap(f"{path}: no line of its first {MOST_HEADER_LINES} is a point: x y z")
 
 
+def _units(line: str) -> tuple[str, str, str] | None:
+    """The units that a line of nothing else is: ``mm mm nm``, ``[mm],[mm],[um]``, ``# units: mm, mm, nm``."""
+    words = (
+        re.sub(r"^\W*(?:units?\W)?", "", line.strip(), flags=re.IGNORECASE).replace(",", " ").replace(";", " ").split()
+    )
+    found = tuple(word.strip("[]()") for word in words)
+    return found if len(found) == 3 and all(nm_per(word) is not None for word in found) else None
+
+
+def _paired(text: str) -> str:
+    """Titles between commas, where names and units are words between blanks: ``x mm y mm z nm``, ``x y z mm mm nm``."""
+    words = text.replace("[", " ").replace("]", " ").replace("(", " ").replace(")", " ").split()
+    for names, units in ((words[::2], words[1::2]), (words[:3], words[3:])):
+        known = len(words) == 6 and all(nm_per(unit) is not None for unit in units)
+        if known and not any(nm_per(name) is not None for name in names):
+            return ",".join(f"{name}_{unit}" for name, unit in zip(names, units, strict=True))
+    return text
+
+
 def _header(line: str) -> Header | None:
     """The header that a line of three titles is; None for any other line."""
     text = line.strip().lstrip("#%! ")
+    text = text if re.search(r"[,;\t]", text) else _paired(text)
     between = r"[,;\t]" if re.search(r"[,;\t]", text) else r"\s+(?![\[(])"
     titles = [title for title in re.split(between, text) if title]
     found = [TITLE.match(title.strip()) for title in titles]
@@ -144,6 +167,11 @@ def _pitch(path: Path, header: Header, found: Gridded) -> Pitch:
     if units[0] is None or units[1] is None:
         return NO_PITCH
     return pitch(path, found.pitch_x * units[0] / 1e6, found.pitch_y * units[1] / 1e6)
+
+
+def _unscaled(lateral: Pitch, found: Gridded) -> dict[str, tuple[float, float]]:
+    """What the pitches are in the file's own unit, where that is not known: ``--units`` may say it."""
+    return {IN_UNITS: (found.pitch_x, found.pitch_y)} if lateral is NO_PITCH else {}
 
 
 POINTS = FORMAT.reader(read, *SUFFIXES, sniff=sniff, dates=False)

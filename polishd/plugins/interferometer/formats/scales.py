@@ -43,6 +43,8 @@ class Pitch(NamedTuple):
 
     mm: float | None
     doubts: Mapping[str, str] = NOTHING
+    both_mm: tuple[float, float] | None = None
+    """Width and height of a pixel that is not square."""
 
 
 class HeightUnit(NamedTuple):
@@ -54,6 +56,8 @@ class HeightUnit(NamedTuple):
 
 SAID = HeightUnit(1.0)
 """Of heights whose unit the format or the file says."""
+IN_UNITS = "pitches_in_its_unit"
+"""In a map's ``factors``: its pitches in x and y in the lateral unit that the file does not say."""
 NO_PITCH = Pitch(None, {"pitch": "the file gives no lateral scale"})
 
 
@@ -80,14 +84,14 @@ def height_unit(unit: str) -> HeightUnit:
 def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
     """The one pitch of square pixels. BadMap where either is no length.
 
-    Pixels that are not square can be shown, but have no pitch: no profile mends that, so "square pixels" is unsaid.
+    Pixels that are not square keep both: "square pixels" is unsaid until the map is resampled, as conditioning does.
     """
     for axis, value in (("x", x_mm), ("y", y_mm)):
         if not (math.isfinite(value) and value > 0):
             raise BadMap(f"{path}: the pitch in {axis} is {value:g} mm, no length")
     if abs(x_mm - y_mm) > SQUARE_WITHIN * max(x_mm, y_mm):
-        warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square, so the map has no pitch"
-        return Pitch(None, {"square pixels": warning})
+        warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square; a cell resamples the map"
+        return Pitch(None, {"square pixels": warning}, (x_mm, y_mm))
     return Pitch(x_mm / 2 + y_mm / 2)
 
 
