@@ -9,6 +9,7 @@ from polishd.api import Program, ProgramError, ProgramFormat
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import languages
+from polishd.plugins.rnc_robot.detect import HEAD_BYTES, require_language
 from polishd.plugins.rnc_robot.dialect import DIALECTS, LANGUAGES, AnyDialect, Dialect
 from polishd.plugins.rnc_robot.dialect import dialect as profile_of
 from polishd.plugins.rnc_robot.make import path_program
@@ -24,6 +25,7 @@ def shipped(name: str) -> AnyDialect:
 
 def read(dialect: AnyDialect, text: bytes, name: str) -> Program:
     """Read a program; ``name`` is for messages. ProgramError names the line and the reason."""
+    require_language(dialect, text[:HEAD_BYTES], name)
     return nc.read(dialect, text, name) if isinstance(dialect, Dialect) else languages.read(dialect, text, name)
 
 

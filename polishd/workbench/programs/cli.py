@@ -16,14 +16,18 @@ app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the
 # readable=False: what cannot be read is exit code 9, as what is not there is; typer would make it 2
 File = Annotated[Path, Argument(metavar="FILE", help="The RNC program.", readable=False)]
 Dialect = Annotated[
-    str, Option(metavar="NAME|D.toml", help="Its dialect (polishd program dialects), or a profile of your own.")
+    str | None,
+    Option(
+        metavar="NAME|D.toml",
+        help="Its dialect (polishd program dialects), or a profile of your own; default: by its text and ending.",
+    ),
 ]
 
 
 @app.command()
 def inspect(
     file: File,
-    dialect: Dialect = "rs274",
+    dialect: Dialect = None,
     picture: Annotated[Path | None, Option(metavar="PNG", help="Draw where it dwells, and for how long.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -41,7 +45,7 @@ def rewrite(
         Path, Option(metavar="CSV", help="One dwell in seconds a row, no header, one row a point.", readable=False)
     ],
     out: Annotated[Path, Option(metavar="FILE", help="The new program; not FILE itself.")],
-    dialect: Dialect = "rs274",
+    dialect: Dialect = None,
     encoding: Annotated[
         Encoding | None, Option(help="Where the time is written; default: where the program has it.")
     ] = None,
@@ -58,7 +62,7 @@ def rewrite(
 def verify(
     old: Annotated[Path, Argument(metavar="OLD", help="The program as it was.", readable=False)],
     new: Annotated[Path, Argument(metavar="NEW", help="The program as it is.", readable=False)],
-    dialect: Dialect = "rs274",
+    dialect: Dialect = None,
     interpreter: Annotated[
         Literal["rs274"] | None, Option("--with", help="Prove it with LinuxCNC's interpreter, too.")
     ] = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from polishd.model.errors import ProgramError
 from polishd.model.program import Encoding, Program
-from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.detect import HEAD_BYTES, detect, require_language
+from polishd.plugins.rnc_robot.dialect import DEFAULT, AnyDialect, Dialect
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import read
 from polishd.plugins.rnc_robot.nc.stream import Passed, look_through
@@ -28,12 +29,37 @@ SHOWN = 20
 """Most changed lines and warnings that a person is shown."""
 
 
-def inspect_verb(file: Path, dialect: str, picture: Path | None, *, as_json: bool) -> None:
-    """What a program says: points, times, feeds, bounds, and what was assumed."""
+def _is_pipe(file: Path) -> bool:
+    with suppress(OSError):
+        return file.is_fifo()
+    return False
+
+
+def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
+    """The dialect of a program, and by what it was chosen.
+
+    Raises:
+        ProgramError: the file is in another language than the dialect; or, without one, several fit, or none is read.
+        ConfigError: there is no such dialect.
+    """
+    if _is_pipe(file):  # it is read once
+        return dialect_named(dialect or DEFAULT), "--dialect" if dialect else "assumed: not a regular file"
+    with opened(file) as source:
+        head = source.read(HEAD_BYTES)
+    if dialect is None:
+        found = detect(head, file.name)
+        return dialect_named(found.dialect), found.why
     profile = dialect_named(dialect)
+    require_language(profile, head, file.name)
+    return profile, "--dialect"
+
+
+def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_json: bool) -> None:
+    """What a program says: points, times, feeds, bounds, and what was assumed."""
+    profile, why = chosen(file, dialect)
     if picture is not None:
         not_over(picture, file)
-    answer = _inspected(file, profile)
+    answer = {**_inspected(file, profile), "dialect_by": why}
     if picture is not None:
         from polishd.show.style import save_picture
         from polishd.workbench.programs.pictures import program_picture
@@ -77,7 +103,7 @@ def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
 def _inspect_table(name: str, answer: dict[str, Any]) -> Any:
     points, total_s, feeds = answer["points"], answer["dwell_total_s"], answer["feed_range_mm_min"]
     rows = [
-        ("dialect", answer["dialect"]),
+        ("dialect", f"{answer['dialect']} ({answer['dialect_by']})"),
         ("lines", answer["lines"]),
         ("points", f"{points}, time in {ENCODINGS[answer['encoding']]} ({answer['unit']})"),
         ("dwell", f"{total_s:.6g} s, {total_s / points:.4g} s a point on average"),
@@ -96,14 +122,15 @@ ENCODINGS: dict[Encoding, str] = {
 
 
 def rewrite_verb(
-    file: Path, dwell: Path, out: Path, dialect: str, encoding: Encoding | None, *, comment: bool, as_json: bool
+    file: Path, dwell: Path, out: Path, dialect: str | None, encoding: Encoding | None, *, comment: bool, as_json: bool
 ) -> None:
     """Write the program with other times; nothing is written where anything is wrong."""
-    profile, table = dialect_named(dialect), DwellTable(dwell)
+    (profile, why), table = chosen(file, dialect), DwellTable(dwell)
     with _bar("rewriting", file) as progress:
         written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
-    answer = {**asdict(written), "out": [str(path) for path in written.out], "dialect": profile.name}
+    answer = {**asdict(written), "out": [str(path) for path in written.out], "dialect": profile.name, "dialect_by": why}
     rows = [
+        ("dialect", f"{profile.name} ({why})"),
         ("points", f"{written.points}, time in {ENCODINGS[written.encoding]}"),
         ("asked for", f"{written.asked_total_s:.9g} s"),
         ("written", f"{written.dwell_total_s:.9g} s{_kept(written.points - written.rows)}"),
@@ -126,11 +153,15 @@ def _bar(what: str, file: Path) -> Iterator[Callable[[int], None]]:
         yield lambda count: bar.advance(task, count)
 
 
-def verify_verb(old: Path, new: Path, dialect: str, *, with_rs274: bool, as_json: bool) -> None:
+def verify_verb(old: Path, new: Path, dialect: str | None, *, with_rs274: bool, as_json: bool) -> None:
     """Prove that the motion is identical, and list what changed. ProgramError where it is not proved."""
+    profile, why = chosen(old, dialect)
+    chosen(new, dialect or profile.name)
     with stderr.status(f"comparing {old.name} and {new.name}"):
-        found = verify(old, new, dialect_named(dialect), with_rs274=with_rs274)
-    emit(asdict(found), as_json=as_json, table=lambda: _verify_table(found, f"{old.name}, {new.name}"))
+        found = verify(old, new, profile, with_rs274=with_rs274)
+    by = {"dialect": profile.name, "dialect_by": why}
+    title = f"{old.name}, {new.name}: {profile.name} ({why})"
+    emit(asdict(found) | by, as_json=as_json, table=lambda: _verify_table(found, title))
     if not as_json:
         _say_notes("also changed", [str(change) for change in found.other_changes])
     if found.difference is not None:
