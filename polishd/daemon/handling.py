@@ -183,7 +183,7 @@ class Handling:
         touch_off.require_allowed(job.recipe, plans, job.check_plan)
         met_mm = [await self._met(asked, place, plan, meets_mm) for place, plan in enumerate(plans)]
         seat = seat_of(asked, meets_mm - np.array(met_mm))
-        facts, notes = facts_of(asked, seat), [f"the part sits {seat}"]
+        facts, notes = facts_of(asked, seat), [] if seat.is_level else [f"the part sits {seat}"]
         job.publish(events.TouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
         await job.people.leave(cycle, "touch_off.json", {**facts, "notes": notes})
         if seat.worst_mm > asked.most_off_mm:

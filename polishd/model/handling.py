@@ -41,6 +41,10 @@ class TouchOff:
         return np.asarray(np.einsum("ni,ni->n", self.axis, self.normal), dtype=np.float64)
 
 
+LEAST_MM, LEAST_DEG = 0.0005, 0.0005
+"""Least height and tilt of a seat that are printed: an actuator's position is not known better."""
+
+
 @dataclass(frozen=True, slots=True)
 class Seat:
     """How a part sits, against what the cell's file says."""
@@ -53,6 +57,11 @@ class Seat:
     """How much too high it is at each place, along the normal."""
     worst_mm: float
     """Most that any point of it is off."""
+
+    @property
+    def is_level(self) -> bool:
+        """Whether height and tilt are below what is printed of them."""
+        return max(abs(self.height_mm) / LEAST_MM, *(abs(angle) / LEAST_DEG for angle in self.tilt_deg)) < 1
 
     def __str__(self) -> str:
         """In words."""

@@ -119,10 +119,11 @@ def prove(surface: SurfaceMap, bumps: Sequence[Bump]) -> Proof:
     if proof.next_best > proof.correlation - MARGIN:
         raise BadMap(f"the map shows the artefact {rival.name} about as well as {best.name} ({rival.correlation:.2f} "
                      f"and {proof.correlation:.2f}): bring all its bumps into view")  # fmt: skip
-    wrong, mend = _mistakes(surface, best, proof)
+    wrong, mend, elsewhere = _mistakes(surface, best, proof)
     if wrong:
-        raise BadMap(f"the map shows the artefact {' and '.join(wrong)}: set {', '.join(mend)} in the instrument's "
-                     "profile and prove it again")  # fmt: skip
+        todo = [f"set {', '.join(mend)} in the instrument's profile"] if mend else []
+        todo = [*todo, *elsewhere, "prove it again"]
+        raise BadMap(f"the map shows the artefact {' and '.join(wrong)}: {', '.join(todo[:-1])} and {todo[-1]}")
     return proof
 
 
@@ -203,10 +204,13 @@ def _placed(
     )  # fmt: skip
 
 
-def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[list[str], list[str]]:
-    """What the map shows amiss, and the profile's values that would mend it."""
+def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[list[str], list[str], list[str]]:
+    """What the map shows amiss, the profile's values that would mend it, and what is to be done elsewhere.
+
+    A pitch that the file says is not mended by the profile: another one there is refused beside the file's.
+    """
     profile = surface.factors.get("profile", {})
-    wrong, mend = [], []
+    wrong, mend, elsewhere = [], [], list[str]()
     if not best.as_it_is:
         was = Orientation(profile.get("mirror", False), profile.get("rotation_deg", 0))
         right = was.then(best.orientation.undone)
@@ -219,5 +223,12 @@ def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[lis
         mend.append(f"factor = {profile.get('factor', 1.0) / known:.4g}")
     if abs(proof.pitch_ratio - 1) > PITCH_TOLERANCE:
         wrong.append(f"{proof.pitch_ratio:.3f} times as large")
-        mend.append(f"pitch_mm = {surface.grid.pitch_mm / proof.pitch_ratio:.6g}")
-    return wrong, mend
+        said, true_mm = surface.grid.pitch_mm, surface.grid.pitch_mm / proof.pitch_ratio
+        if profile.get("pitch_from") == "file":
+            elsewhere.append(
+                f"calibrate the lateral scale at the instrument, whose files say {said:.6g} mm a pixel where the "
+                f"artefact says {true_mm:.6g} (no profile replaces that), or correct the places of its bumps, measure it"
+            )
+        else:
+            mend.append(f"pitch_mm = {true_mm:.6g}")
+    return wrong, mend, elsewhere

@@ -55,6 +55,7 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: b
     applied = {
         "name": instrument.name, "mirror": instrument.mirror, "rotation_deg": instrument.rotation_deg,
         "sign": instrument.sign, "factor": instrument.factor, "unit_nm": unit, "pitch_mm": pitch,
+        "pitch_from": "profile" if surface.pitch_mm is None or "pitch" in surface.unsaid else "file",
     }  # fmt: skip
     return replace(
         surface,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,7 +55,13 @@ def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, writ
     """Write the rehearsal of a cell and, unless told otherwise, start its simulator; the exit code."""
     if any(option.partition("=")[0] in {"--state", "--artefact"} for option in options):
         raise ConfigError("--state and --artefact go without --from: a rehearsal has folders of its own; use --out")
-    made = write_rehearsal(cell, out)
+    own = _plant_options(options)
+    if write_only and (others := [one for one in options if one not in own.given]):
+        raise ConfigError(
+            f"{' '.join(others)}: goes to the simulator, which --write-only does not start; of its options --speed and "
+            "--seed are written into its file. Leave the others out."
+        )
+    made = write_rehearsal(cell, out, own.values)
     for note in made.notes:
         stderr.print(f"- {note}", markup=False, highlight=False, soft_wrap=True)
     stderr.print(f"simulated cell: {made.sim}", markup=False, highlight=False, soft_wrap=True)
@@ -63,8 +69,35 @@ def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, writ
     return 0 if write_only else run_simulator(made.sim, options)
 
 
-def write_rehearsal(cell: Path, out: Path | None = None) -> Rehearsal:
+@dataclass(frozen=True, slots=True)
+class _PlantOptions:
+    """Options of the simulator that its file can hold, under [plant]."""
+
+    values: Mapping[str, float]
+    given: tuple[str, ...]
+    """As they were given."""
+
+
+def _plant_options(options: Sequence[str]) -> _PlantOptions:
+    values, given = dict[str, float](), list[str]()
+    for at, option in enumerate(options):
+        name, _, text = option.partition("=")
+        key = name.removeprefix("--")
+        if name not in {"--speed", "--seed"}:
+            continue
+        words = [option] if text else list(options[at : at + 2])
+        try:
+            values[key] = {"speed": float, "seed": int}[key](words[-1].rpartition("=")[2])
+        except ValueError as error:
+            raise ConfigError(f"{' '.join(words)}: is no number. Give one, as {name} 20.") from error
+        given += words
+    return _PlantOptions(values, tuple(given))
+
+
+def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, float] | None = None) -> Rehearsal:
     """SIM.toml and the rehearsal's cell, in a new folder; nothing is opened, and nothing of the real cell written.
+
+    ``plant``: keys of [plant] instead of what is usual: ``speed``, ``seed``.
 
     Raises:
         ConfigError: the cell is wrong, cannot be simulated, or the folder is the real cell's or not empty.
@@ -72,6 +105,8 @@ def write_rehearsal(cell: Path, out: Path | None = None) -> Rehearsal:
     """
     config, hooks = load_cell(cell)
     draft, folder = gathered(config, hooks), (out or usual_folder(config)).absolute()
+    for key, value in (plant or {}).items():
+        draft.put("plant", key, value, f"as --{key} said")
     require_apart(draft, folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     own = f"{cell.stem}-rehearsal.toml"

@@ -37,6 +37,10 @@ class SampleKeys(Section):
 
     sample: Text | None = None
     """A map of this instrument: its profile is begun from it, and the part's size and name where [part] has none."""
+    sample_units: Text | None = None
+    """Units of its places and heights, as `mm,nm`, where the file does not say them."""
+    sample_pitch_mm: Positive | None = None
+    """Width of its pixels on the part, where the file has no lateral scale at all."""
 
 
 class MakeKeys(Section):

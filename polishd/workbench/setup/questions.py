@@ -15,12 +15,14 @@ from polishd.config.meanings import in_words, meanings
 from polishd.config.process import MeasuredSection, ProcessSection, SerialSection
 from polishd.config.sections import JobSection, PartSection
 from polishd.hooks.loader import Hooks
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, SurfaceError
 from polishd.plain import toml
+from polishd.workbench.maps.files import MapSource
 from polishd.workbench.setup.answers import Answers, answers_of
 from polishd.workbench.setup.arms import ARMS
 from polishd.workbench.setup.connected import Connected
 from polishd.workbench.setup.draft import ASSUMED, PART, gathered
+from polishd.workbench.setup.sample import missing_of
 
 ANSWERS = "answers.toml"
 SKIP = ""
@@ -68,7 +70,7 @@ Ask = Callable[[Question, str], str]
 def asked(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) -> Answers:
     """All answers; each is judged as those of a file, and asked again where it is wrong."""
     given: dict[str, Any] = {}
-    for question in questions(given, connected, hooks):
+    for question in questions(given, connected, hooks, folder):
         problem = ""
         while True:
             value = _value(question, ask(question, problem), folder)
@@ -99,8 +101,13 @@ def _unusual(key: str, value: Any) -> bool:
     return key not in ASSUMED or ASSUMED[key][0] != value
 
 
-def questions(given: Mapping[str, Any], connected: Connected, hooks: Hooks) -> Iterator[Question]:
-    """What is asked next follows from what was ``given`` so far, which the asker fills in between."""
+def questions(
+    given: Mapping[str, Any], connected: Connected, hooks: Hooks, folder: Path = Path()
+) -> Iterator[Question]:
+    """What is asked next follows from what was ``given`` so far, which the asker fills in between.
+
+    ``folder``: where files that answers name are looked for.
+    """
     yield from _of_robot(given)
     first = connected.serial[0].path if connected.serial else ""
     serial = f"serial:{first}?baud=115200" if first else ASSUMED["actuator.address"][0]
@@ -109,12 +116,31 @@ def questions(given: Mapping[str, Any], connected: Connected, hooks: Hooks) -> I
     for port in ("robot", "actuator", "spindle"):
         yield from _of_device(port, given, hooks, lambda kind: addresses.get(kind, serial))
     sample = str(connected.maps[0].sample) if connected.maps else SKIP
-    folder = str(connected.maps[0].folder.absolute()) if connected.maps else ASSUMED["metrology.folder"][0]
+    maps = str(connected.maps[0].folder.absolute()) if connected.maps else ASSUMED["metrology.folder"][0]
     yield Question("instrument.sample", "A map of the instrument: its profile is begun from it.", sample, text=True)
-    yield Question("metrology.folder", "Where the instrument leaves its maps.", folder, text=True)
+    yield from _of_sample(given, folder)
+    yield Question("metrology.folder", "Where the instrument leaves its maps.", maps, text=True)
     yield from _of_part(given)
     yield from _of_process(given)
     yield _of("job.tolerance_nm", JobSection, ASSUMED["job.tolerance_nm"][0])
+
+
+def _of_sample(given: Mapping[str, Any], folder: Path) -> Iterator[Question]:
+    """What its file does not say, and no map can be used without."""
+    name = given.get("instrument", {}).get("sample")
+    if not name:
+        return
+    try:
+        surface = MapSource.of().read(folder / name)
+    except SurfaceError:  # told where the answers are judged
+        return
+    match missing_of(surface):
+        case "sample_units":
+            why = f"{Path(name).name} does not say its units: of its places and its heights."
+            yield Question("instrument.sample_units", why, "mm,nm", text=True, needed=True)
+        case "sample_pitch_mm":
+            why = f"{Path(name).name} has no lateral scale: width of a pixel on the part, mm."
+            yield Question("instrument.sample_pitch_mm", why, needed=True)
 
 
 def _of(key: str, model: type[BaseModel], default: Any = SKIP, *, text: bool = False) -> Question:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import typer
 
 from polishd.model.errors import BadMap
 from polishd.model.surface import SurfaceMap
 from polishd.plain import toml
+from polishd.plugins.interferometer.formats.scales import IN_UNITS, nm_per
+from polishd.process.conditioning import squared
 from polishd.workbench.maps.files import MapSource
 
 TEMPLATE = """\
@@ -48,6 +51,10 @@ class Sample:
     surface: SurfaceMap
     aperture_mm: float
     """Diameter of the round part that it shows."""
+    pitch_mm: float | None = None
+    """As it was answered: its files do not say it."""
+    unit_nm: float | None = None
+    """Of its heights, likewise."""
 
     @property
     def part_id(self) -> str:
@@ -55,12 +62,42 @@ class Sample:
         return self.surface.part_id
 
 
-def read_sample(path: Path) -> Sample:
-    """The map; BadMap where no reader knows it, or where it has no lateral scale to tell a size by."""
-    surface = MapSource.of().read(path)
+def missing_of(surface: SurfaceMap) -> str:
+    """The answer that gives a sample its lateral scale; empty where it has one."""
+    if surface.pitch_mm is not None or surface.pitches_mm is not None:
+        return ""
+    return "sample_units" if IN_UNITS in surface.factors else "sample_pitch_mm"
+
+
+def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = None) -> Sample:
+    """The map, with what was answered of it: ``units`` as of ``--units``, and its pitch where the file has none.
+
+    Raises:
+        BadMap: no reader knows it, or it has no lateral scale to tell a size by; it says which answer gives one.
+    """
+    try:
+        read = MapSource.of(units=units).read(path)
+    except typer.BadParameter as error:
+        raise BadMap(f"{path}: {error.message.replace('--units', 'sample_units')}") from error
+    if pitch_mm is not None and missing_of(read) == "sample_pitch_mm":
+        settled = read.doubts.get("pitch")
+        read = replace(
+            read,
+            pitch_mm=pitch_mm,
+            unsaid=read.unsaid - {"pitch"},
+            doubts={key: words for key, words in read.doubts.items() if key != "pitch"},
+            warnings=tuple(words for words in read.warnings if words != settled),
+        )
+    elif pitch_mm is None:
+        pitch_mm = read.pitch_mm if units is not None and not read.pitches_mm else None
+    surface = squared(read)
     if surface.pitch_mm is None:
-        raise BadMap(f"{path}: has no lateral scale; name another sample, or none, and mend the profile by hand")
-    return Sample(path.name, surface, aperture_mm(surface, surface.pitch_mm))
+        key = missing_of(surface)
+        example = '"mm,nm"' if key == "sample_units" else "0.1"
+        raise BadMap(f"{path}: its file has no lateral scale. Give instrument.{key}, as {key} = {example}.")
+    own = read.factors.get("units")
+    unit_nm = nm_per(own[1]) if own else None
+    return Sample(path.name, surface, aperture_mm(surface, surface.pitch_mm), pitch_mm, unit_nm)
 
 
 def aperture_mm(surface: SurfaceMap, pitch_mm: float) -> float:
@@ -84,4 +121,8 @@ def profile_text(sample: Sample | None) -> str:
         says.append(f"# gives = {toml(open_)}  # LOOK: its files do not say that; make it true below, take # off")
     name = toml(surface.instrument or "interferometer")
     unit = UNIT if "unit" in surface.unsaid else ""
+    if sample.unit_nm is not None:
+        unit = f"unit_nm = {sample.unit_nm:g}                      # nanometres per unit, as was answered\n"
+    if sample.pitch_mm is not None:
+        unit += f"\n[lateral]\npitch_mm = {sample.pitch_mm:.9g}  # of a pixel on the part, as was answered\n"
     return TEMPLATE.format(name=name, says="\n".join(says) + "\n", unit=unit)

@@ -107,9 +107,10 @@ def _prompt(question: Question, problem: str) -> str:
 
 def new_cell(answers: Answers, folder: Path) -> NewCell:
     """The files of a cell of these answers; errors: the verb's. Nothing is written."""
-    sample = answers.own.instrument.sample
+    own = answers.own.instrument
     with _blamed(answers, "instrument.sample"):
-        shown = None if sample is None else read_sample(answers.folder / Path(sample).expanduser())
+        path = None if own.sample is None else answers.folder / Path(own.sample).expanduser()
+        shown = None if path is None else read_sample(path, own.sample_units, own.sample_pitch_mm)
     draft = gathered(answers, folder, load_own(), shown)
     config = draft.judged()
     if answers.own.spot is not None:

@@ -336,6 +336,32 @@ def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) 
     assert not (tmp_path / "state").exists()
 
 
+@pytest.mark.full
+def test_speed_and_seed_are_written_with_write_only(tmp_path: Path) -> None:
+    cell = tmp_path / "lens.toml"
+    cell.write_text(with_keys(CELL, LENS))
+    words = ["sim", "--from", str(cell), "--write-only", "--speed", "20", "--seed=7"]
+    said = CliRunner().invoke(app, words)
+    assert said.exit_code == 0, said.output
+    plant = load_simulator(tmp_path / "lens-rehearsal" / "sim.toml").plant
+    assert (plant.speed, plant.seed) == (20.0, 7)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--surface", "a.dat"], "--surface a.dat: goes to the simulator, which --write-only does not start"),
+        (["--speed", "fast"], "--speed fast: is no number"),
+    ],
+)
+def test_an_option_that_would_be_dropped_is_refused(tmp_path: Path, options: list[str], said: str) -> None:
+    cell = tmp_path / "lens.toml"
+    cell.write_text(with_keys(CELL, LENS))
+    with pytest.raises(ConfigError, match=said):
+        CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only", *options], catch_exceptions=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["lens.toml"]
+
+
 @pytest.mark.parametrize("arguments", [[], ["--write-only"], ["sim.toml", "--out", "x"]])
 def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
     assert CliRunner().invoke(app, ["sim", *arguments]).exit_code == 2

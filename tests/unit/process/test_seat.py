@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
-from polishd.model.handling import TouchOff
+from polishd.model.handling import Seat, TouchOff
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray
@@ -97,3 +97,9 @@ def test_three_places_on_a_line_say_no_tilt(places: list[list[float]]) -> None:
     assert not told_apart(off)
     with pytest.raises(ComputeError, match="lie on a line"):
         seat_of(off, np.zeros(3))
+
+
+def test_a_seat_that_is_off_by_less_than_is_printed_is_no_note() -> None:
+    assert Seat(0.0004, (0.0003, -0.0002), (0.0, 0.0, 0.0), 0.0004).is_level
+    assert not Seat(-0.0006, (0.0, 0.0), (0.0, 0.0, 0.0), 0.0006).is_level
+    assert not Seat(0.0, (0.0, 0.0006), (0.0, 0.0, 0.0), 0.0006).is_level

@@ -96,7 +96,8 @@ def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
         titles = _header(line.decode("utf-8", "replace"))
         units = _units(line.decode("utf-8", "replace"))
         if units:
-            header = header._replace(units=tuple(units[at] for at in header.order))
+            x, y, z = header.order
+            header = header._replace(units=(units[x], units[y], units[z]))
         elif titles and not (titles.unknown and header.units != ("", "", "")):
             header = titles
         if end < 0:

@@ -124,6 +124,23 @@ def test_a_wrong_profile_is_refused_and_the_advice_mends_it(
     assert polishd("map", "commission", profile(ours, mend), wrong).code == 0
 
 
+@pytest.mark.parametrize("profiled", [False, True])
+def test_a_wrong_pitch_is_mended_where_it_is_said(polishd: Polishd, tmp_path: Path, profiled: bool) -> None:
+    """A pitch_mm beside the file's own was advised, and refused by the next try."""
+    lateral = f"[lateral]\npitch_mm = {0.85 * PITCH_MM}"
+    ours = profile(tmp_path / "p.toml", lateral if profiled else "")
+    wrong = dat(tmp_path / "wrong.dat", artefact(), pitch_mm=0.0 if profiled else 0.85 * PITCH_MM)
+    said = polishd("map", "commission", ours, wrong)
+    assert said.code == 8
+    if profiled:
+        advised = said.err.split("set pitch_mm = ")[1].split()[0]
+        ours = profile(tmp_path / "p.toml", f"[lateral]\npitch_mm = {advised}")
+        assert polishd("map", "commission", ours, wrong).code == 0
+    else:
+        assert "set pitch_mm" not in said.err
+        assert "calibrate the lateral scale at the instrument, whose files say 0.425 mm a pixel" in said.err
+
+
 @pytest.mark.full
 def test_what_does_not_show_the_artefact(polishd: Polishd, tmp_path: Path, ours: Path) -> None:
     """Another artefact; one of which two bumps are out of the map; a map without a scale."""

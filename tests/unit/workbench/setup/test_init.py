@@ -21,6 +21,7 @@ from polishd.model.process import MeasuredTif
 from polishd.model.robot import SerialRobot
 from polishd.recipe import foresight, steps
 from polishd.recipe.making import make_recipe
+from polishd.workbench.maps.files import MapSource
 from polishd.workbench.setup.arms import ARMS
 from tests.unit.workbench.maps.maps import dat
 
@@ -174,3 +175,42 @@ def test_files_that_answers_name_are_found_from_the_cell_too(tmp_path: Path) -> 
     config = load_config(tmp_path / "cell" / "cell.toml")
     assert config.outline().size_mm == pytest.approx((18.0, 14.0))
     assert read_tif(config.resolve(str(config.process.tif))).rate_nm_s.tolist() == np.eye(9).tolist()
+
+
+POINTS = "\n".join(
+    f"{x} {y} {0.2 * x + 0.1 * y:.4g}" for x in range(-20, 21) for y in range(-20, 21) if x * x + y * y <= 400
+)
+SAMPLED = LENS.replace("aperture_mm = 20\n", "") + '[instrument]\nsample = "points.xyz"\n'
+
+
+def test_a_sample_without_units_needs_an_answer_and_says_which(tmp_path: Path) -> None:
+    (tmp_path / "points.xyz").write_text(POINTS + "\n")
+    with pytest.raises(
+        ConfigError, match=r'instrument\.sample: .*Give instrument\.sample_units, as sample_units = "mm,nm"'
+    ):
+        init(tmp_path, SAMPLED)
+    with pytest.raises(ConfigError, match="as mm,nm"):
+        init(tmp_path, SAMPLED + 'sample_units = "mm,waves"\n')
+    assert not (tmp_path / "cell").exists()
+
+
+@pytest.mark.full
+def test_with_the_answer_the_profile_says_what_the_files_do_not(tmp_path: Path) -> None:
+    (tmp_path / "points.xyz").write_text(POINTS + "\n")
+    init(tmp_path, SAMPLED + 'sample_units = "mm,um"\n')
+    instrument = load_profile(tmp_path / "cell" / "instrument.toml").instrument
+    assert (instrument.pitch_mm, instrument.unit_nm) == (1.0, 1e3)
+    assert load_config(tmp_path / "cell" / "cell.toml").part.aperture_mm == 41
+    surface = MapSource.of(None, tmp_path / "cell" / "instrument.toml").read(tmp_path / "points.xyz")
+    assert surface.pitch_mm == 1.0
+    assert np.nanmax(surface.height_nm) == pytest.approx(1e3 * np.hypot(0.2, 0.1) * 20, rel=0.02)
+
+
+@pytest.mark.full
+def test_a_map_without_a_scale_is_given_a_pitch(tmp_path: Path) -> None:
+    dat(tmp_path / "bare.dat", np.where(np.hypot(*np.mgrid[-20:21, -20:21]) < 20, 3.0, np.nan), pitch_mm=0.0)
+    answers = SAMPLED.replace("points.xyz", "bare.dat")
+    with pytest.raises(ConfigError, match=r"Give instrument\.sample_pitch_mm, as sample_pitch_mm = 0\.1"):
+        init(tmp_path, answers)
+    init(tmp_path, answers + "sample_pitch_mm = 0.5\n")
+    assert load_profile(tmp_path / "cell" / "instrument.toml").instrument.pitch_mm == 0.5

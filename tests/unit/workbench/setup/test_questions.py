@@ -142,3 +142,14 @@ def test_on_a_terminal_it_leaves_a_cell_and_its_answers(tmp_path: Path, monkeypa
     assert 'arm = "ur10e"' in (tmp_path / "cell" / "answers.toml").read_text()
     again = CliRunner().invoke(app, ["init", "cell"])
     assert "answers.toml: there already" in str(again.exception)
+
+
+@pytest.mark.full
+def test_a_sample_that_does_not_say_its_units_is_asked_for_them(tmp_path: Path) -> None:
+    sample = tmp_path / "points.xyz"
+    sample.write_text("\n".join(f"{x} {y} {x + y}" for x in range(5) for y in range(5)) + "\n")
+    person = Person(instrument__sample=[str(sample)], instrument__sample_units=["", "mm,um"])
+    answers = answered(tmp_path, person)
+    assert person.problems == [("instrument.sample_units", "cannot be left out")]
+    assert answers.own.instrument.sample_units == "mm,um"
+    assert "instrument.sample_pitch_mm" not in {question.key for question in person.questions}
