@@ -227,7 +227,7 @@ def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[lis
         if profile.get("pitch_from") == "file":
             elsewhere.append(
                 f"calibrate the lateral scale at the instrument, whose files say {said:.6g} mm a pixel where the "
-                f"artefact says {true_mm:.6g} (no profile replaces that), or correct the places of its bumps, measure it"
+                f"artefact says {true_mm:.6g} (no profile replaces that), or correct its bumps' places; remeasure"
             )
         else:
             mend.append(f"pitch_mm = {true_mm:.6g}")

@@ -131,7 +131,7 @@ def _of_sample(given: Mapping[str, Any], folder: Path) -> Iterator[Question]:
     if not name:
         return
     try:
-        surface = MapSource.of().read(folder / name)
+        surface = MapSource.of().read(Path(os.path.normpath(folder.absolute() / name)))  # the folder is not there yet
     except SurfaceError:  # told where the answers are judged
         return
     match missing_of(surface):
