@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from polishd.console.demo_files import DemoFiles
 from tests.fakes.receivers import mail_server, web_server
 from tests.system.cell_rig import Daemon, small_cell
+from tests.unit.plugins.test_interferometer_folder import dat
 
 pytestmark = pytest.mark.system
 SECRET = "hunter2-and-more"
@@ -71,3 +74,25 @@ def test_a_spindle_that_dies_at_night_is_heard_of(tmp_path: Path) -> None:
     for path in (tmp_path / "cell").rglob("*"):
         if path.is_file() and path.name != "secret":
             assert SECRET.encode() not in path.read_bytes(), path
+
+
+@pytest.mark.full
+def test_a_refused_map_is_heard_of_at_once_and_stands_in_the_status(tmp_path: Path) -> None:
+    """The instrument is silent, and somebody drops the map of the part before."""
+    with web_server() as hook, small_cell(tmp_path / "cell", seed=4) as files:
+        os.kill(json.loads((files.sim_dir / "pids.json").read_text())["interferometer"], signal.SIGKILL)
+        tell(files, 9, hook.url)
+        with Daemon(files) as daemon:
+            daemon.wait_for_state("polishing")
+            (files.sim_dir / "maps" / "before.dat").write_bytes(dat(1, part="THE-PART-BEFORE"))
+            told = hook.wait()
+            assert (told["event"], told["severity"]) == ("map_refused", "warning")
+            assert "map before.dat refused: WrongPart: it shows part 'THE-PART-BEFORE'" in told["what"]
+            assert "Measure part" in told["todo"]
+            command = [sys.executable, "-m", "polishd.cli", "status", str(files.cell)]
+            said = subprocess.run(
+                command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"}
+            )
+            assert "map refused" in said.stdout
+            assert "before.dat: WrongPart" in said.stdout
+            assert daemon.end() == 1

@@ -160,6 +160,30 @@ def points_file(separator: str = ",", header: str = "x_mm,y_mm,z_nm\n", missing:
     return (header + end.join(lines) + end).encode()
 
 
+def wyko_text(
+    heights: FloatArray, *, in_nm: int = 1, block: str = "RAW_DATA", aspect: str = "", pixel: str = "0.002"
+) -> str:
+    """A Wyko ASCII file of (rows, columns) heights, row 0 the top."""
+    """A Wyko ASCII file of (rows, columns) heights, row 0 the top."""
+    rows, columns = heights.shape
+    lines = [
+        f"Wyko ASCII Data File Format 0\t{in_nm}\t1",
+        f"X Size\t{columns}",
+        f"Y Size\t{rows}",
+        "Block Name\tType\tLength\tValue",
+        f"Pixel_size\t7\t4\t{pixel}",
+        "Wavelength\t7\t4\t632.8",
+        "Mult\t7\t4\t2",
+        "Title\t5\t20\tblank 7",
+        *([f"Aspect\t7\t4\t{aspect}"] if aspect else []),
+        f"Intensity\t3\t{4 * heights.size}\t",
+        *("\t".join(["7"] * rows) for _ in range(columns)),
+        f"{block}\t3\t{4 * heights.size}\t",
+        *("\t".join("Bad" if np.isnan(value) else f"{value:g}" for value in column[::-1]) for column in heights.T),
+    ]
+    return "\r\n".join(lines) + "\r\n"
+
+
 EXAMPLES: dict[str, tuple[str, bytes]] = {
     "x3p": ("map.x3p", x3p_file()),
     "x3p-int16": ("map.x3p", x3p_file(z_type=x3pio.DataType.INT16)),
@@ -176,6 +200,7 @@ EXAMPLES: dict[str, tuple[str, bytes]] = {
     "npy": ("map.npy", npy_file()),
     "npz": ("map.npz", npz_file()),
     "points": ("map.csv", points_file()),
+    "wyko": ("map.asc", wyko_text(heights_nm()).encode()),
     "points-blanks": ("map.xyz", points_file(" ", "", "No Data")),
 }
 """Name and content of a file by what it is."""

@@ -11,33 +11,12 @@ import pytest
 from polishd.model.errors import BadMap
 from polishd.plugins.interferometer import READERS
 from polishd.plugins.interferometer.files import read_map
+from tests.unit.plugins.map_files_other import wyko_text as text
 from tests.unit.said import Polishd
 
 NAN = np.nan
 HEIGHTS = np.array([[1.0, 4.0, 7.0, 10.0], [2.0, NAN, 8.0, 11.0], [3.0, 6.0, 9.0, 12.0]])
 """(rows, columns), row 0 the top."""
-
-
-def text(
-    heights: np.ndarray, *, in_nm: int = 1, block: str = "RAW_DATA", aspect: str = "", pixel: str = "0.002"
-) -> str:
-    rows, columns = heights.shape
-    lines = [
-        f"Wyko ASCII Data File Format 0\t{in_nm}\t1",
-        f"X Size\t{columns}",
-        f"Y Size\t{rows}",
-        "Block Name\tType\tLength\tValue",
-        f"Pixel_size\t7\t4\t{pixel}",
-        "Wavelength\t7\t4\t632.8",
-        "Mult\t7\t4\t2",
-        "Title\t5\t20\tblank 7",
-        *([f"Aspect\t7\t4\t{aspect}"] if aspect else []),
-        f"Intensity\t3\t{4 * heights.size}\t",
-        *("\t".join(["7"] * rows) for _ in range(columns)),
-        f"{block}\t3\t{4 * heights.size}\t",
-        *("\t".join("Bad" if np.isnan(value) else f"{value:g}" for value in column[::-1]) for column in heights.T),
-    ]
-    return "\r\n".join(lines) + "\r\n"
 
 
 @pytest.fixture
@@ -72,7 +51,7 @@ def test_pixels_that_are_not_square_keep_both_pitches(write: Callable[[str], Pat
         (text(HEIGHTS)[:-20], "torn"),
         (text(HEIGHTS).replace("X Size\t4\r\n", ""), "before its block 'Intensity'"),
         (text(HEIGHTS, in_nm=0).replace("632.8", "nm"), "Wavelength is 'nm'"),
-        (text(HEIGHTS).replace("12\t11", "x\t11"), "among its heights"),
+        (text(HEIGHTS).replace("12\t11", "x\t11"), "stands among its numbers"),
     ],
 )
 def test_what_is_broken_is_refused_by_name(write: Callable[[str], Path], content: str, why: str) -> None:

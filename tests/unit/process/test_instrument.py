@@ -34,7 +34,7 @@ def test_each_way_is_applied_to_array_marks_and_vectors(way: Orientation) -> Non
     assert way.turn_vector(offset) == pytest.approx((column - (nx - 1) / 2, (ny - 1) / 2 - row))
     assert seen.factors["profile"] == {
         "name": "shop", "mirror": way.mirror, "rotation_deg": way.rotation_deg, "sign": -1, "factor": 0.5,
-        "unit_nm": 1.0, "pitch_mm": 0.25,
+        "unit_nm": 1.0, "pitch_mm": 0.25, "pitch_from": "file",
     }  # fmt: skip
     assert seen.factors["sign"] == 1
     assert way.name in seen.orientation

@@ -19,6 +19,7 @@ from polishd.api import BadMap, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import content_of, require_size
 from polishd.plugins.interferometer.formats.format import Format
+from polishd.plugins.interferometer.formats.numbers import LONGEST, floats, pieces
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 
 MAGIC = b"Wyko ASCII Data File Format"
@@ -49,7 +50,7 @@ def read(path: Path) -> SurfaceMap:
     if name is None:
         raise BadMap(f"{path}: a Wyko ASCII file without heights: no block {', '.join(HEIGHTS)}; export RAW_DATA")
     scale = 1.0 if header.in_nm else _nm_per_wave(path, header)
-    height_nm = _heights(path, found[name], header) * scale
+    height_nm = _heights(path, content, found[name], header) * scale
     width = _number(path, header, "Pixel_size", 0.0)
     lateral = NO_PITCH if width == 0 else pitch(path, abs(width), abs(width) * _number(path, header, "Aspect", 1.0))
     return FORMAT.surface(
@@ -63,30 +64,39 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _split(path: Path, content: bytes) -> tuple[Header, dict[str, bytes]]:
-    """The header, and the text of each block of an array."""
+def _split(path: Path, content: bytes) -> tuple[Header, dict[str, tuple[int, int]]]:
+    """The header, and from where to where each block of an array stands."""
     flags = FLAGS.match(content, len(MAGIC))
     values: dict[str, str] = {}
-    blocks: dict[str, bytes] = {}
+    blocks: dict[str, tuple[int, int]] = {}
     sizes: dict[str, int] = {}
-    lines = content.split(b"\n")
-    at = 1
-    while at < len(lines):
-        name, *rest = (word.strip() for word in lines[at].decode("latin-1").rstrip("\r").split("\t"))
-        at += 1
+    at = _next_line(content, 0)
+    while at < len(content):
+        end = _next_line(content, at)
+        name, *rest = (word.strip() for word in content[at : min(end, at + LONGEST)].decode("latin-1").split("\t"))
+        at = end
         if name in {"X Size", "Y Size"}:
             sizes[name] = _size(path, name, rest)
         elif len(rest) >= 2 and rest[0] == "3":  # an array: as many lines follow as there are columns
             if len(sizes) < 2:
                 raise BadMap(f"{path}: has no X Size and Y Size before its block {name!r}: torn, or no Wyko ASCII file")
-            blocks[name] = b"\n".join(lines[at : at + sizes["X Size"]])
-            at += sizes["X Size"]
+            for _ in range(sizes["X Size"]):
+                if end >= len(content):
+                    break
+                end = _next_line(content, end)
+            blocks[name] = (at, end)
+            at = end
         elif len(rest) >= 3:
             values[name] = rest[2]
     if len(sizes) < 2:
         raise BadMap(f"{path}: a Wyko ASCII file without X Size and Y Size: torn, or still being written")
     in_nm = flags is not None and int(flags[2]) == 1
     return Header(sizes["X Size"], sizes["Y Size"], values, in_nm), blocks
+
+
+def _next_line(content: bytes, at: int) -> int:
+    end = content.find(b"\n", at)
+    return len(content) if end < 0 else end + 1
 
 
 def _size(path: Path, name: str, rest: list[str]) -> int:
@@ -117,19 +127,21 @@ def _nm_per_wave(path: Path, header: Header) -> float:
     return wavelength / mult
 
 
-def _heights(path: Path, block: bytes, header: Header) -> FloatArray:
+def _heights(path: Path, content: bytes, span: tuple[int, int], header: Header) -> FloatArray:
     """(rows, columns), row 0 the top, in the file's unit."""
-    require_size(path, header.rows, header.columns, most=len(block))
-    words = block.lower().replace(b"bad", b"nan").split()
-    if len(words) != header.rows * header.columns:
+    count = header.rows * header.columns
+    require_size(path, header.rows, header.columns, most=span[1] - span[0])
+    values, filled = np.empty(count), 0
+    for piece in pieces(path, content, span, (b"\n", b"\t", b" ")):
+        found = floats(path, piece.replace(b"Bad", b"nan"), but=b"na")
+        if filled + found.size <= count:
+            values[filled : filled + found.size] = found
+        filled += found.size
+    if filled != count:
         raise BadMap(
-            f"{path}: has {len(words)} heights of {header.columns} columns x {header.rows} rows: torn, or still being "
+            f"{path}: has {filled} heights of {header.columns} columns x {header.rows} rows: torn, or still being "
             "written"
         )
-    try:
-        values = np.array(words, dtype=np.float64)
-    except ValueError as error:
-        raise BadMap(f"{path}: {error} among its heights") from error
     return np.asarray(values.reshape(header.columns, header.rows).T[::-1], dtype=np.float64)
 
 

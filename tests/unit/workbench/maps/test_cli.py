@@ -122,6 +122,7 @@ def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
         "npy",
         "codev",
         "points",
+        "wyko_ascii",
     }
     said = polishd("map", "formats")
     assert said.code == 0

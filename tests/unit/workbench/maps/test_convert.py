@@ -235,7 +235,7 @@ def test_what_a_writer_refuses_is_one_message(polishd: Polishd, source: Path, mo
     readers = dict(readers_for())
     held = readers["metropro"]
     readers["metropro"] = SurfaceReader(held.name, held.sniff, held.read, (".dat",), write)
-    monkeypatch.setattr("polishd.workbench.maps.files.readers_for", lambda cell: readers)
+    monkeypatch.setattr("polishd.workbench.maps.files._of_cell", lambda _: (None, readers))
     said = polishd("map", "convert", source, source.with_name("out.dat"))
     assert said.code == 8
     assert "heights beyond its integers" in said.err

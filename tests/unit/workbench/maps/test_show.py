@@ -22,7 +22,7 @@ from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
 
 KEYS = [
-    "path", "format", "rows", "cols", "pitch_mm", "missing", "pv_nm", "rms_nm", "pv_tilt_removed_nm",
+    "path", "format", "rows", "cols", "pitch_mm", "pitches_mm", "missing", "pv_nm", "rms_nm", "pv_tilt_removed_nm",
     "rms_tilt_removed_nm", "bands", "sha256", "warnings",
 ]  # fmt: skip
 # metrology.md: rows, columns, pitch in mm, missing samples, PV and RMS about the mean in nm
