@@ -127,14 +127,14 @@ def require_language(profile: AnyDialect, head: bytes, name: str) -> None:
             return
         raise ProgramError(
             f"{name}: not {_title(profile.name)}: the file looks like G-code. To do: use the dialect of its controller "
-            f'(--dialect {DEFAULT}, or program.dialect = "{DEFAULT}" in a cell).'
+            f'(--dialect {DEFAULT}, or program.format = "{DEFAULT}" in a cell).'
         )
     known, line = found
     if profile.name == known.dialect or not (isinstance(profile, Dialect) or profile.name in LANGUAGES):
         return
     what = "G-code" if isinstance(profile, Dialect) else _title(profile.name)
     advice = (
-        f'use --dialect {known.dialect} (program.dialect = "{known.dialect}" in a cell)'
+        f'use --dialect {known.dialect} (program.format = "{known.dialect}" in a cell)'
         if known.dialect
         else "have it posted in a dialect that polishd reads (polishd program dialects lists them)"
     )

@@ -6,13 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from polishd.console.demo_files import with_values
 from polishd.model.errors import ProgramError
 from polishd.plugins.rnc_robot.detect import detect
 from polishd.plugins.rnc_robot.dialect import LANGUAGES, dialect
 from polishd.plugins.rnc_robot.formats import read
+from tests.commissioned import commissioned
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 from tests.unit.said import Polishd
 
+EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "cell.toml"
 G_CODE = b"G21 G90 G94\nG0 X0 Y0 Z5\nG1 X1 Z0 F60\nG4 P1\nG1 X3\nG4 P.5\nG0 Z5\nM2\n"
 
 
@@ -69,8 +72,8 @@ def test_what_is_not_read_or_fits_several_is_said(head: bytes, name: str, said: 
 
 @pytest.mark.parametrize("name", sorted(LANGUAGES))
 def test_a_cells_dialect_that_is_another_is_named(name: str) -> None:
-    """As plan, check and run read it: by the format of program.dialect."""
-    with pytest.raises(ProgramError, match=rf'not G-code: the file looks like .*program\.dialect = "{name}"'):
+    """As plan, check and run read it: by program.format."""
+    with pytest.raises(ProgramError, match=rf'not G-code: the file looks like .*program\.format = "{name}"'):
         read(dialect("rs274"), PROGRAMS[name][0], "p.rnc")
     with pytest.raises(ProgramError, match="the file looks like G-code"):
         read(dialect(name), G_CODE, "p.rnc")
@@ -90,3 +93,16 @@ def test_every_verb_takes_it_from_the_file(polishd: Polishd, tmp_path: Path) -> 
     said = polishd("program", "inspect", path, "--dialect", "rs274")
     assert said.code == 9
     assert "not G-code: the file looks like KUKA KRL. To do: use --dialect krl" in said.err
+
+
+@pytest.mark.parametrize("verb", ["check", "compliance"])
+def test_a_cell_whose_format_is_not_its_programs_says_which_it_is(polishd: Polishd, tmp_path: Path, verb: str) -> None:
+    cell, program = tmp_path / "cell.toml", tmp_path / "p.src"
+    commissioned(tmp_path)
+    cell.write_text(with_values(EXAMPLE.read_text(), {"program": {"path": "p.src"}}))
+    program.write_bytes(PROGRAMS["krl"][0])
+    said = polishd(verb, cell, *([] if verb == "check" else ["--program", program]))
+    assert said.code != 0
+    assert 'the file looks like KUKA KRL. To do: use --dialect krl (program.format = "krl" in a cell)' in " ".join(
+        (said.out + said.err).split()
+    )
