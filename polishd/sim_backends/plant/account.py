@@ -60,7 +60,15 @@ class Pit:
             **{name: getattr(self, name) for name in ("from_s", "until_s", "contact_s")},
             "peak_nm": float(self.excess_nm.max()),
             "at_mm": [float(part.grid.x_mm[column]), float(part.grid.y_mm[row])],
+            **self._on_part(part),
         }
+
+    def _on_part(self, part: TruePart) -> dict[str, float]:
+        """Worst place of the part itself, without the ring on which the tool lands, and what was planned there."""
+        on_part = np.pad(part.valid, part.pad)
+        worst = int(np.where(on_part, self.excess_nm, -np.inf).argmax())
+        planned_nm = part.start_nm - part.height_nm - self.excess_nm
+        return {"part_nm": float(self.excess_nm.flat[worst]), "planned_nm": float(planned_nm.flat[worst])}
 
 
 @dataclass(slots=True)

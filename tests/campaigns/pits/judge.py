@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from polishd.console.demo_files import DemoFiles
 from tests.campaigns.faults.judge import OFF, REACTIONS, UP, first, load
 from tests.campaigns.pits.cases import LINKS
@@ -109,8 +107,8 @@ def _finding(
     assert not reason.startswith(("LinkError", "HostFault")), f"this computer was too busy: {reason}"
     notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
     assert pit is not None, "the plant knows of no fault"
-    removed_nm = max(pit["peak_nm"], 0.0)
-    limit_nm = bound_nm(checked, _planned_nm(files, pit) if unnoticed else None)
+    removed_nm = max(pit["part_nm"] if unnoticed else pit["peak_nm"], 0.0)  # of a whole pass: it ends off the part
+    limit_nm = bound_nm(checked, pit["planned_nm"] if unnoticed else None)
     wrong = []
     if notice_s is None and not unnoticed:
         wrong.append("not noticed")
@@ -129,13 +127,3 @@ def _finding(
         wrong,
         load(),
     )
-
-
-def _planned_nm(files: DemoFiles, pit: Mapping[str, Any]) -> float:
-    """Planned removal at the worst place: all that the part lost there, less what was beyond plan."""
-    with np.load(files.sim_dir / "truth.npz") as truth:
-        removed_nm, pitch_mm = truth["start_nm"] - truth["height_nm"], float(truth["pitch_mm"])
-    ny, nx = removed_nm.shape
-    x_mm, y_mm = pit["at_mm"]
-    row, column = round((ny - 1) / 2 - y_mm / pitch_mm), round(x_mm / pitch_mm + (nx - 1) / 2)
-    return float(removed_nm[row, column]) - float(pit["peak_nm"])

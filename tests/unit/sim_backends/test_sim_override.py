@@ -239,6 +239,8 @@ def test_nothing_before_the_first_wrong_moment_counts() -> None:
     assert (told["from_s"], told["contact_s"]) == (0.5, pytest.approx(0.5))
     whole = float((plant.part.start_nm - plant.part.height_nm).max())
     assert told["peak_nm"] == pytest.approx(whole / 2.0, rel=0.01)
+    assert told["part_nm"] == told["peak_nm"], "the tool stands on the part"
+    assert told["planned_nm"] == pytest.approx(whole / 2.0, rel=0.01)
     row, column = np.unravel_index(int(pit.excess_nm.argmax()), pit.excess_nm.shape)
     assert told["at_mm"] == [plant.part.grid.x_mm[column], plant.part.grid.y_mm[row]]
 
