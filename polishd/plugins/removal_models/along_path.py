@@ -12,7 +12,6 @@ from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import on_nodes
 from polishd.process.curved import on_curved
-from polishd.process.dwell.sampled_tif import MATRIX_ENTRIES
 from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, lean_azimuth_rad
 from polishd.process.edge.correctable import transfer
 from polishd.process.identification.acting import Acting
@@ -21,8 +20,12 @@ from polishd.process.robot.refusal import require_number
 from polishd.process.spot import HertzSpot, Spot
 from polishd.process.spot_path import SpotPath, levelled_axes
 
+MATRIX_ENTRIES = 12_000_000
+"""Of a matrix with which a plan's solves take tens of CPU seconds: above, it is tried without one."""
 MOST_ENTRIES = 100_000_000
 """Of a matrix: with its transpose, which the solver needs, 2.4 GB."""
+NEAR = 1e-3, 2e-3
+"""How far off the removal may be without a matrix, over its peak, where that only saves time; tried in turn."""
 LESS_NEAR = 5e-3
 """How far off the removal may be without a matrix, over its peak, where the matrix would be too large."""
 MOST_CONVOLUTIONS = 6
@@ -131,13 +134,17 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
             return found, (note,)
     entries = along.entries(grid, spots)
     if entries > MATRIX_ENTRIES:
-        try:
-            spread = along.without_matrix(grid, spots)
-        except ComputeError as error:
-            if entries <= MOST_ENTRIES:
-                return along.matrix(grid, spots), (f"the effect is a matrix: {error}",)
-            spread = along.without_matrix(grid, spots, LESS_NEAR)
-        return spread, (spread.note,)
+        why = ""
+        for tolerance in NEAR if entries <= MOST_ENTRIES else (NEAR[0], LESS_NEAR):
+            try:
+                spread = along.without_matrix(grid, spots, tolerance)
+            except ComputeError as error:
+                why = str(error)
+            else:
+                return spread, (spread.note,)
+        if entries > MOST_ENTRIES:
+            raise ComputeError(why)
+        return along.matrix(grid, spots), (f"the effect is a matrix: {why}",)
     return along.matrix(grid, spots), ()
 
 
