@@ -149,7 +149,7 @@ async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dic
 
 def _written(cells: Sequence[_Ready], within_s: float) -> bool:
     """Whether no journal has waited for longer than that for its disk."""
-    return all(one.journal.unsaved_s < within_s for one in cells if isinstance(one.journal, Journal))
+    return all(one.journal.unsaved_s < within_s for one in cells if not isinstance(one.journal, JournalDamage))
 
 
 def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool) -> _Ready:

@@ -77,6 +77,9 @@ async def test_a_run_folder_that_cannot_be_written_does_not_end_a_job_that_was_b
 )
 def test_a_journal_is_moved_aside_only_where_it_is_none(tmp_path: Path, code: str, advice: str) -> None:
     class Broken:
+        def create_function(self, *_: object, **__: object) -> None:
+            """Taken, and not used."""
+
         def execute(self, *_: object) -> Any:
             error = sqlite3.OperationalError("what sqlite says")
             error.sqlite_errorname = code
