@@ -34,6 +34,12 @@ PULL = 0.03
 """Relative residual that a factor of e from the given stiffness counts as, until it is known which are determined."""
 NOTHING = 1e-9
 """What a factor of e in a stiffness changes in all tests together (relative), to be told from rounding errors."""
+STARTS = 4
+"""Fits, each from other stiffnesses: those given, all of them at the level of the tests, and others about that."""
+SPREAD = 10.0
+"""Each stiffness of the other starts differs from that level by up to this factor either way."""
+SAME = 0.01
+"""Answers that differ by less (relative) are one."""
 CONTRADICTED = 16.0
 """Rise of chi squared (4 sigma) at which the tests speak against a stiffness, even if they do not determine it."""
 
@@ -50,10 +56,28 @@ class Stiffness:
     """Relative 1-sigma uncertainty; of a stiffness that is not determined: when it was given up, inf at a bound."""
     determined: bool
     """False: the tests do not say what it is, and ``value`` is held while the others were fitted."""
+    low: float = 0.0
+    """Least answer of all starts that explain the tests as well; ``value`` where there is but one."""
+    high: float = 0.0
+    """Largest of them."""
 
     @property
     def note(self) -> str:
         """What a user should know of it, if anything."""
+        return "; ".join(filter(None, (self._held, self._range)))
+
+    @property
+    def _range(self) -> str:
+        open_by = np.log(self.high / self.low) if self.low else 0.0
+        if open_by <= max(SAME, 2.0 * self.sigma if self.determined else 0.0):
+            return ""
+        return (
+            f"{self.name}: fits from {STARTS} starts explain the tests equally well with {self.low:.4g} to "
+            f"{self.high:.4g} {self.unit}"
+        )
+
+    @property
+    def _held(self) -> str:
         if self.determined:
             return ""
         why = f"1-sigma {100 * self.sigma:.0f} %" if self.sigma < 10 else "1-sigma over 1000 %"
@@ -114,7 +138,8 @@ def fit_stiffness(
     held where the fit had it.
 
     Args:
-        robot: geometry, and stiffnesses to start from: the true ones lie within a factor of 100 of them.
+        robot: geometry, and stiffnesses to begin with. Other starts are tried, too, so that an invented level does
+            no harm; of answers that explain the tests equally well the one from these is taken.
         tests: more tests than stiffnesses, at poses and along directions in which every member gives way.
         projection: what a test measures: "normal" is ``b' C b`` along its direction b, which is what a force and a
             displacement sensor see; "linear" and "quadratic" are the paper's (see `equivalent_compliance`).
@@ -133,11 +158,12 @@ def fit_stiffness(
     def relative(log: FloatArray) -> FloatArray:
         return np.log(predict(start * np.exp(log)) / tests.compliance_um_per_n)
 
-    found = _fit(relative, len(given))
+    at, found, alike = _best(relative, len(given))
     if not found.free.any():
         raise ComputeError(f"the {len(tests)} loading tests determine none of the {len(given)} stiffnesses")
     values = np.where(found.log == 0, start, start * np.exp(found.log))
-    rows = zip(given, values, found.sigma, found.free, strict=True)
+    low, high = start * np.exp(alike.min(axis=0)), start * np.exp(alike.max(axis=0))
+    rows = zip(given, values, found.sigma, found.free, low, high, strict=True)
     unseen = None
     if hold_out is not None:
         hold_out = require_tests(hold_out, "held-out loading test")
@@ -145,11 +171,33 @@ def fit_stiffness(
         unseen = percent_errors(predicted / hold_out.compliance_um_per_n - 1)
     return StiffnessFit(
         robot=with_elastic(robot, values),
-        stiffnesses=tuple(Stiffness(*number, float(v), float(s), bool(free)) for number, v, s, free in rows),
+        stiffnesses=tuple(
+            Stiffness(*number, float(v), float(s), bool(free), float(least), float(most))
+            for number, v, s, free, least, most in rows
+        ),
         fitted=percent_errors(np.expm1(relative(found.log))),
-        cross_validated=_cross_validated(relative, len(tests), len(given)),
+        cross_validated=_cross_validated(lambda log: relative(log + at), len(tests), len(given)),
         held_out=unseen,
     )
+
+
+def _best(relative: Relative, unknowns: int) -> tuple[FloatArray, _Found, FloatArray]:
+    """Fit from several starts: (p,) the one taken, what was found from there, and (m, p) all answers as good."""
+    nothing = np.zeros(unknowns)
+    level = float(np.mean(relative(nothing)))  # compliances go as one over the stiffnesses
+    rng, spread = np.random.default_rng(0), np.log(SPREAD)
+    others = [level + rng.uniform(-spread, spread, unknowns) for _ in range(STARTS - 2)]
+    starts = [nothing, np.full(unknowns, level), *others]
+    found = [_fit_from(relative, start) for start in starts]
+    best = min(found, key=lambda one: one.chi2)
+    alike = [k for k, one in enumerate(found) if one.chi2 <= best.chi2 + CONTRADICTED * best.variance]
+    return starts[alike[0]], found[alike[0]], np.array([found[k].log for k in alike])
+
+
+def _fit_from(relative: Relative, start: FloatArray) -> _Found:
+    """Fit from a start (p,), a logarithm over the given stiffnesses as the answer is."""
+    found = _fit(lambda log: relative(log + start), len(start))
+    return replace(found, log=found.log + start)
 
 
 def _cross_validated(relative: Relative, tests: int, unknowns: int) -> PercentErrors | None:

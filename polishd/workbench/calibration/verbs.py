@@ -115,11 +115,12 @@ def _stiffness_table(fit: StiffnessFit[Any]) -> Table:
             f"{item.given:.4g}",
             f"{item.value:.4g}",
             f"{100 * item.sigma:.2g} %" if item.determined else "not determined",
+            f"{item.low:.4g} to {item.high:.4g}",
             item.unit,
         )
         for item in fit.stiffnesses
     ]
-    return record_table("stiffnesses", ("key", "given", "fitted", "1 sigma", "unit"), rows)
+    return record_table("stiffnesses", ("key", "given", "fitted", "1 sigma", "of all starts", "unit"), rows)
 
 
 @dataclass(frozen=True, slots=True)
