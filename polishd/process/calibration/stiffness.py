@@ -172,8 +172,8 @@ def fit_stiffness(
     return StiffnessFit(
         robot=with_elastic(robot, values),
         stiffnesses=tuple(
-            Stiffness(*number, float(v), float(s), bool(free), float(least), float(most))
-            for number, v, s, free, least, most in rows
+            Stiffness(name, unit, old, float(v), float(s), bool(free), low=float(least), high=float(most))
+            for (name, unit, old), v, s, free, least, most in rows
         ),
         fitted=percent_errors(np.expm1(relative(found.log))),
         cross_validated=_cross_validated(lambda log: relative(log + at), len(tests), len(given)),
