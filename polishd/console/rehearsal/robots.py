@@ -147,6 +147,8 @@ def _handover(draft: Draft, device: str) -> None:
             f"{options['profile']}: the simulated controller has the variables of plc-{profile.link}, and the times of"
         )
         draft.instead(f"{device}.profile", "controller.toml", f"{why} yours")
+        if draft.config.program.format != "rs274":
+            draft.instead("program.format", "rs274", f"the lines of plc-{profile.link} are RS274")
     elif options["profile"].endswith(".toml"):
         draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
     host = f"127.{port // 256}.{port % 256}.1"

@@ -163,7 +163,7 @@ def fit_stiffness(
         raise ComputeError(f"the {len(tests)} loading tests determine none of the {len(given)} stiffnesses")
     values = np.where(found.log == 0, start, start * np.exp(found.log))
     low, high = start * np.exp(alike.min(axis=0)), start * np.exp(alike.max(axis=0))
-    rows = zip(given, values, found.sigma, found.free, low, high, strict=True)
+    rows = zip(given, values, found.sigma, found.free, zip(low, high, strict=True), strict=True)
     unseen = None
     if hold_out is not None:
         hold_out = require_tests(hold_out, "held-out loading test")
@@ -172,8 +172,7 @@ def fit_stiffness(
     return StiffnessFit(
         robot=with_elastic(robot, values),
         stiffnesses=tuple(
-            Stiffness(name, unit, old, float(v), float(s), bool(free), low=float(least), high=float(most))
-            for (name, unit, old), v, s, free, least, most in rows
+            Stiffness(*number, float(v), float(s), bool(free), *map(float, ends)) for number, v, s, free, ends in rows
         ),
         fitted=percent_errors(np.expm1(relative(found.log))),
         cross_validated=_cross_validated(lambda log: relative(log + at), len(tests), len(given)),
