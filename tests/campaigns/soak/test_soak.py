@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import sqlite3
 import subprocess
 import sys
 from collections import Counter
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.journal_schema import SCHEMA
+from polishd.daemon.journal_schema import SCHEMA, connect
 from tests.campaigns.soak.cell import Row
 from tests.campaigns.soak.figures import BEGIN, END, HEAD, LIFE_BEGIN, LIFE_END, PAGE, Figures, Sums, table
 from tests.campaigns.soak.growth import BOUNDS, WARM, slope
@@ -120,7 +119,7 @@ class Shop:
         """What is wrong with it."""
         np.savez(self.folder / "cycle-00/plan.npz", predicted_removal_nm=self.planned_nm)
         (self.folder / "summary.json").write_text(json.dumps({"cycles": [{"how": "done"}, {"how": None}]}))
-        with sqlite3.connect(self.folder / "journal.sqlite") as journal:
+        with connect(self.folder / "journal.sqlite") as journal:
             journal.executescript(SCHEMA)
             journal.execute("INSERT INTO job (name, part_id, terms, started) VALUES ('j', 'p', '', 0)")
             journal.execute(

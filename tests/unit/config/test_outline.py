@@ -44,7 +44,7 @@ def test_one_key_says_the_outline(tmp_path: Path, said: str, outline: Outline) -
     ("said", "says"),
     [
         ("rectangle_mm = [40.0, 24.0]\naperture_mm = 30.0", "part.rectangle_mm: aperture_mm says the part's outline"),
-        ("rectangle_mm = [40.0, -1]", "part.rectangle_mm: -1 is out of range; must be greater than 0"),
+        ("rectangle_mm = [40.0, -1]", "part.rectangle_mm: -1 is out of range; must be at least 0.1"),
         ("rectangle_mm = [40.0, 24.0]\nhole_mm = 5.0", "part.hole_mm: goes with aperture_mm, not with rectangle_mm"),
         ("aperture_mm = 100.0\nhole_mm = 100.0", "part.hole_mm: the outline's hole is 100 mm wide; it must be less"),
         (

@@ -60,7 +60,8 @@ class TwoTools(Bench):
         between = Between(change=change) if change else Between()
         terms = {"between": between, "tolerance_nm": 1e-6}
         first = replace(wide(**terms), turn=Turn("wide", wide_passes, 0.0))
-        contact = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
+        # The fake robot takes 1.5 mm for each block's length, and this tolerance would allow no time beyond the plan.
+        contact = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, excess_nm=5.0)
         turns = (
             ToolTurn(first, small_program(), replace(contact, force_n=WIDE_N)),
             ToolTurn(narrow(**terms), small_program(), contact),
