@@ -17,7 +17,7 @@ from polishd.config.web import WebSection
 from polishd.door.connections import Bounded
 from polishd.door.finite import finite
 from polishd.door.guard import Json, refusal
-from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.errors import ConfigError, JournalDamage, PolishdError
 from polishd.secret import require_private
 
 log = logging.getLogger(__name__)
@@ -83,6 +83,8 @@ async def answered(work: Awaitable[Any]) -> Response:
     """What a handler gives, as JSON; an error of the tree as a refusal."""
     try:
         found = await work
+    except JournalDamage as error:
+        return refusal(503, str(error))
     except ConfigError as error:
         return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
     except PolishdError as error:
