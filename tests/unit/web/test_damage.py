@@ -23,11 +23,11 @@ DAMAGES = [
     pytest.param(STATS, b'"sms_nm": 1.5', "map", ("history",), id="map, another key"),
     pytest.param(b'{"rms_nm": 1.5', b'["rms_nm", 1.5', "map", ("jobs/1/cycles", "history"), id="map, a list"),
     pytest.param(STATS, b'"rms_nm"\xff 1.5', "map", ("jobs/1/cycles", "history"), id="map, no UTF-8"),
-    pytest.param(b'"certificate": {', b'"aertificate": {', "pass", ("jobs/1/cycles/0/certificate",), id="pass, another key"),
+    pytest.param(b'"certificate": {', b'"aertificate": {', "pass", ("jobs/1/cycles/0/certificate",), id="pass, key"),
     pytest.param(b'"certificate": {', b'"certificate"z {', "pass", ("jobs/1/cycles", "history"), id="pass, no JSON"),
-    pytest.param(b'"error": "the wire', b'"error"z "the wire', "event", ("journal", "alarms"), id="event, no JSON"),
+    pytest.param(b'"error": "the wire', b'"error"z "the wire', "event", ("journal", "alarms"), id="event"),
     pytest.param(b'"alarms": [77]', b'"blarms": [77]', "event", ("alarms",), id="event, another key"),
-    pytest.param(b'"kind": "LinkError"', b'"lind": "LinkError"', "event", ("history",), id="event of a fault, another key"),
+    pytest.param(b'"kind": "LinkError"', b'"lind": "LinkError"', "event", ("history",), id="fault"),
 ]  # fmt: skip
 
 
