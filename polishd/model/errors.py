@@ -53,6 +53,10 @@ class JournalDamage(ConfigError):
     """Rows, pages or commits of a cell's journal are damaged; it is left as it is, and nothing was opened."""
 
 
+class TokenRefused(ConfigError):
+    """A shop does not take the token of a cell."""
+
+
 class PluginError(PolishdError):
     """A plugin is missing, broken or named twice; nothing was opened."""
 

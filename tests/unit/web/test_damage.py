@@ -85,5 +85,5 @@ def test_an_error_that_is_no_damage_stays_a_fault(web: Served, monkeypatch: pyte
     """A fault of our own is not laid to the disk."""
     from polishd.web import disk
 
-    monkeypatch.setattr(disk, "_pass", lambda _: {}["missing"])
+    monkeypatch.setattr(disk, "_pass", lambda row: dict(row)["missing"])
     assert web.ask("GET", "/api/jobs/1/cycles").status_code == 500
