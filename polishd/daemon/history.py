@@ -12,7 +12,8 @@ from typing import Any
 from urllib.parse import quote
 
 from polishd.daemon.journal import JOURNAL_NAME
-from polishd.model.errors import ConfigError, ToolStop
+from polishd.daemon.journal_schema import require_sound
+from polishd.model.errors import ConfigError, JournalDamage, ToolStop
 from polishd.model.tolerance import Judged, judged_of, worst
 
 FAULTS = ("held", "failed", "found")
@@ -99,23 +100,51 @@ def read_events(
     sql = f"SELECT id, at, cycle, name, data FROM event WHERE {kinds} AND id < ? ORDER BY id DESC LIMIT ?"  # noqa: S608
     with read_only(state_dir) as journal:
         rows = journal.execute(sql, (*names, 1 << 60 if before is None else before, count)).fetchall()
-    keys = ("number", "at_s", "cycle", "name")
-    return [{**dict(zip(keys, row[:4], strict=True)), "data": json.loads(row[4])} for row in reversed(rows)]
+        keys = ("number", "at_s", "cycle", "name")
+        return [{**dict(zip(keys, row[:4], strict=True)), "data": dict(json.loads(row[4]))} for row in reversed(rows)]
 
 
 @contextmanager
 def read_only(state_dir: Path) -> Iterator[sqlite3.Connection]:
-    """A cell's journal as it is in this moment, beside a daemon that may write it; ConfigError as `read_history`."""
+    """A cell's journal as it is in this moment, beside a daemon that may write it; ConfigError as `read_history`.
+
+    Rows are also parsed inside this block: what a damaged one raises becomes JournalDamage, which names the row.
+    """
     path = state_dir / JOURNAL_NAME
     if not path.exists():
         raise ConfigError(f"{path}: is not there: no job was begun in this cell yet; polishd run CELL.toml begins one")
+    with naming_damage(state_dir), closing(_opened(path)) as journal:
+        journal.execute("BEGIN")  # one moment for all that is read
+        yield journal
+
+
+@contextmanager
+def naming_damage(state_dir: Path) -> Iterator[None]:
+    """Find the damaged row where reading a cell's journal fails inside this block, and name it: JournalDamage.
+
+    ConfigError where SQLite or a parser fails and no damage is found. Any other error is raised as it is then.
+    """
+    path = state_dir / JOURNAL_NAME
     try:
-        with closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as journal:
-            journal.execute("BEGIN")  # one moment for all that is read
-            yield journal
+        yield
     except (sqlite3.Error, ValueError) as error:
+        _require_sound(path, error)
         raise ConfigError(f"{path}: the history cannot be read: {error}; polishd run brings an old journal up to date, "
                           "or names what is wrong with it") from error  # fmt: skip
+    except (LookupError, TypeError, AttributeError) as error:  # JSON that was damaged, and is JSON still
+        _require_sound(path, error)
+        raise
+
+
+def _require_sound(path: Path, error: Exception) -> None:
+    try:
+        require_sound(path)
+    except JournalDamage as damage:
+        raise damage from error
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
 
 
 def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:

@@ -12,13 +12,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp
 
-from polishd.config.document import Document
 from polishd.config.web import WebSection
+from polishd.door.certificates import Certificate, Watch
 from polishd.door.connections import Bounded
 from polishd.door.finite import finite
 from polishd.door.guard import Json, refusal
-from polishd.model.errors import ConfigError, PolishdError
-from polishd.secret import require_private
+from polishd.model.errors import ConfigError, JournalDamage, PolishdError
 
 log = logging.getLogger(__name__)
 
@@ -28,17 +27,12 @@ NONE = ("none of that job", "no such map")
 """Words of what is not there, and was not asked for wrongly."""
 
 
-def serve(app: ASGIApp, document: Document, web: WebSection) -> None:
-    """Until Ctrl-C or SIGTERM, where that section of that file says."""
-    if web.key is not None:
-        _require_private_key(document, web.key)
-    files = [None if name is None else str(document.resolve(name)) for name in (web.cert, web.key)]
+def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> None:
+    """Until Ctrl-C or SIGTERM, where that section says; ``certificate``: the one that it names."""
     settings = uvicorn.Config(
         app,
         host=web.address,
         port=web.port,
-        ssl_certfile=files[0],
-        ssl_keyfile=files[1],
         access_log=False,  # of whoever watches; who ordered what is in a journal
         log_config=None,  # so that what it logs reaches the terminal as all else does
         log_level="warning",
@@ -50,20 +44,14 @@ def serve(app: ASGIApp, document: Document, web: WebSection) -> None:
         http=Bounded,
         ws="none",
     )
-    _Server(settings).run()
-
-
-def _require_private_key(document: Document, key: str) -> None:
-    """ConfigError, with the key's line, where the file cannot be read or others may read it."""
-    path = document.resolve(key)
+    settings.load()
+    settings.ssl = None if certificate is None else certificate.context()
+    watch = None if certificate is None else Watch(certificate)
     try:
-        require_private(path)
-    except OSError as error:
-        raise document.error(
-            "web.key", f"{path} cannot be read: {error.strerror}. Name the certificate's key"
-        ) from None
-    except ConfigError as error:
-        raise document.error("web.key", str(error)) from None
+        _Server(settings).run()
+    finally:
+        if watch is not None:
+            watch.end()
 
 
 class _Server(uvicorn.Server):
@@ -71,7 +59,7 @@ class _Server(uvicorn.Server):
 
     async def startup(self, sockets: list[Any] | None = None) -> None:
         await super().startup(sockets)
-        scheme = "https" if self.config.ssl_certfile else "http"
+        scheme = "https" if self.config.ssl is not None else "http"
         for server in self.servers:
             for socket in server.sockets:
                 host, port = socket.getsockname()[:2]
@@ -83,6 +71,8 @@ async def answered(work: Awaitable[Any]) -> Response:
     """What a handler gives, as JSON; an error of the tree as a refusal."""
     try:
         found = await work
+    except JournalDamage as error:
+        return refusal(503, str(error))
     except ConfigError as error:
         return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
     except PolishdError as error:

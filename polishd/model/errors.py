@@ -6,6 +6,7 @@ Those marked * leave the daemon held where no pass was under way: a person mends
 PolishdError
   ConfigError      nothing was opened: mend the file                    (3)
     JournalDamage  the journal of a cell is damaged: its daemon comes up held
+    TokenRefused   a shop does not take the token of a cell: write another one
   PluginError      nothing was opened: mend or drop the plugin          (3)
   ProgramError     nothing was written: mend the RNC program            (9)
   PlanRefused      nothing moved: the plan is not safe                  (4)
@@ -51,6 +52,10 @@ class ConfigError(PolishdError):
 
 class JournalDamage(ConfigError):
     """Rows, pages or commits of a cell's journal are damaged; it is left as it is, and nothing was opened."""
+
+
+class TokenRefused(ConfigError):
+    """A shop does not take the token of a cell."""
 
 
 class PluginError(PolishdError):

@@ -17,6 +17,7 @@ from starlette.routing import Route
 
 from polishd.config.shop import ShopFile
 from polishd.door import server as door
+from polishd.door.certificates import Certificate
 from polishd.door.finite import json_object, require_unicode
 from polishd.door.guard import Guard, hosts_of, refusal
 from polishd.door.limits import Rate
@@ -45,8 +46,8 @@ def people_of(shop: ShopFile) -> Users:
     return Users(shop.state_dir / "shop-users.json" if shop.web.users is None else shop.resolve(shop.web.users))
 
 
-def application(shop: ShopFile, database: Database) -> Guard:
-    """Of that shop."""
+def application(shop: ShopFile, database: Database, certificate: Certificate | None = None) -> Guard:
+    """Of that shop; ``certificate``: the one by which it is served."""
     cells, people, rate = Sessions(cells_of(shop)), Sessions(people_of(shop)), Rate()
 
     def of_cell(path: str, work: Work) -> Route:
@@ -56,12 +57,16 @@ def application(shop: ShopFile, database: Database) -> Guard:
         method = "GET" if role is Role.WATCH else "POST"
         return Route(f"/api/{path}", _endpoint(database, people, rate, role, work), methods=[method])
 
+    def status(sql: Transaction, _who: str, _said: dict[str, Any]) -> Any:
+        tls = None if certificate is None else certificate.facts()
+        return {"shop": shop.shop.name, "certificate": tls, **views.status(sql, cells_of(shop))}
+
     routes = [
         of_cell("report", _report),
         of_cell("claim", lambda sql, cell, said: parts.claim(sql, cell, _text(said, "request"))),
         of_cell("refuse", _refuse),
         of_cell("file", _file),
-        of_people("status", lambda sql, _who, _said: {"shop": shop.shop.name, **views.status(sql, cells_of(shop))}),
+        of_people("status", status),
         of_people("parts", lambda sql, _who, _said: {**views.parts(sql), "words": views.words(sql)}),
         of_people("history", lambda sql, _who, _said: views.history(sql)),
         of_people("lessons", lambda sql, _who, _said: views.lessons(sql)),
@@ -77,8 +82,9 @@ def serve(shop: ShopFile) -> None:
     if not shop.web.loopback and not (people_of(shop) or cells_of(shop)):
         raise shop.error("web.address", "is beyond this computer, and nobody has a token; make one: polishd shop serve "
                          "SHOP.toml --add-cell NAME")  # fmt: skip
+    certificate = Certificate.of(shop, shop.web)
     with Database.open(shop.state_dir) as database:
-        door.serve(application(shop, database), shop, shop.web)
+        door.serve(application(shop, database, certificate), shop.web, certificate)
 
 
 def _endpoint(

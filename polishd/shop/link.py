@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,7 +23,7 @@ from polishd.daemon.journal import JOURNAL_NAME
 from polishd.daemon.lock import locked
 from polishd.files import make_folder, write_atomic
 from polishd.hooks.loader import Hooks
-from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
+from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError, TokenRefused
 from polishd.shop import told
 from polishd.shop.wire import Wire
 
@@ -30,6 +31,8 @@ log = logging.getLogger(__name__)
 
 LONGEST_PAUSE_S = 15.0
 """While the shop is away it is asked ever less often, down to this."""
+REFUSED_S = 90.0
+"""Between two trials of a token that the shop refuses: longer than a shop locks a cell out, and than it is away for."""
 NOT_NOW = frozenset({"starting", "held", "finished"})
 """States of a daemon that asks for nothing more."""
 FOLDER = "shop"
@@ -61,6 +64,11 @@ class Link:
                     if away:
                         log.warning("%s: the shop answers again", self._config.cell.name)
                     away = ""
+                except TokenRefused as error:
+                    if str(error) != away:
+                        log.warning("%s: %s; the cell goes on with what it has", self._config.cell.name, error)
+                    away = str(error)
+                    pause_s = self._until_new_token(stop)
                 except PolishdError as error:
                     pause_s = min(max(2 * pause_s, self._section.every_s), max(LONGEST_PAUSE_S, self._section.every_s))
                     if str(error) != away:
@@ -84,6 +92,17 @@ class Link:
         self._upto = int(answer["upto"])
         self._heed(answer, status)
         return more or behind or self._wants(status)
+
+    def _until_new_token(self, stop: threading.Event) -> float:
+        """Ask nothing until there is another token, or ``REFUSED_S`` are over; the pause before the next turn.
+
+        The shop counts wrong tokens: with each one that a link brings, its address has fewer left.
+        """
+        end_s = time.monotonic() + REFUSED_S
+        while not self._wire.has_new_token() and time.monotonic() < end_s:
+            if stop.wait(self._section.every_s):
+                break
+        return 0.0
 
     # what the shop says
 

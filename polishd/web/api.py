@@ -13,6 +13,7 @@ from starlette.types import Receive, Scope, Send
 
 from polishd.config.cell import CellConfig
 from polishd.daemon import client
+from polishd.door.certificates import Certificate
 from polishd.door.finite import json_object, require_unicode
 from polishd.door.guard import Json, refusal
 from polishd.door.limits import Rate, Shares
@@ -33,8 +34,8 @@ MAPS = ("measured", "predicted", "removal")
 class Api:
     """Of one cell."""
 
-    def __init__(self, config: CellConfig, sessions: Sessions) -> None:
-        self._config, self.sessions = config, sessions
+    def __init__(self, config: CellConfig, sessions: Sessions, certificate: Certificate | None = None) -> None:
+        self._config, self.sessions, self._certificate = config, sessions, certificate
         self._disk, self._orders = Disk(config.state_dir), Orders(config.state_dir)
         self.watcher = Watcher(config.state_dir)
         self._streams = Shares(MOST_OF_USER, MOST_WATCHERS)
@@ -75,10 +76,11 @@ class Api:
         return {"cell": self._config.cell.name, **self.watcher.state()}
 
     async def health(self, _request: Request, _session: Session) -> Any:
-        """The same, less."""
+        """The same, less; and how the TLS certificate of this server is, null where it has none."""
         state = self.watcher.state()
         live = state["live"] or {}
-        return {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
+        known = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
+        return {**known, "certificate": None if self._certificate is None else self._certificate.facts()}
 
     async def queue(self, _request: Request, _session: Session) -> Any:
         """As the daemon has it."""

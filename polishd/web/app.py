@@ -14,6 +14,7 @@ from starlette.types import ASGIApp
 
 from polishd.config.cell import CellConfig
 from polishd.door import server as door
+from polishd.door.certificates import Certificate
 from polishd.door.guard import Guard, Json, hosts_of, refusal
 from polishd.door.limits import Rate
 from polishd.door.server import HANDLERS, answered
@@ -35,10 +36,10 @@ FILES = {
 """All that is served beside the API, by its path: nothing else can be asked for."""
 
 
-def application(config: CellConfig) -> ASGIApp:
-    """Of that cell; its users are read as they are at each request."""
+def application(config: CellConfig, certificate: Certificate | None = None) -> ASGIApp:
+    """Of that cell; its users are read as they are at each request. ``certificate``: the one by which it is served."""
     sessions = Sessions(Users(users_path(config)))
-    api, rate = Api(config, sessions), Rate()
+    api, rate = Api(config, sessions, certificate), Rate()
 
     @asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
@@ -69,7 +70,8 @@ def serve(config: CellConfig) -> None:
     if not web.loopback and not Users(users_path(config)):
         raise config.error("web.address", "is beyond this computer, and there are no users; add one: polishd web "
                            "CELL.toml --add-user NAME --role ROLE")  # fmt: skip
-    door.serve(application(config), config, web)
+    certificate = Certificate.of(config, web)
+    door.serve(application(config, certificate), web, certificate)
 
 
 def _endpoint(api: Api, rate: Rate, route: Route) -> Callable[[Request], Awaitable[Response]]:

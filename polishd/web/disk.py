@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.history import read_events, read_history, read_only
+from polishd.daemon.history import naming_damage, read_events, read_history, read_only
 from polishd.daemon.journal import ARRAYS_NAME, JOURNAL_NAME
 from polishd.model.errors import ConfigError
 from polishd.plain import plain
@@ -52,23 +52,27 @@ class Disk:
 
     def cycles(self, job: int) -> list[dict[str, Any]]:
         """Of a job: each measurement, and the pass after it."""
-        maps = {row[0]: row for row in self._rows("SELECT cycle, stats, taken FROM map WHERE job = ? ORDER BY id", job)}
         sql = "SELECT cycle, facts, started, ended, how FROM pass WHERE job = ?"
-        passes = {row[0]: row for row in self._rows(sql, job)}
-        return [
-            {
-                "cycle": cycle,
-                "taken_s": taken,
-                "measured": json.loads(stats),
-                "run": None if cycle not in passes else _pass(passes[cycle]),
+        with naming_damage(self._state_dir):
+            maps = {
+                row[0]: row for row in self._rows("SELECT cycle, stats, taken FROM map WHERE job = ? ORDER BY id", job)
             }
-            for cycle, stats, taken in maps.values()
-        ]
+            passes = {row[0]: row for row in self._rows(sql, job)}
+            return [
+                {
+                    "cycle": cycle,
+                    "taken_s": taken,
+                    "measured": dict(json.loads(stats)),
+                    "run": None if cycle not in passes else _pass(passes[cycle]),
+                }
+                for cycle, stats, taken in maps.values()
+            ]
 
     def certificate(self, job: int, cycle: int) -> dict[str, Any]:
         """Of the plan of that cycle."""
-        facts = self._one("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
-        return dict(json.loads(facts[0])["certificate"])
+        with naming_damage(self._state_dir):
+            facts = self._one("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
+            return dict(json.loads(facts[0])["certificate"])
 
     def map(self, job: int, cycle: int, kind: str) -> dict[str, Any]:
         """A map as an array: ``measured``, ``predicted`` (what the plan leaves) or ``removal`` (what it takes)."""
@@ -121,9 +125,10 @@ class Disk:
             full = len(older) == MOST_ROWS
             found = [*older, *found]
             before = found[0]["number"] if found else None
-        seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
-        open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
-        return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
+        with naming_damage(self._state_dir):
+            seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
+            open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
+            return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
 
     def history(self) -> list[dict[str, Any]]:
         """What became of each part."""
@@ -140,7 +145,8 @@ class Disk:
         parts = self._rows("SELECT outcome, count(*) FROM job WHERE outcome IS NOT NULL GROUP BY outcome")
         passes = self._rows("SELECT how, count(*) FROM pass WHERE how IS NOT NULL GROUP BY how")
         sql = "SELECT stats FROM map WHERE job = (SELECT max(id) FROM job) ORDER BY id DESC LIMIT 1"
-        measured = [json.loads(stats) for (stats,) in self._rows(sql)]
+        with naming_damage(self._state_dir):
+            measured = [dict(json.loads(stats)) for (stats,) in self._rows(sql)]
         return {"parts": dict(parts), "passes": dict(passes), "measured": measured[0] if measured else None}
 
     def _plan(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:

@@ -7,6 +7,7 @@ so heights are in metres: 2 nm is 2e-09. What is not known now has no line, neve
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,12 +21,15 @@ from starlette.responses import Response
 
 from polishd import __version__
 from polishd.config.cell import CellConfig
+from polishd.daemon.history import naming_damage
 from polishd.door.sessions import Session
 from polishd.model.cycle import Outcome, Phase
 from polishd.model.errors import PolishdError
 from polishd.model.tolerance import judged_of
 from polishd.web.api import Api
 from polishd.web.disk import Disk
+
+log = logging.getLogger(__name__)
 
 FRESH_S = 1.0
 """For so long an answer serves all who scrape."""
@@ -86,7 +90,7 @@ class Metrics:
     """Of one cell; one look at its journal a second serves all who scrape."""
 
     def __init__(self, config: CellConfig) -> None:
-        self._cell, self._disk = config.cell.name, Disk(config.state_dir)
+        self._cell, self._disk, self._state_dir = config.cell.name, Disk(config.state_dir), config.state_dir
         self._turn = asyncio.Lock()
         self._text, self._made_s = b"", float("-inf")
 
@@ -100,12 +104,17 @@ class Metrics:
 
     def _look(self, state: Mapping[str, Any]) -> bytes:
         try:
-            found = Snapshot(self._cell, state, self._disk.tally(), self._disk.alarms())
-        except PolishdError:
-            found = Snapshot(self._cell, state, None)
-        registry = CollectorRegistry(auto_describe=False)
-        registry.register(found)
-        return generate_latest(registry)
+            with naming_damage(self._state_dir):
+                return _exposed(Snapshot(self._cell, state, self._disk.tally(), self._disk.alarms()))
+        except PolishdError as error:
+            log.warning("metrics without the journal: %s", error)
+            return _exposed(Snapshot(self._cell, state, None))
+
+
+def _exposed(found: Snapshot) -> bytes:
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(found)
+    return generate_latest(registry)
 
 
 def _doing(live: Mapping[str, Any]) -> Iterator[Metric]:

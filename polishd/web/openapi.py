@@ -24,7 +24,7 @@ REFUSALS = {
     "421": "asked for by a name that is none of this server's",
     "429": "too many requests",
     "502": "the daemon answered what cannot be understood",
-    "503": "no daemon runs",
+    "503": "no daemon runs, or the journal is damaged",
     "504": "the daemon does not answer",
 }
 

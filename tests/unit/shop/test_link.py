@@ -9,19 +9,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.testclient import TestClient
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import write_demo
 from polishd.daemon.events import Event
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.queue import Queue
+from polishd.door.users import Role
 from polishd.hooks.cell import plugins_of
 from polishd.model import events
-from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
+from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError, TokenRefused
 from polishd.shop import link as module
 from polishd.shop import told
+from polishd.shop.app import application, cells_of
+from polishd.shop.database import Database
 from polishd.shop.link import Link
 from polishd.shop.wire import Wire
+from tests.unit.shop.test_app import write_shop
 
 SECTION = '\n[shop]\nurl = "http://127.0.0.1:9"\ntoken = "file:shop.token"\n'
 OFFER = {
@@ -278,6 +283,77 @@ def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: p
     assert len([one for one in said if "goes on with what it has" in one]) == 1
     assert len([one for one in said if "answers again" in one]) == 1
     assert not any("secret" in one for one in said)
+    assert len(rig.office.of("report")) == 1
+
+
+def test_a_token_that_is_refused_is_not_tried_again_until_there_is_another_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The shop is the real one; what the cell does meanwhile is told once the token is good again."""
+    file = rig.config.base_dir / "shop.token"
+    monkeypatch.undo()
+    monkeypatch.setattr(module.client, "request", rig.desk)
+    (rig.config.base_dir / "shop").mkdir()
+    shop = write_shop(rig.config.base_dir / "shop")
+    asked: list[int] = []
+    with Database.open(shop.state_dir) as database:
+        client = TestClient(application(shop, database), base_url="http://127.0.0.1:8760")
+
+        def post(_wire: Wire, path: str, body: bytes, token: str) -> tuple[int, bytes]:
+            found = client.post(path, content=body, headers={"Authorization": f"Bearer {token}"})
+            asked.append(found.status_code)
+            return found.status_code, found.content
+
+        monkeypatch.setattr(Wire, "_post", post)
+        file.write_text(cells_of(shop).add("north", Role.WATCH))
+
+        class Days(threading.Event):
+            """Pauses that take no time: after some of them things happen."""
+
+            pauses = 0
+
+            def wait(self, timeout: float | None = None) -> bool:
+                assert timeout is None or timeout <= module.LONGEST_PAUSE_S
+                self.pauses += 1
+                if self.pauses == 3:
+                    assert set(asked) == {200}
+                    cells_of(shop).remove("north")
+                    asked.clear()
+                elif self.pauses == 40:
+                    assert asked == [401], "it was asked once"
+                    rig.happens(HELD)
+                    file.write_text(cells_of(shop).add("north", Role.WATCH))
+                return self.pauses > 44
+
+        rig.happens(HELD)
+        rig.again().run(Days())
+        with database.transaction() as sql:
+            assert [row["seq"] for row in sql.rows("SELECT seq FROM event ORDER BY seq")] == [1, 2]
+    assert asked[1:]
+    assert set(asked[1:]) == {200}
+    (refused, again) = [record.message for record in caplog.records if record.levelname == "WARNING"]
+    assert "does not take this cell's token" in refused
+    assert f"--add-cell NAME, and write it into {file}" in refused
+    assert "the shop answers again" in again
+
+
+def test_a_token_that_is_refused_is_tried_again_after_a_while(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shop whose file of tokens was away for a while has the old one again."""
+    monkeypatch.setattr(module, "REFUSED_S", 0.0)
+    monkeypatch.setattr(Wire, "has_new_token", lambda _: False)
+    answers = [TokenRefused("no"), None]
+
+    def ask(_wire: Wire, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
+        if (error := answers.pop(0)) is not None:
+            raise error
+        return rig.office.ask(path, said)
+
+    monkeypatch.setattr(Wire, "ask", ask)
+    stop = threading.Event()
+    monkeypatch.setattr(Link, "_heed", lambda *_: stop.set())
+    rig.happens(HELD)
+    rig.desk.state = "held"
+    rig.link.run(stop)
     assert len(rig.office.of("report")) == 1
 
 

@@ -16,9 +16,10 @@ from typing import Any
 import pytest
 
 from polishd.config.shop_link import ShopLinkSection
-from polishd.model.errors import ConfigError, LinkError
+from polishd.model.errors import ConfigError, LinkError, TokenRefused
 from polishd.shop import wire as module
 from polishd.shop.wire import Wire
+from tests.certificates import DAY_S, Authority
 
 TOKEN = "not-to-be-told"
 
@@ -69,7 +70,7 @@ def test_it_brings_its_token_and_reads_json(tmp_path: Path) -> None:
     ("status", "kind", "says"),
     [
         (400, ConfigError, "answered 400: wrong"),
-        (401, ConfigError, "answered 401: wrong"),
+        (401, TokenRefused, r"does not take this cell's token \(wrong\)"),
         (302, ConfigError, "answered 302: wrong"),
         (429, LinkError, "answered 429: wrong"),
         (500, LinkError, "answered 500: wrong"),
@@ -130,3 +131,82 @@ def test_by_tls_only_a_certificate_that_is_trusted_gets_the_token(tmp_path: Path
     assert len(asked) == 1
     with pytest.raises(ConfigError, match=r"none\.pem: cannot be read"):
         wire(tmp_path, 1, "https", ca_file="none.pem")
+
+
+@pytest.mark.parametrize(
+    ("valid_s", "hosts", "ca_file", "says"),
+    [
+        (-60.0, ["127.0.0.1"], "ca.pem", r"certificate has expired\. Renew it at the shop: cert and key in \[web\]"),
+        (60.0, ["127.0.0.2"], "ca.pem", r"IP address mismatch.*Write in shop\.url the name that is in the certificate"),
+        (60.0, ["127.0.0.1"], "other.pem", r"signed by none of .*other\.pem\. Name the file .* with shop\.ca_file"),
+    ],
+)
+def test_a_certificate_that_is_not_believed_says_why_and_what_to_do(
+    tmp_path: Path, valid_s: float, hosts: list[str], ca_file: str, says: str
+) -> None:
+    house = Authority()
+    house.write(tmp_path / "ca.pem")
+    Authority("other").write(tmp_path / "other.pem")
+    house.certify(tmp_path, valid_s, hosts)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
+    with serving(200, b"{}", context) as (port, asked), pytest.raises(LinkError, match=says) as found:
+        wire(tmp_path, port, "https", ca_file=ca_file).ask("/", {})
+    assert asked == [], "the token is not sent"
+    assert "tries again by itself; nothing was sent" in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+def test_a_certificate_that_expires_soon_is_said_once_a_day(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    house = Authority()
+    house.write(tmp_path / "ca.pem")
+    house.certify(tmp_path, 5 * DAY_S)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
+    with serving(200, b"{}", context) as (port, asked):
+        made = wire(tmp_path, port, "https", ca_file="ca.pem")
+        for _ in range(3):
+            made.ask("/", {})
+        (said,) = caplog.messages
+        assert "the shop's TLS certificate expires on " in said
+        assert "in 5.0 days. Renew it at the shop" in said
+        monkeypatch.setattr(module, "AGAIN_S", 0.0)
+        made.ask("/", {})
+    assert len(caplog.messages) == 2
+    assert len(asked) == 4
+
+
+def test_an_authority_that_is_replaced_is_believed_without_a_restart(tmp_path: Path) -> None:
+    old, new = Authority("old"), Authority("new")
+    old.write(tmp_path / "ca.pem")
+    new.certify(tmp_path)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
+    with serving(200, b"{}", context) as (port, asked):
+        made = wire(tmp_path, port, "https", ca_file="ca.pem")
+        with pytest.raises(LinkError, match="certificate verify failed"):
+            made.ask("/", {})
+        (tmp_path / "ca.pem").unlink()
+        with pytest.raises(ConfigError, match=r"ca\.pem: cannot be read"):
+            made.ask("/", {})
+        new.write(tmp_path / "ca.pem")
+        assert made.ask("/", {}) == {}
+    assert len(asked) == 1
+
+
+def test_a_token_that_is_refused_says_where_to_get_one_and_a_new_one_is_seen(tmp_path: Path) -> None:
+    with serving(401, b'{"error": "bring a token"}') as (port, _):
+        made = wire(tmp_path, port)
+        assert made.has_new_token(), "none was refused"
+        with pytest.raises(TokenRefused, match=r"polishd shop serve SHOP\.toml --add-cell NAME") as found:
+            made.ask("/", {})
+        assert str(tmp_path / "shop.token") in str(found.value)
+        assert TOKEN not in str(found.value)
+        assert not made.has_new_token()
+        (tmp_path / "shop.token").unlink()
+        assert not made.has_new_token(), "it is being written"
+        wire(tmp_path, port)
+        (tmp_path / "shop.token").write_text("another\n")
+        assert made.has_new_token()

@@ -25,7 +25,14 @@ from tests.unit.web.served import answering
 @contextmanager
 def serving(cell: Path) -> Iterator[tuple[str, int]]:
     """Where it listens."""
-    command = [sys.executable, "-m", "polishd.cli", "web", str(cell)]
+    with serving_verb("web", str(cell)) as at:
+        yield at
+
+
+@contextmanager
+def serving_verb(*words: str) -> Iterator[tuple[str, int]]:
+    """The same of any verb that serves."""
+    command = [sys.executable, "-m", "polishd.cli", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
