@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -140,7 +141,13 @@ def as_hardware() -> None:
 
 
 def announce(name: str, endpoint: str) -> None:
-    """One line for the supervisor."""
+    """One line for the supervisor.
+
+    What the process has by now it has for good, and the garbage collector is to look at it no more: half a million
+    objects of an OPC UA server took it 0.3 s, and ten times as long beside ten busy programs. No hardware pauses so.
+    """
+    gc.collect()
+    gc.freeze()
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps({"ready": name, "endpoint": endpoint, "pid": os.getpid()}), flush=True)  # noqa: T201
 
