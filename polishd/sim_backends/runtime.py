@@ -135,7 +135,11 @@ Device = Callable[[Runtime], Coroutine[Any, Any, None]]
 
 
 def as_hardware() -> None:
-    """Before other programs, where that is allowed: what stands for a machine is not starved by a busy computer."""
+    """Before other programs, where that is allowed: what stands for a machine is not starved by a busy computer.
+
+    Nothing is collected until it is up, see `announce`: on the way there all that is made stays.
+    """
+    gc.disable()
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
 
@@ -146,8 +150,8 @@ def announce(name: str, endpoint: str) -> None:
     What the process has by now it has for good, and the garbage collector is to look at it no more: half a million
     objects of an OPC UA server took it 0.3 s, and ten times as long beside ten busy programs. No hardware pauses so.
     """
-    gc.collect()
     gc.freeze()
+    gc.enable()
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps({"ready": name, "endpoint": endpoint, "pid": os.getpid()}), flush=True)  # noqa: T201
 
