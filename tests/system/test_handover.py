@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -9,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asyncua import Client, ua
 
+from polishd.sim_backends.handover.opcua import NAMESPACE
 from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import Daemon, account, events, summary
 from tests.system.handover_rig import running, write_files
@@ -57,3 +60,40 @@ def test_a_daemon_that_is_killed_takes_no_block_as_not_executed(tmp_path: Path, 
     (one,) = passes(files.state_dir / "journal.sqlite")
     assert one.uncertain.size > 0
     assert one.uncertain[0] == np.flatnonzero(one.run_s)[-1] + 1, "the first one that nobody was told of"
+
+
+BEAT = "controller_heartbeat"
+LONG = 60_000
+"""Lines of a program for 200 mm."""
+TURN_S = 0.5
+"""Of the 1.5 s for which the shipped profiles let a heartbeat stand still."""
+
+
+@pytest.mark.full
+def test_a_controller_that_loads_a_long_program_goes_on_answering(tmp_path: Path) -> None:
+    """Its cycle, its heartbeat and its server share one loop: by its own account no turn of it was long."""
+    files = write_files(tmp_path / "cell", "opcua", 30.0)
+    lines = ["G90 G94 G21", *(f"G1 X{k % 200 / 10:.3f} Y{k // 200 / 10:.3f} Z60 F600" for k in range(LONG - 1))]
+    with running(files, 1.0):
+        (files.sim_dir / "programs" / "long.nc").write_text("\n".join(lines) + "\n")
+        endpoint = json.loads((files.sim_dir / "endpoints.json").read_text())["robot"]
+        beats = asyncio.run(load(endpoint, "long.nc"))
+        wait_for(lambda: events(files, "program_loaded"), "the loaded program")
+        (loaded,) = events(files, "program_loaded")
+    assert loaded["blocks"] == LONG
+    assert loaded["longest_turn_s"] < TURN_S
+    assert len(set(beats)) > 10, "it counted on meanwhile"
+
+
+async def load(endpoint: str, program: str) -> list[int]:
+    """Order it; what the heartbeat was at each look until it is loaded."""
+    beats: list[int] = []
+    async with Client(endpoint) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+        node = {name: client.get_node(f"ns={index};s={name}") for name in ("program", "load", "loaded", BEAT)}
+        await node["program"].write_value(program, ua.VariantType.String)
+        await node["load"].write_value(value=True)
+        while await node["loaded"].read_value() != program:
+            beats.append(await node[BEAT].read_value())
+            await asyncio.sleep(0.02)
+    return beats

@@ -115,3 +115,22 @@ def test_a_daemon_that_dies_is_noticed_by_the_controller_after_the_tool_is_up(tm
             assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
             daemon.end()
         assert not alive(daemon.process.pid)
+
+
+LONG = 20_000
+"""Moves of a script; each is told in a line of its own."""
+TURN_S = 0.5
+
+
+def test_a_controller_that_reads_a_long_script_goes_on_answering(tmp_path: Path) -> None:
+    """By its own account no turn of the loop that its servers share was long."""
+    moves = "\n".join(
+        f"  write_output_integer_register(25, {k})\n  movel(p[{k % 100 / 1e4}, 0, 0.06, 3.14159, 0, 0], a=1, v=0.01)"
+        for k in range(LONG)
+    )
+    with dwell_cell(tmp_path / "cell", speed=1.0) as files:
+        say(files, "primary_port", f"def polishd():\n{moves}\nend\n".encode())
+        wait_for(lambda: events(files, "program_loaded"), "the script")
+        (loaded,) = events(files, "program_loaded")
+    assert (loaded["blocks"], loaded["runs"]) == (LONG, True)
+    assert loaded["longest_turn_s"] < TURN_S

@@ -1,7 +1,8 @@
 """The controller's mind: variables in, motion, variables out. Pure of I/O but for the file; wall times are handed in.
 
-It reads the file when it is told to load, shows what it does once every report, and stops by itself when nobody counts
-the heartbeat up. Whoever stands at it may hold the feed: it goes on by itself when he lets go.
+It reads the file when it is told to load, a part of it in each cycle: however long the program, the cycle goes on. It
+shows what it does once every report, and stops by itself when nobody counts the heartbeat up. Whoever stands at it may
+hold the feed: it goes on by itself when he lets go.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from polishd.model.surface import FloatArray
 from polishd.sim_backends.handover.program import Loaded, sha256_of
 from polishd.sim_backends.robot.intake import Intake, Reach
 from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.path import Path as Blocks
 
 IDLE, READY, RUNNING, PAUSED, HELD, DONE, FAULT = range(7)
 Value = bool | int | float | str
@@ -22,6 +24,20 @@ INPUTS: dict[str, Value] = {
     "start": False, "hold": False, "reset": False, "load": False, "program": "", "heartbeat": 0,
 }  # fmt: skip
 BAD_PROGRAM, NO_PROGRAM, EMERGENCY_STOP = 1, 2, 99
+LINES_A_CYCLE = 500
+"""Read of a program that is being loaded."""
+
+
+@dataclass(slots=True)
+class Loading:
+    """A program on its way in."""
+
+    name: str
+    program: Loaded
+    intake: Intake
+    blocks: Blocks
+    longest_turn_s: float = 0.0
+    """Between two cycles, from the order on."""
 
 
 @dataclass(slots=True)
@@ -49,18 +65,24 @@ class Plc:
     _beats: int = 0
     _goes_on: bool = False
     """The feed was held while it ran."""
+    _loading: Loading | None = None
+    _ticked_s: float | None = None
 
     def tick(self, now_s: float) -> None:
         """One cycle of the controller's program."""
         self.motion.advance(now_s)
+        turn_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
+        self._ticked_s = now_s
         inputs, before = dict(self.inputs), self._before
         self._before = inputs
         if inputs["heartbeat"] != before["heartbeat"]:
             self._heard_s = now_s
         if self._rises("reset", before):
             self._reset(now_s)
+        if self._loading is not None:
+            self._go_on_loading(self._loading, turn_s)
         if self._rises("load", before):
-            self._load(str(inputs["program"]), now_s)
+            self._load(str(inputs["program"]))
         if inputs["hold"] and self.motion.state == "running":
             self.motion.hold(now_s, "hold")
         elif self._rises("start", before) and not inputs["hold"]:
@@ -78,7 +100,7 @@ class Plc:
         """``emergency stop``, or ``feed hold``: pressed again it lets go."""
         self.motion.advance(now_s)
         if button == "emergency stop":
-            self._alarm = (EMERGENCY_STOP, button)
+            self._alarm, self._loading = (EMERGENCY_STOP, button), None
             self.motion.hold(now_s, button)
         else:
             self.feed_held = not self.feed_held
@@ -99,12 +121,19 @@ class Plc:
     def _reset(self, now_s: float) -> None:
         self.motion.hold(now_s, "reset")
         if self.motion.state != "running" and self._alarm[0] != EMERGENCY_STOP:
-            self.motion.forget()
-            self._was, self._loaded, self._alarm, self.program = "idle", "", (0, ""), None
+            self._alarm = (0, "")
+            self._unload()
 
-    def _load(self, name: str, now_s: float) -> None:
+    def _unload(self) -> None:
+        """It has no program from now on, and none is on its way."""
+        self.motion.forget()
+        self._was, self._loaded, self.program, self._loading = "idle", "", None, None
+
+    def _load(self, name: str) -> None:
+        """The order: what was there is gone, and the file is read from the next cycle on."""
         if self.motion.state == "running" or self._alarm[0]:
             return
+        self._unload()
         path = self.folder / Path(name).name
         try:
             program = Loaded.of(path.read_bytes())
@@ -113,14 +142,25 @@ class Plc:
             return
         lines = list(program.lines)
         intake = Intake(self.config, self.reach, len(lines), sha256_of(lines), self.motion.pose)
-        blocks = intake.take(0, lines)
+        self._loading = Loading(name, program, intake, Blocks(len(lines), self.motion.pose, self.motion.limits))
+
+    def _go_on_loading(self, loading: Loading, turn_s: float) -> None:
+        """A cycle's part of the program; with its last line it is loaded."""
+        program, intake, blocks = loading.program, loading.intake, loading.blocks
+        loading.longest_turn_s = max(loading.longest_turn_s, turn_s)
+        first = blocks.accepted
+        taken = intake.take(first, list(program.lines[first : first + LINES_A_CYCLE]))
         if refusal := intake.refusal():
-            self._alarm = (BAD_PROGRAM, refusal[1])
+            self._alarm, self._loading = (BAD_PROGRAM, refusal[1]), None
             return
-        self.motion.load(len(lines))
-        self.program, self._loaded = program, name
-        self.report("program_loaded", sha256=program.sha256, blocks=program.blocks)
-        self.motion.append(now_s, blocks)
+        blocks.append(taken)
+        if blocks.accepted < blocks.blocks:
+            return
+        self._loading = None
+        self.motion.load(blocks)
+        self.program, self._loaded = program, loading.name
+        longest_turn_s = round(loading.longest_turn_s, 4)
+        self.report("program_loaded", sha256=program.sha256, blocks=program.blocks, longest_turn_s=longest_turn_s)
 
     def _start(self, now_s: float) -> None:
         if self._alarm[0] or self.feed_held or self.program is None or self.motion.state != "held":

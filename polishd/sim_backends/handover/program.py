@@ -29,8 +29,8 @@ class Loaded:
     def of(cls, text: bytes) -> Loaded:
         """Take the text apart."""
         lines = text.removesuffix(b"\n").split(b"\n")
-        own = [line for line in lines if not line.endswith(OURS)]
         inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]
+        own = [line for line in lines if not line.endswith(OURS)] if inserted else lines
         return cls(tuple(lines), hashlib.sha256(b"\n".join(own)).hexdigest(), len(own), np.array(inserted, dtype=float))
 
     def blocks_of(self, lines: FloatArray) -> FloatArray:

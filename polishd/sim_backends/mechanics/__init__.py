@@ -7,6 +7,8 @@ the two to each other. Units: mm, N, rad; the base frame is that of `model.robot
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 from polishd.model.robot import HybridRobot, SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.mechanics import hybrid, serial
@@ -17,6 +19,28 @@ def reached(robot: HybridRobot | SerialRobot, tip_mm: FloatArray, axis: FloatArr
     if isinstance(robot, HybridRobot):
         return hybrid.posed(robot, tip_mm, axis).reached
     return serial.posed(robot, tip_mm, axis).reached
+
+
+KEPT = 16
+"""Poses of the last ones that were reached."""
+
+
+@dataclass(slots=True)
+class Reaching:
+    """A controller that is shown one part of a path after the other: it leads an arm on from where it was led last."""
+
+    robot: HybridRobot | SerialRobot
+    _known: serial.Known | None = field(default=None, init=False)
+
+    def reached(self, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
+        """As `reached`."""
+        if isinstance(self.robot, HybridRobot) or not len(tip_mm):
+            return reached(self.robot, tip_mm, axis)
+        at = serial.posed(self.robot, tip_mm, axis, self._known)
+        kept = at.reached.nonzero()[0][:: -max(len(tip_mm) // KEPT, 1)]
+        if len(kept):
+            self._known = serial.Known(tip_mm[kept], axis[kept], at.joints[kept])
+        return at.reached
 
 
 def tip_gives_mm_per_n(

@@ -80,12 +80,39 @@ class Posed:
     """(n, 6, 6) column j: the tip's translation over the arm's length, and its turn, for a turn of joint j."""
 
 
-def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
-    """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way."""
+@dataclass(frozen=True, slots=True)
+class Known:
+    """Poses that the arm was led to before."""
+
+    tip_mm: FloatArray
+    """(n, 3)."""
+    axis: FloatArray
+    """(n, 3)."""
+    joints: FloatArray
+    """(n, 6) turns from home, rad."""
+
+
+def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known | None = None) -> Posed:
+    """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way.
+
+    From poses that are ``known``, where there are any, which is quicker; from home where that leads nowhere.
+    """
+    if known is not None and len(known.tip_mm):
+        count = len(known.tip_mm)
+        at = _posed(robot, np.vstack([known.tip_mm, tip_mm]), np.vstack([known.axis, axis]), known.joints)
+        if at.reached[count:].all():
+            return Posed(at.reached[count:], at.joints[count:], at.motion[count:])
+    return _posed(robot, tip_mm, axis, np.zeros((0, 6)))
+
+
+def _posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: FloatArray) -> Posed:
+    """The joints (k, 6) for the first k poses are known."""
     screws = Screws.of(robot)
     flange, wanted = _flange(robot, axis)
     joints, found = np.zeros((len(tip_mm), 6)), np.zeros(len(tip_mm), dtype=np.bool_)
     motion = np.zeros((len(tip_mm), 6, 6))
+    joints[: len(known)], found[: len(known)] = known, True
+    motion[: len(known)] = _motion(screws, known)[1]
 
     def lead(going: IntArray, start: FloatArray) -> None:
         to, along, miss = _lead(screws, start, tip_mm[going], flange[going])
@@ -93,7 +120,7 @@ def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
         joints[going[there]], motion[going[there]], found[going[there]] = to[there], along[there], True
 
     few = np.flatnonzero(wanted)[:: max(1, len(tip_mm) // FEW)]
-    for side in range(SIDES):
+    for side in range(SIDES if not len(known) else 0):
         for start in range(STARTS):
             going = few[~found[few]]
             turned = np.zeros((len(going), 6))

@@ -13,7 +13,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends import truth
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.faults.override import SpeedOverride
-from polishd.sim_backends.mechanics import reached
+from polishd.sim_backends.mechanics import Reaching
 from polishd.sim_backends.placement import Frames
 from polishd.sim_backends.robot.motion import Motion
 from polishd.sim_backends.robot.path import Limits
@@ -43,7 +43,8 @@ class Machine:
         self.blocks_of: Callable[[FloatArray], FloatArray] = lambda blocks: blocks
         """The program's blocks (n,) of the motion's, where the controller's file has more lines."""
         self._frames = Frames(start.config.plant)
-        self._robot = start.config.robot_model()
+        model = start.config.robot_model()
+        self._reaching = None if isinstance(model, MeasuredCompliance) else Reaching(model)
 
     def set_pace(self, now_s: float) -> None:
         """Move from now on as fast as the faults of the script allow, and tell the plant."""
@@ -56,9 +57,9 @@ class Machine:
     def reach(self, blocks: list[Block]) -> BoolArray:
         """Which blocks end where the robot can be; of one that was only measured nobody knows."""
         poses = np.array([block.end for block in blocks]).reshape(-1, 5)
-        if isinstance(self._robot, MeasuredCompliance):
+        if self._reaching is None:
             return np.ones(len(poses), dtype=np.bool_)
-        return reached(self._robot, *self._frames.in_base(*self._frames.in_part(poses)))
+        return self._reaching.reached(*self._frames.in_base(*self._frames.in_part(poses)))
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
         """Tell the witness, after the motion that came before."""

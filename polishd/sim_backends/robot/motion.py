@@ -57,9 +57,9 @@ class Motion:
         """Start without a program."""
         self.forget()
 
-    def load(self, blocks: int) -> None:
-        """Forget the old program; expect block 0 of the new one."""
-        self.path = Path(blocks, self.pose, self.limits)
+    def load(self, program: int | Path) -> None:
+        """Forget the old program; expect block 0 of a new one of so many, or take one whose blocks are there."""
+        self.path = program if isinstance(program, Path) else Path(program, self.pose, self.limits)
         self._cursor, self._begun_s = Cursor(), None
         self.executed, self.until, self.stopping, self._lift = [], None, "", None
         self._plan()

@@ -71,3 +71,5 @@ class Controls:
     said: list[str] = field(default_factory=list)
     """``textmsg``."""
     program: Program | None = None
+    stops: int = 0
+    """A script that was on its way in at one of them is forgotten."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field, replace
 
 from polishd.model.errors import ProgramError
 
@@ -80,58 +80,46 @@ class Routine(Statement):
     name: str
     parameters: tuple[str, ...]
     body: list[Statement] = field(repr=False)
+    calls: Mapping[str, int] = field(default_factory=dict, repr=False)
+    """Of the script: all that is called in it, and the line where it is first."""
+    routines: frozenset[str] = frozenset()
+    """Of the script: names of those that it defines."""
+
+
+TURN = 20
+"""Statements that are read at a time."""
 
 
 def parse(text: str) -> Routine:
     """The one program in a script. ProgramError with (words, line) where it cannot be read."""
-    lines = ((number, _bare(line)) for number, line in enumerate(text.splitlines(), start=1))
-    found = _Reader([(number, line) for number, line in lines if line])
-    statements = found.body(stops=())
+    reading = parsing(text)
+    while True:
+        try:
+            next(reading)
+        except StopIteration as end:
+            routine: Routine = end.value
+            return routine
+
+
+def parsing(text: str) -> Generator[None, None, Routine]:
+    """The same, a few statements at a turn."""
+    lines: list[tuple[int, str]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if bare := _bare(line):
+            lines.append((number, bare))
+        if number % (20 * TURN) == 0:
+            yield
+    found = _Reader(lines)
+    statements = yield from found.body(stops=())
     if len(statements) != 1 or not isinstance(statements[0], Routine):
         raise ProgramError("a script is one def", 1)
-    return statements[0]
-
-
-def calls(routine: Routine) -> Iterator[tuple[int, str]]:
-    """(line, name) of all that is called in it."""
-    for statement in _all(routine.body):
-        for node in _nodes(statement):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                yield statement.line, node.func.id
-        if isinstance(statement, Run):
-            yield statement.line, statement.thread
-
-
-def routines(routine: Routine) -> set[str]:
-    """Names of those that it defines."""
-    return {statement.name for statement in _all(routine.body) if isinstance(statement, Routine)}
-
-
-def _all(body: Sequence[Statement]) -> Iterator[Statement]:
-    for statement in body:
-        yield statement
-        if isinstance(statement, Routine):
-            yield from _all(statement.body)
-        elif isinstance(statement, Branches):
-            for _, inner in statement.cases:
-                yield from _all(inner)
-
-
-def _nodes(statement: Statement) -> Iterator[ast.AST]:
-    expressions: list[Expression | None] = []
-    if isinstance(statement, Do):
-        expressions = [statement.call]
-    elif isinstance(statement, Assign):
-        expressions = [statement.value]
-    elif isinstance(statement, Branches):
-        expressions = [condition for condition, _ in statement.cases]
-    for expression in expressions:
-        if expression is not None:
-            yield from ast.walk(expression)
+    return replace(statements[0], calls=found.calls, routines=frozenset(found.routines))
 
 
 def _bare(line: str) -> str:
     """Without comment and blanks."""
+    if "#" not in line:
+        return line.strip()
     quoted = False
     for at, char in enumerate(line):
         quoted ^= char == '"'
@@ -144,8 +132,10 @@ def _bare(line: str) -> str:
 class _Reader:
     lines: list[tuple[int, str]]
     at: int = 0
+    calls: dict[str, int] = field(default_factory=dict)
+    routines: set[str] = field(default_factory=set)
 
-    def body(self, stops: tuple[str, ...]) -> list[Statement]:
+    def body(self, stops: tuple[str, ...]) -> Generator[None, None, list[Statement]]:
         """Statements up to a line that begins with one of those words, which is left; without any: to the end."""
         found: list[Statement] = []
         while self.at < len(self.lines):
@@ -153,50 +143,56 @@ class _Reader:
             if re.split(r"\W", line, maxsplit=1)[0] in stops:
                 return found
             self.at += 1
-            found.append(self._statement(number, line))
+            if self.at % TURN == 0:
+                yield
+            found.append((yield from self._statement(number, line)))
         if stops:
             raise ProgramError("the script breaks off: an end is missing", self.lines[-1][0])
         return found
 
-    def _statement(self, number: int, line: str) -> Statement:
+    def _statement(self, number: int, line: str) -> Generator[None, None, Statement]:
         if match := _ROUTINE.fullmatch(line):
-            body = self.body(stops=("end",))
+            self.routines.add(match[2])
+            body = yield from self.body(stops=("end",))
             self.at += 1
             return Routine(number, match[2], tuple(filter(None, map(str.strip, match[3].split(",")))), body)
         if match := _BRANCH.fullmatch(line):
-            return self._branches(number, match)
+            return (yield from self._branches(number, match))
         if match := _KILL.fullmatch(line):
             return End(number, match[2], match[1] == "join")
         if match := _RUN.fullmatch(line):
+            self.calls.setdefault(match[2], number)
             return Run(number, match[1], match[2])
         if match := _ASSIGN.fullmatch(line):
-            return Assign(number, match[2], _expression(number, match[3]), match[1] == "global")
-        call = _expression(number, line)
+            return Assign(number, match[2], self._expression(number, match[3]), match[1] == "global")
+        call = self._expression(number, line)
         if not isinstance(call, ast.Call):
             raise ProgramError(f"syntax error at {line[:40]!r}", number)
         return Do(number, call)
 
-    def _branches(self, number: int, match: re.Match[str]) -> Branches:
+    def _branches(self, number: int, match: re.Match[str]) -> Generator[None, None, Branches]:
         if match[1] == "elif":
             raise ProgramError("elif without if", number)
         cases: list[tuple[Expression | None, list[Statement]]] = []
-        condition: Expression | None = _expression(number, match[2])
+        condition: Expression | None = self._expression(number, match[2])
         while True:
-            cases.append((condition, self.body(stops=("end", "elif", "else"))))
+            body = yield from self.body(stops=("end", "elif", "else"))
+            cases.append((condition, body))
             at, line = self.lines[self.at]
             self.at += 1
             if line == "end":
                 return Branches(number, cases, match[1] == "while")
             more = _BRANCH.fullmatch(line)
-            condition = _expression(at, more[2]) if more else None
+            condition = self._expression(at, more[2]) if more else None
 
-
-def _expression(line: int, text: str) -> Expression:
-    try:
-        found = ast.parse(text.strip(), mode="eval")
-    except (SyntaxError, ValueError, RecursionError):
-        raise ProgramError(f"syntax error at {text.strip()[:40]!r}", line) from None
-    for node in ast.walk(found):
-        if not isinstance(node, ALLOWED):
-            raise ProgramError(f"syntax error at {text.strip()[:40]!r}", line)
-    return found.body
+    def _expression(self, line: int, text: str) -> Expression:
+        try:
+            found = ast.parse(text.strip(), mode="eval")
+        except (SyntaxError, ValueError, RecursionError):
+            raise ProgramError(f"syntax error at {text.strip()[:40]!r}", line) from None
+        for node in ast.walk(found):
+            if not isinstance(node, ALLOWED):
+                raise ProgramError(f"syntax error at {text.strip()[:40]!r}", line)
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                self.calls.setdefault(node.func.id, line)
+        return found.body

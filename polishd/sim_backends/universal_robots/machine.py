@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from polishd.model.errors import ProgramError
@@ -21,7 +22,7 @@ from polishd.sim_backends.universal_robots.controls import (
     STOPPING,
     Controls,
 )
-from polishd.sim_backends.universal_robots.language import parse
+from polishd.sim_backends.universal_robots.language import parsing
 from polishd.sim_backends.universal_robots.program import Program
 from polishd.sim_backends.universal_robots.turning import wrist_deg
 
@@ -37,15 +38,25 @@ class Machine(Controls):
 
     def load(self, text: str) -> None:
         """A script came. What runs is stopped for it; while one is paused, it is only that which is stopped."""
+        for _ in self.loading(text):
+            pass
+
+    def loading(self, text: str) -> Iterator[None]:
+        """The same, a few statements at a turn; whatever stops the robot meanwhile has the script forgotten."""
         if self.robot_mode != RUNNING or self.safety_mode != NORMAL or not self.remote:
             return
         paused = self.runtime in {PAUSING, PAUSED}
         self.stop()
         if paused:
             return
+        stops = self.stops
         try:
+            routine = yield from parsing(text)
+            yield
+            if self.stops != stops or self.safety_mode != NORMAL:
+                return
             commands = Commands(self)
-            self.program = Program(parse(text), commands.quick(), commands.slow())
+            self.program = Program(routine, commands.quick(), commands.slow())
         except ProgramError as error:
             self.complain(int(error.args[1]), str(error.args[0]))
             return
@@ -53,6 +64,7 @@ class Machine(Controls):
 
     def stop(self) -> bool:
         """The program is over, and the arm brakes; whether one ran."""
+        self.stops += 1
         ran = self.runtime != STOPPED
         self.program, self.watchdogs, self.busy, self.driven_by = None, {}, 0, 0
         if not self.arm.stands:

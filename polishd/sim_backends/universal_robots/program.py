@@ -17,8 +17,6 @@ from polishd.sim_backends.universal_robots.language import (
     Routine,
     Run,
     Statement,
-    calls,
-    routines,
 )
 
 Frames = Generator[None, None, None]
@@ -42,8 +40,8 @@ class Program:
 
     def __init__(self, routine: Routine, quick: dict[str, Quick], slow: dict[str, Slow]) -> None:
         self._values, self._slow = Values({**quick, "sqrt": math.sqrt, "norm": lambda part: math.hypot(*part)}), slow
-        known = {*self._values.functions, *slow, *routines(routine)}
-        for line, name in calls(routine):
+        known = {*self._values.functions, *slow, *routine.routines}
+        for name, line in routine.calls.items():
             if name not in known:
                 raise ProgramError(f"Compile error: name '{name}' is not defined", line)
         self.line = routine.line

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import hashlib
 import re
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from polishd.sim_backends.wire import Feed, Wire
 
 TICK_S = 0.004
 STATE_S = 0.1
+READ_S = 0.005
+"""Of a turn, while a script is read."""
 _BLOCKS = re.compile(rf"(?:polishd_at\(|write_output_integer_register\({BLOCK_REGISTER}, )(\d+)\)")
 
 
@@ -45,6 +48,7 @@ class UniversalRobotServer:
         self._waiting: list[tuple[Callable[[], bool], Callable[[], None]]] = []
         self._blocks = 0
         """Of the script that was loaded last."""
+        self._loading: Iterator[None] = iter(())
         self._moved = False
         self._seen = (self.machine.runtime, self.machine.safety_mode)
 
@@ -53,6 +57,7 @@ class UniversalRobotServer:
         next_state = 0.0
         while True:
             self.advance()
+            self._go_on_loading()
             if time.monotonic() >= next_state:
                 next_state = time.monotonic() + STATE_S
                 for outlet in self._primary:
@@ -99,12 +104,29 @@ class UniversalRobotServer:
         return self._now(primary.ScriptIntake(self.load).feed)
 
     def load(self, text: str) -> None:
-        """A script came."""
-        self.machine.load(text)
+        """A script came: what runs is stopped at once, and it is read a part in each turn."""
+        self._loading = self._load(text)
+        self._go_on_loading()
+
+    def _go_on_loading(self) -> None:
+        """A turn's part. Its half a million objects stay for good: no collection is to look through them."""
+        until_s = time.monotonic() + READ_S
+        for _ in self._loading:
+            gc.freeze()
+            if time.monotonic() >= until_s:
+                return
+
+    def _load(self, text: str) -> Iterator[None]:
+        turned_s, longest_s = time.monotonic(), 0.0
+        for _ in self.machine.loading(text):
+            yield
+            longest_s, turned_s = max(longest_s, time.monotonic() - turned_s), time.monotonic()
         runs = self.machine.program is not None
         self._blocks = max(map(int, _BLOCKS.findall(text)), default=0) + 1
         sha256 = hashlib.sha256(text.encode()).hexdigest()
-        self._runtime.link.event("program_loaded", sha256=sha256, blocks=self._blocks, runs=runs)
+        self._runtime.link.event(
+            "program_loaded", sha256=sha256, blocks=self._blocks, runs=runs, longest_turn_s=round(longest_s, 4)
+        )
 
     def complain(self, line: int, text: str) -> None:
         """Tell who sent the script."""

@@ -10,7 +10,7 @@ import pytest
 from polishd.model.robot import HybridRobot, SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.robot import reachable, tip_compliance_mm_per_n
-from polishd.sim_backends.mechanics import hybrid, reached, tip_gives_mm_per_n
+from polishd.sim_backends.mechanics import Reaching, hybrid, reached, tip_gives_mm_per_n
 from tests.unit.process.arms import UR5, arm_cell, forward
 from tests.unit.process.hybrid_poses import CROOKED, PAPER, ROBOT, SLANTED, random_poses
 
@@ -168,6 +168,18 @@ def test_a_part_below_home_is_reached_however_the_flange_is_turned_there(first_d
     assert reachable(robot, tip, axis).all()
     assert reached(robot, tip, axis).all()
     assert reached(robot, middle, upright).all()
+
+
+@pytest.mark.parametrize(
+    "robot", [UR5, dataclasses.replace(UR5, joint_limits_deg=((-3, 3), *UR5.joint_limits_deg[1:]))]
+)
+def test_a_path_shown_in_parts_is_reached_where_the_whole_is(robot: SerialRobot) -> None:
+    tip, axis = arm_poses()
+    order = np.lexsort(tip.T)
+    reaching = Reaching(robot)
+    parts = [reaching.reached(tip[part], axis[part]) for part in np.array_split(order, [1, 3, 50, 51, 51, 120])]
+    assert np.array_equal(np.concatenate(parts), reached(robot, tip[order], axis[order]))
+    assert np.concatenate(parts).any()
 
 
 def _both(seed: int) -> tuple[BoolArray, BoolArray]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from polishd.sim_backends.handover.modbus import ModbusServer
-from polishd.sim_backends.handover.plc import DONE, FAULT, HELD, IDLE, PAUSED, READY, RUNNING, Plc
+from polishd.sim_backends.handover.plc import DONE, FAULT, HELD, IDLE, LINES_A_CYCLE, PAUSED, READY, RUNNING, Plc
 from polishd.sim_backends.handover.program import Loaded
 from tests.fakes.handover import FakePlc
 
@@ -187,3 +187,45 @@ def test_lines_of_the_file_are_the_programs_blocks_without_those_put_in() -> Non
 )
 def test_modbus_answers(bench: Bench, pdu: bytes, answer: bytes) -> None:
     assert ModbusServer(bench.plc).answer(pdu) == answer
+
+
+LONG = b"G1 X1 F60\n" + b"G1 X2\nG1 X1\n" * (15 * LINES_A_CYCLE)
+
+
+def test_a_long_program_is_loaded_while_the_controller_goes_on(bench: Bench) -> None:
+    bench.load()
+    (bench.folder / "a.nc").write_bytes(LONG)
+    beats = []
+    bench.plc.inputs["load"] = True
+    for cycle in range(29):
+        bench.plc.inputs["start"] = cycle % 2 == 0
+        bench.run(0.01)
+        assert bench.plc.motion.state == "idle", "it has no program to start yet, nor the one before"
+        beats.append(bench.plc.shown["controller_heartbeat"])
+    bench.plc.inputs["start"] = False
+    bench.run(0.2)
+    assert bench.state == READY
+    assert beats[-1] - beats[0] == 2, "it tells ten times a second"
+    assert bench.plc.motion.accepted == 30 * LINES_A_CYCLE + 1
+    assert bench.events.count("program_loaded") == 2
+
+
+@pytest.mark.parametrize("ends", ["reset", "emergency stop"])
+def test_a_load_that_is_broken_off_leaves_no_program(bench: Bench, ends: str) -> None:
+    (bench.folder / "a.nc").write_bytes(LONG)
+    bench.plc.inputs.update(program="a.nc", load=True)
+    bench.run(0.03)
+    if ends == "reset":
+        bench.pulse("reset")
+    else:
+        bench.plc.press(ends, bench.now_s)
+    bench.run(1.0)
+    assert (bench.state, bench.plc.shown["loaded"]) == (IDLE if ends == "reset" else FAULT, "")
+    assert bench.events.count("program_loaded") == 0
+
+
+def test_a_wrong_line_far_into_a_long_program_is_an_alarm_and_nothing_is_loaded(bench: Bench) -> None:
+    bench.load(LONG + b"G1 Q1\n")
+    bench.run(1.0)
+    assert (bench.state, bench.plc.motion.accepted) == (FAULT, 0)
+    assert f"block {30 * LINES_A_CYCLE + 1}: " in str(bench.plc.shown["alarm_text"])

@@ -236,3 +236,26 @@ def test_orientations_mean_the_plants_a_and_c(wrist: tuple[float, float]) -> Non
     assert angle(turn, again) == pytest.approx(0.0, abs=1e-6)
     halfway = between(turn, after(from_vector((0.0, 0.0, 0.4)), turn), 0.5)
     assert angle(turn, halfway) == pytest.approx(0.2, abs=1e-6)
+
+
+LONG = "def t():\n" + "\n".join(f"  movel({pose(k % 100)}, a=1, v=0.1)" for k in range(2000)) + "\nend"
+
+
+def test_a_long_script_is_read_a_few_statements_at_a_turn() -> None:
+    found, turns = machine(), 0
+    for _ in found.loading(LONG):
+        turns += 1
+        found.frame()
+        assert (found.program, found.runtime) == (None, m.STOPPED), "all of it or nothing"
+    assert turns > 100
+    assert found.runtime == m.PLAYING
+
+
+@pytest.mark.parametrize("event", ["stop", "emergency_stop", "power_off", "protective_stop"])
+def test_a_script_on_its_way_in_is_forgotten_when_the_robot_is_stopped(event: str) -> None:
+    found = machine()
+    loading = found.loading(LONG)
+    next(loading)
+    getattr(found, event)()
+    assert list(loading) != []
+    assert (found.program, found.runtime) == (None, m.STOPPED)
