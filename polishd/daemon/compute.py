@@ -15,7 +15,8 @@ from typing import Any, Self, TypeVar
 
 from polishd.daemon.compute_limit import Watch
 from polishd.daemon.compute_worker import LENGTH, pack, unpack
-from polishd.model.errors import ComputeError
+from polishd.daemon.installed import installed_at_start, installed_now, require_same
+from polishd.model.errors import ComputeError, HostFault
 from polishd.process.dwell.limit import backstop_s
 from polishd.recipe.limit import Limit
 from polishd.secret import environment_without_secrets
@@ -30,12 +31,14 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 class Compute:
     """``await compute(function, *arguments, within_s=30)``: module-level functions and picklable arguments.
 
-    One call runs at a time, others wait their turn. The worker starts at the first call or ``start``.
+    One call runs at a time, others wait their turn. The worker starts at the first call or ``start``, and proves that
+    it has the daemon's versions: else HostFault.
     """
 
     def __init__(self, threads: int | None = None, backstop: Callable[[float], float] = backstop_s) -> None:
         self._threads = threads or (1 if (os.cpu_count() or 1) <= 2 else 2)
         self._backstop = backstop
+        self._installed = installed_at_start()
         self._turn = asyncio.Lock()
         self._process: Process | None = None
         self._ready = False
@@ -94,7 +97,18 @@ class Compute:
             process = await self._spawn()
         if not self._ready:
             late, dead = "the worker was not ready in time", "the worker did not start"
-            await self._kept(process, Limit(START_S), _receive(process), late=late, dead=dead, hint="; see stderr")
+            try:
+                _, now = await self._kept(
+                    process, Limit(START_S), _receive(process), late=late, dead=dead, hint="; see stderr"
+                )
+            except ComputeError:
+                require_same(self._installed, await asyncio.to_thread(installed_now))  # names what is gone
+                raise
+            try:
+                require_same(self._installed, now)
+            except HostFault:
+                await self._drop()
+                raise
             self._ready = True
         return process
 

@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from polishd.daemon.installed import installed_now
 from polishd.daemon.priority import compute_last
 from polishd.model.errors import ComputeError, PolishdError
 
@@ -57,7 +58,7 @@ def main() -> None:
     calls = sys.stdin.buffer
     with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(2, 1)
-        _write(answers, ("ready", os.getpid()))
+        _write(answers, ("ready", installed_now()))
         while (pieces := _read(calls)) is not None:
             _write(answers, _answer(pieces))
 

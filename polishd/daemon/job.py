@@ -13,6 +13,7 @@ from polishd.daemon import remembering
 from polishd.daemon.compute import Compute
 from polishd.daemon.cycle_entries import cycle_entries
 from polishd.daemon.for_people import ForPeople
+from polishd.daemon.installed import installed_at_start, installed_now, require_same
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.judging import Judging
@@ -225,7 +226,7 @@ class Job:
         return found is not None
 
     async def refuse_unsafe(self, plan: Plan) -> None:
-        """PlanRefused with every violation that a check found, HostFault where the pass would fill a disk."""
+        """PlanRefused with every violation that a check found, HostFault where a disk fills or software changed."""
         await asyncio.to_thread(_refuse_unsafe, self, plan)  # checks look at every block, and a disk may hang
 
     # run
@@ -311,6 +312,7 @@ class Job:
 
 
 def _refuse_unsafe(job: Job, plan: Plan) -> None:
+    require_same(installed_at_start(), installed_now())
     found = [*steps.violations(job.recipe, plan), *job.check_plan(plan, job.recipe.envelope)]
     if found:
         raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))

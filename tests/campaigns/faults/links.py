@@ -154,11 +154,11 @@ def _cia402(folder: Path) -> DemoFiles:
     return files
 
 
-def _watched(folder: Path, text: str, sim: str) -> DemoFiles:
+def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
+    """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
     cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
-    silent = {"monitor": {"type": "monitor_line", "address": "serial:sim/monitor", "silence_s": SILENCE_S}}
-    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent))
+    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files
 
@@ -168,7 +168,8 @@ def _sensed(folder: Path) -> DemoFiles:
 
 
 def _monitored(folder: Path) -> DemoFiles:
-    return _watched(folder, MONITOR.format(leads_to="lift"), '\n[monitor]\nkind = "serial"\n')
+    silent = {"monitor": {"type": "monitor_line", "address": "serial:sim/monitor", "silence_s": SILENCE_S}}
+    return _watched(folder, MONITOR.format(leads_to="lift"), '\n[monitor]\nkind = "serial"\n', silent)
 
 
 def _plc(folder: Path, kind: str) -> DemoFiles:

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.daemon.installed import installed_at_start
 from polishd.daemon.job import PROGRESS_BLOCKS, Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.model.devices import Executed, RobotProgress
-from polishd.model.errors import ComputeError, PlanRefused
+from polishd.model.errors import ComputeError, HostFault, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Line
@@ -384,6 +385,17 @@ async def test_every_violation_is_told(tmp_path: Path, journal: Journal) -> None
     job = small_job(tmp_path, journal, check_plan=lambda plan, envelope: ["too fast", "too far"])
     plan = await planned(job, 0, await job.measured(0, small_map()))
     with pytest.raises(PlanRefused, match="nothing moved:\n  too fast\n  too far"):
+        await job.refuse_unsafe(plan)
+
+
+async def test_no_pass_with_software_that_changed(
+    tmp_path: Path, journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = small_job(tmp_path, journal)
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    now = {**installed_at_start(), "polishd": "9.9"}
+    monkeypatch.setattr("polishd.daemon.job.installed_now", lambda: now)
+    with pytest.raises(HostFault, match=r"polishd \(.* now 9\.9\).*restart the daemon"):
         await job.refuse_unsafe(plan)
 
 
