@@ -31,6 +31,8 @@ FIRST_POINTS = 10
 """So many points tell the overhead of a machine that no pass has shown yet."""
 MOST_OVERHEAD_S = 0.3
 """Most overhead of a point that is learned during a pass; a larger one stands in machine.block_overhead_s."""
+PIECE = 16_384
+"""Blocks whose expected times are computed at once."""
 SLOW = 0.2
 """Share by which motion is slower than planned from which on the excess is looked at ahead of the tool."""
 
@@ -266,19 +268,21 @@ def expected_block_s(plan: Plan) -> FloatArray:
     without the dwell; else it is the point's time, and that of the way there at the same speed.
     """
     program, expected = plan.program, plan.expected_time_s
-    blocks = np.arange(plan.contact_blocks)
+    found = np.zeros(plan.contact_blocks)
     if not expected.size:
-        return np.zeros(blocks.size)
-    point = np.minimum(np.searchsorted(program.block, blocks), expected.size - 1)
-    timed = program.block[point] == blocks
-    if program.encoding == "dwell":
-        leading = np.maximum(expected - program.time_s, 0.0)
-    else:
-        way = np.linalg.norm(program.start_mm[1:] - program.end_mm[:-1], axis=1)
-        way = np.concatenate([[0.0], way])
-        length = program.length_mm
-        leading = expected * (1.0 + np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))
-    return np.asarray(np.where(timed, expected[point], leading[point]), dtype=np.float64)
+        return found
+    for first in range(0, plan.contact_blocks, PIECE):  # a long program's temporaries would outgrow its blocks
+        blocks = np.arange(first, min(first + PIECE, plan.contact_blocks))
+        point = np.minimum(np.searchsorted(program.block, blocks), expected.size - 1)
+        if program.encoding == "dwell":
+            leading = np.maximum(expected[point] - program.time_s[point], 0.0)
+        else:
+            way = np.linalg.norm(program.start_mm[point] - program.end_mm[np.maximum(point - 1, 0)], axis=1)
+            way[point == 0] = 0.0
+            length = np.linalg.norm(program.end_mm[point] - program.start_mm[point], axis=1)
+            leading = expected[point] * (1.0 + np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))
+        found[blocks] = np.where(program.block[point] == blocks, expected[point], leading)
+    return found
 
 
 def low_override(robot: RobotProgress, least: float) -> str:

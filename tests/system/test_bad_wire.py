@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from polishd.api import Executed, LinkError, Plan
+from polishd.daemon.progress import ProgressLimits
 from polishd.daemon.stream import CHUNK as DAEMON_CHUNK
 from polishd.daemon.stream import streaming
 from polishd.drivers.robot_link import RobotLink, session
@@ -173,7 +174,11 @@ async def test_a_robot_of_50_blocks_a_second_does_not_starve_when_the_link_stall
         stalls = asyncio.create_task(bad.stall(1.0, every_s=2.0))
         seen, most_s = [], 0.0
         try:
-            async with streaming(plan, robot, Wall(), lookahead_s=LOOKAHEAD_S, least_s=LOOKAHEAD_S / 4) as stream:
+            # No report for a second is no progress for a second: a cell with such a link would set robot.no_progress_s.
+            patient = ProgressLimits(late_s=3.0)
+            async with streaming(
+                plan, robot, Wall(), lookahead_s=LOOKAHEAD_S, least_s=LOOKAHEAD_S / 4, limits=patient
+            ) as stream:
                 await stream.approach()
                 async for one in stream.polish():
                     seen.append(one.seq)

@@ -41,7 +41,8 @@ async def test_each_cell_has_a_file_of_its_own_wires(tmp_path: Path) -> None:
         assert links["robot"] == expected[cell]["robot"]
         assert cell in links["actuator"]
         assert cell in links["spindle"]
-    options = {"address": "{endpoint}", **PATIENT["robot"]}
+    patient = {key: value for key, value in PATIENT["robot"].items() if key != "no_progress_s"}  # the daemon's own key
+    options = {"address": "{endpoint}", **patient}
     async with replayed(found["left-cell"].path, "robot") as link:
         robot = DriverCase(plugin=rnc_robot, type="robot_link", options=options).build(tmp_path, link.endpoint)
         await robot.open()

@@ -190,7 +190,14 @@ def _best(relative: Relative, unknowns: int) -> tuple[FloatArray, _Found, FloatA
     found = [_fit_from(relative, start) for start in starts]
     best = min(found, key=lambda one: one.chi2)
     alike = [k for k, one in enumerate(found) if one.chi2 <= best.chi2 + CONTRADICTED * best.variance]
-    return starts[alike[0]], found[alike[0]], np.array([found[k].log for k in alike])
+    answers = np.array([found[k].log for k in alike])
+    if alike[0] == 0:
+        return nothing, found[0], answers
+    # What the tests do not determine is kept as given, or said to contradict the given one: so from there, once more.
+    again = _fit(relative, unknowns, best.log)
+    if again.chi2 <= best.chi2 + CONTRADICTED * best.variance:
+        return nothing, again, np.vstack([again.log, answers])
+    return starts[alike[0]], found[alike[0]], answers
 
 
 def _fit_from(relative: Relative, start: FloatArray) -> _Found:
@@ -215,28 +222,36 @@ def _cross_validated(relative: Relative, tests: int, unknowns: int) -> PercentEr
     return percent_errors(np.expm1(off))
 
 
-def _fit(relative: Relative, unknowns: int) -> _Found:
+def _fit(relative: Relative, unknowns: int, begin: FloatArray | None = None) -> _Found:
     """Fit, and hold the stiffness that is determined least, until all that are free are determined; then fit these.
 
     While it is not settled which are determined, all are pulled to the given ones a little: else two of which the
     tests see but the sum would go to opposite bounds.
     """
-    log, sigma, free = np.zeros(unknowns), np.zeros(unknowns), np.ones(unknowns, dtype=np.bool_)
-    found = _optimum(relative, log, sigma, free, PULL)
+    log = np.zeros(unknowns) if begin is None else begin
+    edge = max(float(np.log(BOUND)), float(np.abs(log).max()))
+    sigma, free = np.zeros(unknowns), np.ones(unknowns, dtype=np.bool_)
+    found = _optimum(relative, log, sigma, free, PULL, edge=edge)
     while free.any() and (found.sigma[free] > UNDETERMINED).any():
         worst = int(np.where(free, found.sigma, -1.0).argmax())
         log, sigma, free = found.log.copy(), found.sigma.copy(), free.copy()
         log[worst], free[worst] = 0.0, False
-        kept = _optimum(relative, log, sigma, free, PULL)
+        kept = _optimum(relative, log, sigma, free, PULL, edge=edge)
         if kept.chi2 > found.chi2 + CONTRADICTED * found.variance:
             log[worst] = found.log[worst]
-            kept = _optimum(relative, log, sigma, free, PULL)
+            kept = _optimum(relative, log, sigma, free, PULL, edge=edge)
         found = kept
-    return _optimum(relative, found.log, found.sigma, free, 0.0)
+    last = _optimum(relative, found.log, found.sigma, free, 0.0, edge=edge)
+    return replace(last, free=free & np.isfinite(last.sigma))  # at its bound it is held, not determined
 
 
-def _optimum(relative: Relative, log: FloatArray, sigma: FloatArray, free: BoolArray, pull: float) -> _Found:
-    """Least squares over the free ones; (p,) ``log`` starts them, and holds the others with their ``sigma``."""
+def _optimum(
+    relative: Relative, log: FloatArray, sigma: FloatArray, free: BoolArray, pull: float, *, edge: float
+) -> _Found:
+    """Least squares over the free ones; (p,) ``log`` starts them, and holds the others with their ``sigma``.
+
+    No answer is farther than ``edge`` from the given ones.
+    """
 
     def full(some: FloatArray) -> FloatArray:
         whole = log.copy()
@@ -248,8 +263,9 @@ def _optimum(relative: Relative, log: FloatArray, sigma: FloatArray, free: BoolA
 
     if not free.any():
         return _Found(log, sigma, free, float(relative(log) @ relative(log)), 0.0)
-    edge = np.log(BOUND)
-    result = scipy.optimize.least_squares(residual, log[free], bounds=(-edge, edge), xtol=1e-9, ftol=1e-9)
+    result = scipy.optimize.least_squares(
+        residual, np.clip(log[free], -edge, edge), bounds=(-edge, edge), xtol=1e-9, ftol=1e-9
+    )
     tests = len(result.fun) - len(result.x)
     chi2 = float(result.fun[:tests] @ result.fun[:tests])
     variance = max(chi2 / (tests - len(result.x)), BEST_TEST**2)

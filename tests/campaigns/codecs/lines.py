@@ -252,7 +252,7 @@ class LinuxCnc(Talk):
     name = "LinuxCNC"
     driver = "linuxcnc"
     ends = True
-    least = 0.05  # five answers are one look
+    least = 0.05  # six answers are one look
 
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
         super().__init__(**how)
@@ -292,6 +292,8 @@ class LinuxCnc(Talk):
                 return (b"IDLE", b"RUNNING", b"PAUSED")[number % 3]
             case b"OPERATOR_DISPLAY":
                 return b"polishd %d" % number
+            case b"FEED_OVERRIDE":
+                return b"%d" % (number % 200)
         return b"%d" % number
 
     def refusal(self, reply: bytes) -> bytes:
@@ -316,7 +318,8 @@ class LinuxCnc(Talk):
         look = await self._connection.look()
         position = b" ".join(b"%.6f" % one for one in look.position)
         line, status = b"%d" % look.line, look.status.upper().encode()
-        return b"%d" % look.time_s, line, position, status, look.display.encode()
+        override = b"%d" % round(100 * look.override)
+        return b"%d" % look.time_s, line, position, status, look.display.encode(), override
 
 
 def _is_number(text: bytes) -> bool:

@@ -16,6 +16,7 @@ import pytest
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.client import request
+from polishd.daemon.journal_schema import connect
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.folder import RunFolder
@@ -150,7 +151,7 @@ async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
 async def test_a_job_that_an_earlier_polishd_began_goes_on(site: Rerun) -> None:
     """It kept where the part lay as an array, and of what it believed two numbers."""
     await stopped_after_a_pass(site)
-    with sqlite3.connect(site.config.state_dir / "journal.sqlite") as journal:
+    with connect(site.config.state_dir / "journal.sqlite") as journal:
         journal.execute("UPDATE map SET stats = json_remove(stats, '$.registration', '$.sha256')")
         journal.execute("UPDATE pass SET facts = json_remove(facts, '$.removal')")
         assert "removal" not in journal.execute("SELECT facts FROM pass").fetchone()[0]
