@@ -218,7 +218,9 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
         monkeypatch.setattr(job, "learn", learn_nothing)
         # The maps are of no one part: nothing of them ends the job before its last pass.
         monkeypatch.setattr(
-            job, "decide", lambda cycle, _: AnotherPass() if cycle < EARLIER_PASSES else passes_used(job.judging.recipe)
+            job,
+            "decide",
+            lambda cycle, _: AnotherPass() if cycle <= EARLIER_PASSES else passes_used(job.judging.recipe),
         )
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
         daemon, asker = Daemon(cell, job, bus), Asker(tmp_path)
