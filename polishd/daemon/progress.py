@@ -49,6 +49,8 @@ class ProgressLimits:
     """From leaving contact until the force is off."""
     report_s: float = 0.1
     """Greatest age of a report."""
+    reports_dwells: bool = True
+    """A move is reported before the dwell after it is over."""
     blur_s: float = 0.0
     """How far off a block's reported end may be, by a clock as fast as this one."""
     least_override: float = 0.0
@@ -66,6 +68,7 @@ class ProgressLimits:
             limits.robot.stop_s,
             limits.actuator.release_s,
             limits.robot.report_s,
+            limits.robot.reports_dwells,
             limits.end_blur_s,
             least_override,
             knows_overhead,
@@ -79,7 +82,7 @@ class Progress:
         """``excess`` of the plan's points; without it slow motion is not judged, only standing."""
         self._limits = limits
         self._block = plan.program.block
-        self._expected_s = expected_block_s(plan)
+        self._expected_s = expected_block_s(plan, reports_dwells=limits.reports_dwells)
         self._reported = excess
         """By the controller's own clock."""
         self._seen = None if excess is None else excess.fresh()
@@ -261,11 +264,13 @@ class Progress:
         )
 
 
-def expected_block_s(plan: Plan) -> FloatArray:
+def expected_block_s(plan: Plan, *, reports_dwells: bool = True) -> FloatArray:
     """Return the expected time of each block up to the end of contact, (contact_blocks,) s.
 
     A block without a time of its own leads to a timed point. Where a dwell carries the time, that is the point's time
-    without the dwell; else it is the point's time, and that of the way there at the same speed.
+    without the dwell; else it is the point's time, and that of the way there at the same speed. Of a robot that does
+    not report a dwell apart from the move before it, the move's time has that of the dwell too. What is planned for
+    the dwell is removed at that place in any case, so a robot that stands in the move removes no more for it.
     """
     program, expected = plan.program, plan.expected_time_s
     found = np.zeros(plan.contact_blocks)
@@ -276,6 +281,8 @@ def expected_block_s(plan: Plan) -> FloatArray:
         point = np.minimum(np.searchsorted(program.block, blocks), expected.size - 1)
         if program.encoding == "dwell":
             leading = np.maximum(expected[point] - program.time_s[point], 0.0)
+            if not reports_dwells:
+                leading = np.where(program.block[point] == blocks + 1, expected[point], leading)
         else:
             way = np.linalg.norm(program.start_mm[point] - program.end_mm[np.maximum(point - 1, 0)], axis=1)
             way[point == 0] = 0.0

@@ -59,6 +59,8 @@ class RobotTimes:
     """Standard deviation of when it says that a block ended; 0: it says so exactly. Such errors do not add up."""
     report_s: float = 0.1
     """Greatest age of a report of executed blocks: the period of the link's reports and their way."""
+    reports_dwells: bool = True
+    """It reports the end of a move before the dwell after it is over; LinuxCNC reports the line of its last motion."""
     keys: Mapping[str, str] = field(default_factory=dict)
     """Fields whose key in the device's section has another name: its name there, by field."""
 

@@ -29,6 +29,15 @@ from polishd.drivers.transport.file_robot import FileRobot, Goes
 VERIFY_S, VERIFY_LINE_S = 2.0, 5e-5
 """Interpreting without moving answers when it is through: 100,000 lines take half a second."""
 FILE_NAME = "polishd.ngc"
+TIMES = RobotTimes(
+    SILENCE_S,
+    math.inf,
+    2.0,
+    lifts=False,
+    block_end_s=REPORT_S / math.sqrt(12.0),  # it ended at any time within the age of a look
+    report_s=REPORT_S,
+    reports_dwells=False,
+)
 
 
 class LinuxCnc(FileRobot[Watch]):
@@ -50,8 +59,7 @@ class LinuxCnc(FileRobot[Watch]):
         passwords: tuple[str, str] = ("EMC", "EMCTOO"),
     ) -> None:
         """``program_dir`` is where the file is written; ``controller_dir`` how the controller calls that folder."""
-        usual = RobotTimes(SILENCE_S, math.inf, 2.0, lifts=False, report_s=REPORT_S)
-        super().__init__(str(address), times or usual)
+        super().__init__(str(address), times or TIMES)
         self._address = address
         self._folder = program_dir
         self._controller_dir = controller_dir or str(program_dir)

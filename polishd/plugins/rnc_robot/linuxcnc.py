@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated
 
 from pydantic import Field
 
-from polishd.api import DeviceContext, DeviceType, OwnLines, RobotTimes
+from polishd.api import DeviceContext, DeviceType, OwnLines
 from polishd.config.values import Section
-from polishd.drivers.linuxcnc.driver import LinuxCnc
-from polishd.drivers.linuxcnc.following import REPORT_S
+from polishd.drivers.linuxcnc.driver import TIMES, LinuxCnc
 from polishd.drivers.transport.address import tcp_address
 
 
@@ -37,10 +37,11 @@ class LinuxCncOptions(Section):
 
 def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     address = tcp_address(options.address, context.base_dir, "linuxcnc")
+    watchdog_s = options.watchdog_s or math.inf
     return LinuxCnc(
         address,
         (context.base_dir / options.program_dir).absolute(),
-        RobotTimes(options.silence_s, options.watchdog_s or math.inf, options.stop_s, lifts=False, report_s=REPORT_S),
+        replace(TIMES, silence_s=options.silence_s, watchdog_s=watchdog_s, stop_s=options.stop_s),
         controller_dir=options.controller_dir,
         passwords=(options.password, options.enable_password),
     )

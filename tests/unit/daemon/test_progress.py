@@ -253,6 +253,8 @@ def test_a_block_without_a_time_leads_to_the_point_after_it() -> None:
     dwell = replace(dwell, block=np.array([3, 5, 7, 9]))
     plan = Plan(dwell, 3, 10, dwell.time_s + 0.25, np.zeros((1, 1)))
     assert expected_block_s(plan)[3:].tolist() == pytest.approx([1.25, 0.25, 2.25, 0.25, 0.75, 0.25, 1.25])
+    joined = expected_block_s(plan, reports_dwells=False)
+    assert joined[3:].tolist() == pytest.approx([1.25, 2.25, 2.25, 0.75, 0.75, 1.25, 1.25]), "a move, then its dwell"
     far = program(np.array([[0, 0, 0], [1, 0, 0]]), 0.5)
     start, end = np.array([[0.0, 0, 0], [3.0, 0, 0]]), np.array([[1.0, 0, 0], [4.0, 0, 0]])
     gap = replace(far, start_mm=start, end_mm=end, block=np.array([0, 2]), time_s=np.full(2, 0.5))

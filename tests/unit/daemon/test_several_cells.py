@@ -150,18 +150,20 @@ async def test_an_ended_cell_is_given_back_while_the_other_goes_on(sites: Sites)
 
 @pytest.mark.full
 async def test_a_signal_stops_all_safely(sites: Sites) -> None:
-    in_contact, all_are = set[int](), asyncio.Event()
+    waiting, in_contact = asyncio.Barrier(len(sites.all)), set[int]()
+    all_are = asyncio.Event()
 
     def waits(bench: Any) -> None:
-        """It is not through before the other is in contact."""
+        """It is not in contact before the other can be: a robot that waits in contact is one that stands."""
 
         async def before_block() -> None:
             await asyncio.sleep(0)
-            if bench.fake.robot.done == 100:
+            if bench.fake.robot.done == 1:
+                await waiting.wait()
+            if bench.fake.robot.done == 50:
                 in_contact.add(id(bench))
                 if len(in_contact) == len(sites.all):
                     all_are.set()
-                await all_are.wait()
 
         bench.fake.robot.before_block = before_block
 
