@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -279,10 +280,13 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert small.stops == ()
     found = polished().identified({"offset_x": 1.2}, "offset")
     large = decide(found)
-    assert large.stops[0].startswith(
-        "the spot acts 1.20 +- 0.00 mm off where the plan had it, more than 0.5, by offset of 1.2"
+    said = re.match(
+        r"the spot acts (\S+) \+- (\S+) mm off where the plan had it, more than 0.5, by offset of 1.2", large.stops[0]
     )
-    assert "mm (offset_x +1.2, offset_y " in large.stops[0]
+    assert said, large.stops[0]
+    assert 0 < float(said[2]) < 0.01, "an error of 0.00 mm says nothing"
+    assert abs(float(said[1]) - 1.2) < 4 * float(said[2])
+    assert re.search(r"mm \(offset_x \+1.[12]\d* \+- \S+, offset_y ", large.stops[0]), large.stops[0]
     assert "look at tool, seat and map" in large.stops[0]
     assert decide(found, misses_mm=2.0).stops == ()
     counted = {"offset_x": 1.1}
@@ -298,15 +302,34 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
         (Found("width", 0.05, 0.003, "1", 0.0, {"width": -0.05}), "width of -4.88 +- 0.29 %"),
         (Found("compliance", 0.25, 0.05, "1", 0.0, {"compliance": 0.25}), "compliance of +28.4 +- 6.4 %"),
         (Found("wear", 0.3, 0.02, "1/h", 0.0, {"wear": 0.3}), "wear of +0.3 +- 0.02 1/h"),
+        (Found("offset", 1.23456, 0.0023, "mm", 0.0, {"offset_x": -1.23456}), "offset of -1.2346 +- 0.0023 mm"),
         (Found("turn", 4.0, 0.5, "deg", 0.0, {"turn": -4.0}), "turn of -4 +- 0.5 deg"),
         (Found("exponent", 0.4, 0.05, "1", 0.0, {"exponent": -0.4}), "exponent of -0.4 +- 0.05"),
         (
-            Found("offset", 0.5, 0.02, "mm", 0.0, {"offset_x": 0.3, "offset_y": -0.4}),
-            "offset of 0.5 +- 0.02 mm (offset_x +0.3, offset_y -0.4)",
+            Found(
+                "offset",
+                0.5,
+                0.02,
+                "mm",
+                0.0,
+                {"offset_x": 0.3, "offset_y": -0.4},
+                0.03,
+                {"offset_x": 0.01, "offset_y": 0.03},
+            ),
+            "offset of 0.5 +- 0.03 mm (offset_x +0.3 +- 0.01, offset_y -0.4 +- 0.03)",
         ),
         (
-            Found("field 1", 0.05, 0.002, "1", 0.0, {"field_2": 0.03, "field_3": -0.04}),
-            "field 1 of 5 +- 0.2 % (field_2 +3, field_3 -4)",
+            Found(
+                "field 1",
+                0.05,
+                0.002,
+                "1",
+                0.0,
+                {"field_2": 0.03, "field_3": -0.04},
+                0.0,
+                {"field_2": 0.001, "field_3": 0.003},
+            ),
+            "field 1 of 5 +- 0.2 % (field_2 +3 +- 0.1, field_3 -4 +- 0.3)",
         ),
     ],
 )
@@ -336,6 +359,7 @@ def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_
         extensions=alone.extensions,
         counted={"compliance": counted},
         displaced_mm=(0.0, 0.0),
+        displaced_error_mm=0.0,
         comparison=SimpleNamespace(best=alone, rivals=()),
     )
     assert bool(decide(cast(Identified, found)).stops) is stops
