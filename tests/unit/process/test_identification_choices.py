@@ -18,7 +18,7 @@ from polishd.process.identification.comparison import compare, extensions
 from polishd.process.identification.confounding import told
 from polishd.process.identification.decision import Found, decide
 from polishd.process.identification.forward import forward
-from polishd.process.identification.identify import Identified, displaced_mm, identify
+from polishd.process.identification.identify import Identified, displaced_error_mm, displaced_mm, identify, length_error
 from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
 from polishd.process.identification.passes import Noise
 from polishd.process.identification.prediction import Prediction, interval, predict, rms_samples
@@ -383,6 +383,44 @@ def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:
     radius = np.sqrt(np.average((middle**2).sum(axis=1), weights=one.blocks().time_s))
     assert displaced_mm(one.blocks(), turned, {})[0] == pytest.approx(np.radians(radius), rel=1e-9)
     assert displaced_mm(one.blocks(), knowing("wear"), {}) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stated", "mean", "sigma"),
+    [
+        (1.0, (1.0, 0.0), (0.05, 0.001)),
+        (1.0, (1.0, 0.0), (0.001, 0.4)),
+        (1.0, (1.0, 0.5), (0.1, 0.1)),
+        (0.2, (0.2, 0.0, 0.0, 0.0), (0.01, 0.1, 0.1, 0.1)),
+    ],
+)
+def test_the_error_of_a_length_is_that_along_it_and_across(
+    stated: float, mean: tuple[float, ...], sigma: tuple[float, ...]
+) -> None:
+    """Against draws; the second vector is known to 0.001 along itself and is 0.08 longer all the same."""
+    rng = np.random.default_rng(3)
+    turned = np.linalg.qr(rng.normal(size=(len(mean), len(mean))))[0]
+    covariance = turned @ np.diag(np.square(sigma)) @ turned.T
+    lengths = np.linalg.norm(rng.multivariate_normal(turned @ mean, covariance, 100_000), axis=1)
+    error = float(np.sqrt(np.mean((lengths - stated) ** 2)))
+    assert length_error(stated, turned @ mean, covariance) == pytest.approx(error, rel=0.2)
+    halved = length_error(stated / 2, turned @ mean, covariance, np.eye(len(mean)) / 4)
+    assert halved == pytest.approx(length_error(stated, turned @ mean, covariance) / 2), "in another metric"
+
+
+def test_the_stated_error_of_a_miss_has_all_in_that_moves_the_spot() -> None:
+    """Only the offset is applied; the shift that was left out is known to 0.1 mm, so that is the miss, too."""
+    one = polished(lean="fixed")
+    known = knowing("offset shift")
+    sigma = np.array([{"offset": 0.01, "shift": 0.1}.get(p.extension or "", 1.0) for p in known.parameters])
+    mean = np.array([0.9 * (name == "offset_y") for name in known.names])
+    learned = replace(known, mean=mean, covariance=np.diag(sigma**2))
+    without_shift = np.array([0.1 * (p.extension == "shift") for p in known.parameters])
+    applied = replace(learned, covariance=np.diag(sigma**2 - without_shift**2))
+    miss, error = displaced_mm(one.blocks(), applied, {})
+    assert (miss, error) == pytest.approx((0.9, 0.01))
+    assert displaced_error_mm(one.blocks(), learned, {}, miss) == pytest.approx(np.hypot(0.1, 0.01), rel=0.05)
+    assert displaced_error_mm(one.blocks(), knowing("wear"), {}, 0.0) == 0.0
 
 
 @pytest.mark.slow
