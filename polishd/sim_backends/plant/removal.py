@@ -223,4 +223,4 @@ def sliding(axis: FloatArray, speed: FloatArray) -> FloatArray:
     """
     lean = np.hypot(axis[:, 0], axis[:, 1])[:, None]
     way = np.sign(speed)[:, None] * np.column_stack([-axis[:, 1], axis[:, 0]])
-    return np.divide(way, lean, out=np.zeros((len(axis), 2)), where=lean > 0.0)
+    return np.asarray(np.divide(way, lean, out=np.zeros((len(axis), 2)), where=lean > 0.0))
