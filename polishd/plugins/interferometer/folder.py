@@ -7,6 +7,7 @@ import errno
 import json
 import logging
 import os
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -117,12 +118,14 @@ class FolderThread:
     """Runs what touches the folder, one call at a time, in a thread that nothing waits for at the end.
 
     A share that hangs takes this thread and no other one: not the event loop, and none of those that journal and health
-    need. While a call hangs, no further one begins.
+    need. While a call hangs, no further one begins. The thread begins with the first call and serves all later ones:
+    one that began where memory is out could keep the loop waiting for it.
     """
 
     def __init__(self) -> None:
         self._call: asyncio.Future[Any] | None = None
         self._began_s = 0.0
+        self._work: queue.SimpleQueue[Callable[[], None] | None] | None = None
 
     @property
     def busy_s(self) -> float:
@@ -156,15 +159,34 @@ class FolderThread:
             with suppress(RuntimeError):  # the loop has ended meanwhile
                 loop.call_soon_threadsafe(tell, result, error)
 
-        threading.Thread(target=act, name="maps folder", daemon=True).start()
+        self.begin().put(act)
         await self._ended(call, end_s)
         return call.result()
+
+    def end(self) -> None:
+        """Let the thread end after its call; a later call begins another one."""
+        if self._work is not None:
+            self._work.put(None)
+            self._work = None
+
+    def begin(self) -> queue.SimpleQueue[Callable[[], None] | None]:
+        """Begin the thread, if none serves; what it is to do."""
+        if self._work is None:
+            self._work = queue.SimpleQueue()
+            threading.Thread(target=_serve, args=(self._work,), name="maps folder", daemon=True).start()
+        return self._work
 
     @staticmethod
     async def _ended(call: asyncio.Future[Any], end_s: float) -> None:
         done, _ = await asyncio.wait({call}, timeout=max(end_s - time.monotonic(), 0.0))
         if not done:
             raise TimeoutError
+
+
+def _serve(work: queue.SimpleQueue[Callable[[], None] | None]) -> None:
+    while (act := work.get()) is not None:
+        act()
+        del act  # it holds what the call was given
 
 
 class WatchedFolder:
@@ -199,6 +221,7 @@ class WatchedFolder:
         LinkError where the folder cannot be used; DeviceClaimed where another program takes maps from it.
         """
         await self.close()
+        self._ends.begin()
         try:
             problem = await self._thread.run(self._problem)
             if problem:
@@ -214,6 +237,8 @@ class WatchedFolder:
     async def close(self) -> None:
         """Another program may take maps from the folder now."""
         self._address_claim.release()
+        self._thread.end()
+        self._ends.end()
 
     async def identify(self) -> Identity:
         """The folder. Which instrument writes into it, each map says itself."""
