@@ -74,7 +74,7 @@ def is_out_of_memory(error: BaseException) -> bool:
         if isinstance(each, MemoryError) or (isinstance(each, RuntimeError) and str(each) == _NO_THREAD):
             return True
         seen.add(id(each))
-        each = each.__cause__ or each.__context__
+        each = each.__cause__
     return False
 
 

@@ -126,7 +126,7 @@ async def _flat(main: Coroutine[Any, Any, None]) -> None:
         first: BaseException = group
         while isinstance(first, BaseExceptionGroup):
             first = first.exceptions[0]
-        raise first from None
+        raise first from first.__cause__  # not from the group
 
 
 async def cancellable(answer: Awaitable[T]) -> T:
