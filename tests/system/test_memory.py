@@ -81,7 +81,9 @@ def require_goes_on(files: DemoFiles) -> None:
     before = len(events(files))
     with Daemon(files) as daemon:
         held = daemon.wait_for_state("held")
-        assert "pass 0 was interrupted" in held["reason"]
+        assert re.search(
+            "pass 0 was interrupted|this job was begun earlier", held["reason"]
+        )  # where it is settled already
         assert not moved(events(files)[before:])
         client.request(files.state_dir, "resume")
         assert daemon.wait() in {0, 1}, daemon.output.read_text()
