@@ -272,9 +272,10 @@ class WatchedFolder:
         self._waits += 1
         try:
             while (now_s := time.monotonic()) - start_s < options.timeout_s:
-                left_s = start_s + options.timeout_s - now_s
+                # The last look may end later than the wait: a folder is not silent because the wait is over.
+                answer_s = max(start_s + options.timeout_s - now_s, ANSWER_S)
                 try:
-                    found = await self._thread.run(self._poll, wait, now_s, within_s=min(SILENT_S, left_s))
+                    found = await self._thread.run(self._poll, wait, now_s, within_s=min(SILENT_S, answer_s))
                 except TimeoutError:  # a map that is claimed after this comes first with the next poll
                     self._notice(wait, self._silent(self._thread.busy_s))
                     continue
