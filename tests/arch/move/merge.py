@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import ast
 import collections
+import io
 import json
 import re
 import subprocess
 import sys
+import tokenize
 from pathlib import Path
 
 from analysis import SKIP, Edits, Tree
 from collide import groups, read_map
 
+DOTTED = re.compile(r"(?<![\w./-])polishd(\.\w+)+")
 FUTURE = "from __future__ import annotations"
 
 
@@ -268,15 +271,16 @@ class Move:
             local = names.get(id(b[4]))
             if local is not None and local != node.id:
                 ed.at(node.lineno, node.col_offset, node.id, local)
-        for node, scope in src.strings:
-            if node.lineno != node.end_lineno or not re.fullmatch(r"polishd(\.\w+)+", node.value):
+        for tok in tokenize.generate_tokens(io.StringIO(src.text).readline):
+            if tok.type != tokenize.STRING or "polishd." not in tok.string:
                 continue
-            new = self.dotted(node.value)
-            if new != node.value:
-                raw = ed.data[ed.pos(node.lineno, node.col_offset) : ed.pos(node.end_lineno, node.end_col_offset)].decode()
-                if node.value in raw:
-                    i = raw.index(node.value)
-                    ed.at(node.lineno, node.col_offset + i, node.value, new)
+            row, col = tok.start
+            at = ed.pos(row, len(src.lines[row - 1][:col].encode()))
+            for m in DOTTED.finditer(tok.string):
+                new = self.dotted(m.group(0))
+                if new != m.group(0):
+                    start = at + len(tok.string[: m.start()].encode())
+                    ed.put(start, start + len(m.group(0).encode()), new)
 
     def touched(self, src, stmt):
         if isinstance(stmt, ast.Import):
@@ -304,6 +308,7 @@ class Move:
         for src in sources:
             ed = Edits(src)
             d = ast.get_docstring(src.tree, clean=False)
+            d = d and DOTTED.sub(lambda m: self.dotted(m.group(0)), d)
             docs[src.mod] = d
             drop = []
             if d is not None:
