@@ -3,10 +3,11 @@
 set -euo pipefail
 here=$(dirname "$(realpath "$0")") root=$(realpath "$(dirname "$(realpath "$0")")/../../..")
 clone=${1:-/work/house2} out=${2:-/tmp/house/out}
-rm -rf "$clone" "$out" && mkdir -p "$out"
-git clone -q "$root" "$clone"
-cp -a "$root/.venv" "$clone/.venv"
+mkdir -p "$out"
+[ ! -d "$clone/.venv" ] || mv "$clone/.venv" "$clone.venv" # one of before serves again
+rm -rf "$clone" && git clone -q "$root" "$clone"
+if [ -d "$clone.venv" ]; then mv "$clone.venv" "$clone/.venv"; else cp -a "$root/.venv" "$clone/.venv"; fi
 cd "$clone"
 grep -rlI "$root" .venv/bin .venv/pyvenv.cfg .venv/lib/python3*/site-packages/*.pth \
-    .venv/lib/python3*/site-packages/polishd*.dist-info | xargs sed -i "s#$root#$clone#g"
+    .venv/lib/python3*/site-packages/polishd*.dist-info | grep . | xargs -r sed -i "s#$root#$clone#g"
 "$here/run.sh" "$clone" "$out"
