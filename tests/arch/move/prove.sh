@@ -9,5 +9,5 @@ rm -rf "$clone" && git clone -q "$root" "$clone"
 if [ -d "$clone.venv" ]; then mv "$clone.venv" "$clone/.venv"; else cp -a "$root/.venv" "$clone/.venv"; fi
 cd "$clone"
 grep -rlI "$root" .venv/bin .venv/pyvenv.cfg .venv/lib/python3*/site-packages/*.pth \
-    .venv/lib/python3*/site-packages/polishd*.dist-info | grep . | xargs -r sed -i "s#$root#$clone#g"
+    .venv/lib/python3*/site-packages/polishd*.dist-info | xargs -r sed -i "s#$root#$clone#g" || true
 "$here/run.sh" "$clone" "$out"
