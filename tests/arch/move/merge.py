@@ -16,6 +16,7 @@ from analysis import SKIP, Edits, Tree
 from collide import groups, read_map
 
 DOTTED = re.compile(r"(?<![\w./-])polishd(\.\w+)+")
+EMBEDDED = re.compile(r"from (polishd[\w.]*) import ([\w, ]+\w)")
 FUTURE = "from __future__ import annotations"
 
 
@@ -276,11 +277,31 @@ class Move:
                 continue
             row, col = tok.start
             at = ed.pos(row, len(src.lines[row - 1][:col].encode()))
+            spans = []
+            for m in EMBEDDED.finditer(tok.string):  # from polishd.package import module
+                new = self.embedded(m)
+                if new is not None:
+                    start = at + len(tok.string[: m.start()].encode())
+                    ed.put(start, start + len(m.group(0).encode()), new)
+                    spans.append(m.span())
             for m in DOTTED.finditer(tok.string):
+                if any(a <= m.start() < b for a, b in spans):
+                    continue
                 new = self.dotted(m.group(0))
                 if new != m.group(0):
                     start = at + len(tok.string[: m.start()].encode())
                     ed.put(start, start + len(m.group(0).encode()), new)
+
+    def embedded(self, m):
+        found = [part.strip().partition(" as ") for part in m.group(2).split(",")]
+        lines = []
+        for name, _, alias in found:
+            new = self.NEW.get(f"{m.group(1)}.{name}")
+            if new is None:
+                return None
+            pk, _, leaf = new.rpartition(".")
+            lines.append(f"from {pk} import {leaf}" + (f" as {alias or name}" if leaf != (alias or name) else ""))
+        return "; ".join(lines)
 
     def touched(self, src, stmt):
         if isinstance(stmt, ast.Import):

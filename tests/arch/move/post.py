@@ -61,5 +61,5 @@ for p in R.rglob('*'):
 p=R/'pyproject.toml'; x=p.read_text()
 a=x.index('[tool.importlinter]'); head=x[:a]
 head=dots.sub(lambda m: dot[m.group(1)],head)
-head=head.replace('"polishd/plugins/rnc_robot/nc/{words,block,moves,scan,write}.py"','"polishd/plugins/rnc_robot/gcode/{scanner,kernels}.py"').replace('"polishd/process/{transforms/*,dwell/compiled_*,spreading/compiled}.py"','"polishd/process/{fft/*,dwell/{douglas_rachford_iteration,alternating_step},removal/spread_effect_compiled}.py"').replace('"polishd/process/transforms/{lanes,butterflies}.py"','"polishd/process/fft/{simd,transforms}.py"')
+head=head.replace('"polishd/plugins/rnc_robot/nc/{words,block,moves,scan,write}.py"','"polishd/plugins/rnc_robot/gcode/{scanner,kernels}.py"').replace('"PLR0917", "PLR1714", "RUF046"','"PLR0917", "PLR1714", "RUF046", "SIM109"').replace('"polishd/process/{transforms/*,dwell/compiled_*,spreading/compiled}.py"','"polishd/process/{fft/*,dwell/{douglas_rachford_iteration,alternating_step},removal/spread_effect_compiled}.py"').replace('"polishd/process/transforms/{lanes,butterflies}.py"','"polishd/process/fft/{simd,transforms}.py"')
 p.write_text(head+Path(__file__).with_name('contracts.toml').read_text())

@@ -21,11 +21,13 @@ python3 collide.py "$clone" map.txt
 python3 merge.py "$clone" map.txt "$out"
 python3 post.py "$clone" "$out"
 python3 tests_move.py "$clone" "$out"
+python3 inits.py "$clone"
+fix
+python3 long_lines.py "$clone"
+fix
 python3 replace.py "$clone" after.toml
+(cd "$clone" && "$ruff" check . --fix -q --output-format concise || true; "$ruff" format -q .)
 cd "$clone"
-"$ruff" format -q . || true
-"$ruff" check . --select F,E9,I,E402 --fix -q --output-format concise || true
-"$ruff" format -q .
 commit "Move and merge the sources into folders by subject"
 touch .venv/.locked
 .venv/bin/python -m pip -qq --disable-pip-version-check --no-input install --no-deps --no-build-isolation --editable .
