@@ -297,8 +297,8 @@ def low_override(robot: RobotProgress, least: float) -> str:
     if robot.override is None or robot.override >= least:
         return ""
     return (
-        f"the robot's speed override is {robot.override:.0%}, at least {least:.0%} is needed (robot.least_override): "
-        "slower motion removes more than planned. Set the override to 100% at the controller"
+        f"the robot's speed override is {100 * robot.override:.5g}%, at least {100 * least:.5g}% is needed "
+        "(robot.least_override): slower motion removes more than planned. Set the override to 100% at the controller"
     )
 
 

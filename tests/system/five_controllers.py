@@ -118,7 +118,8 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
         hidden = {"overhead_s": controller.beyond_s / lines, "overhead_spread": 0.0}
         files.sim.write_text(with_keys(files.sim.read_text(), {"truth": hidden}))
     files.sim.write_text(with_keys(files.sim.read_text(), {"effects": {"eq_44": [1.0, 1.0], "friction": [0.0, 0.0]}}))
-    changed: dict[str, dict[str, Any]] = {"limits": CALM}
+    late = linuxcnc_rig.LATE["limits"] if controller.kind == "linuxcnc" else {}
+    changed: dict[str, dict[str, Any]] = {"limits": {**CALM, **late}}
     if controller.encoding == "feed":
         changed["machine"] = {"max_feed_mm_s": MAX_FEED_MM_S, "corner_deg": controller.corner_deg}
     files.cell.write_text(with_keys(files.cell.read_text(), changed))

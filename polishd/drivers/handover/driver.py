@@ -133,7 +133,7 @@ class Handover(FileRobot[Watch]):
         if report.stopped_by:
             return report.stopped_by
         if abs(report.override - 1.0) > FULL:
-            return f"the feed override stands at {100 * report.override:.3g} %, and is to stand at 100 %"
+            return f"the feed override stands at {100 * report.override:.5g} %, and is to stand at 100 %"
         return ""
 
     async def _empty(self) -> None:

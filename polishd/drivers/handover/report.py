@@ -53,7 +53,7 @@ class Report:
         if self.feed_held:
             return "the feed is held at the controller"
         if self.override < LEAST_OVERRIDE:
-            return f"the feed override stands at {100 * self.override:.3g} %"
+            return f"the feed override stands at {100 * self.override:.5g} %"
         return ""
 
 

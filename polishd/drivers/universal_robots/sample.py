@@ -135,5 +135,5 @@ class Sample:
         if self.safety_mode != NORMAL:
             return SAFETY_MODES.get(self.safety_mode, f"safety mode {self.safety_mode}")
         if self.slider < FULL:
-            return f"its speed slider is at {100.0 * self.slider:.3g} %: set it to 100 %"
+            return f"its speed slider is at {100.0 * self.slider:.5g} %: set it to 100 %"
         return ""
