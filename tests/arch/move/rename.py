@@ -116,6 +116,7 @@ def rename(root: Path, table: dict[tuple[str, str], str], docs: bool = True) -> 
             for (m, n), name in table.items():
                 if m == "polishd.model.events":
                     new = re.sub(rf"^\| `{n}`, `", f"| `{name}`, `", new, flags=re.M)
+            new = errors_renamed(new, table)
             if new != text:
                 p.write_text(new)
     return report
@@ -131,8 +132,13 @@ def embedded(tree, text, table):
             name, _, alias = part.strip().partition(" as ")
             r = tree.real(m.group(1), name) if tree.is_module(m.group(1)) else None
             if r and r[0] == "sym" and r[1:] in table and r[2] == name:
-                text = re.sub(rf"(?<![\w'\"]){name}\b", table[r[1:]], text)
-    return text
+                text = re.sub(rf"(?:(?<![\w'\"])|(?<=\\n)){name}\b", table[r[1:]], text)
+
+    def attribute(m):
+        r = tree.real("polishd.researcher", m.group(1))
+        return f"polishd.{table[r[1:]]}" if r and r[0] == "sym" and r[1:] in table else m.group(0)
+
+    return re.sub(r"(?<![\w.])polishd\.(\w+)\b(?!\.)", attribute, text)
 
 
 CAMEL = re.compile(r"[A-Z][a-z]+[A-Z]\w*")
@@ -159,8 +165,17 @@ def _embedded_strings(tree, src, ed, table):
         inner = tok.string.strip("\"'")
         if outside and inner in names and len(names[inner]) == 1:
             new = tok.string.replace(inner, next(iter(names[inner])))
+        new = errors_renamed(new, table)
         if new != tok.string:
             ed.put(start, end, new)
+
+
+def errors_renamed(text, table):
+    """Classes of errors are said in messages, and written into records."""
+    for (m, n), new in table.items():
+        if m == "polishd.model.errors":
+            text = re.sub(rf"(?<![\w./]){n}\b", new, text)
+    return text
 
 
 def _same(tree, src, scope, new, r):
