@@ -25,7 +25,7 @@ from benchmarks.harness import Row
 
 OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
-BY_NAME = ("dwell_million", "moving_matrix", "size", "sweeps")
+BY_NAME = ("choice", "dwell_million", "moving_matrix", "size", "sweeps")
 """Those that are run only where they are asked for: they take the longest."""
 Keep = Callable[[Row], None]
 

@@ -6,19 +6,26 @@ import json
 import shutil
 import subprocess
 import sys
+import tomllib
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
+from polishd.recipe.records import Believed
+from polishd.workbench.studies.loop import ClosedLoop, _Account
+from polishd.workbench.studies.plant_process import PlantProcess
 from tests.system.cell_rig import Daemon, summary, with_keys, write_small
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 RATE = -0.2
+PLANTS = 40
 MACHINE = {"learns": "machine"}
 AGAIN = {"settle.wait_s": 1.0, "settle.maps": 3}  # where a map is doubted: real seconds
 PLANT = {
@@ -71,6 +78,30 @@ def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     assert first["rate"] == pytest.approx(1 + RATE, abs=0.1)
     assert first["expected_high_nm"] < 0.1 * first["rms_nm"], "it knows its machine, and what it knows it by"
     assert second["rms_nm"] < 0.15 * first["rms_nm"], "20 % of rate that nobody knew would leave 20 %"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -> None:
+    """Of the simulator's plants on the demo's small part, with friction, and rates that differ by 15 %."""
+    files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"process": MACHINE}))
+    files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
+    loop, plain, off = ClosedLoop(files.cell, {}, 2, raster=True, witness="touch"), files.sim.read_text(), list[float]()
+    with PlantProcess() as plant:
+        for seed in range(PLANTS):
+            rate = float(np.clip(np.random.default_rng([seed, 5]).normal(0.0, 0.15), -0.3, 0.35))
+            truth = {**PLANT["truth"], "rate": [rate, rate]}
+            plant.new(tomllib.loads(with_keys(plain, {**PLANT, "truth": truth})), seed)
+            _, begun = loop._begun(plant, _Account())
+            assert isinstance(begun, Believed), begun
+            found = begun.removal.rate
+            assert found.sigma is not None
+            off.append((found.value - 1 - rate) / found.sigma)
+    held, rms = int(np.sum(np.abs(off) < 1.96)), float(np.sqrt(np.mean(np.square(off))))
+    print(f"{held} of {PLANTS} held; RMS {rms:.2f}, at most {max(map(abs, off)):.1f} errors")
+    assert stats.binom.cdf(held, PLANTS, 0.90) > 0.001, off
+    assert max(map(abs, off)) < 4.0, off
 
 
 def cell(files: DemoFiles) -> AbstractContextManager[object]:

@@ -20,10 +20,15 @@ from polishd.process.robot.refusal import require_number
 from polishd.process.spot import HertzSpot, Spot
 from polishd.process.spot_path import SpotPath, levelled_axes
 
-MATRIX_ENTRIES = 8_000_000
-"""Of a matrix with which a plan's solves take tens of CPU seconds: above, it is tried without one.
+NEWTON_S = 7e-9
+"""CPU seconds that a solve with a matrix takes, over entries^2 / points: 4e-9 to 1.2e-8 from 100 to 300 mm.
 
-A part of 300 mm with 9.9 million entries took 48 CPU seconds with a matrix, 28 without, on a busy computer."""
+A product costs as its entries, and conjugate gradients take the more of them, the more samples a spot covers."""
+WORTH_S = 2.0
+"""CPU seconds of such a solve, above which an effect without a matrix is tried: making that takes as long."""
+WIDE = 100
+"""Entries to a point, below which it is not. Such spots are refused (65 and 93 entries to a point: off by 2.5e-3 and
+more), or the steps without a matrix stall: 300 mm of R 800, 65 entries to a point, 90 s; with the matrix 1.8 s."""
 MOST_ENTRIES = 100_000_000
 """Of a matrix: with its transpose, which the solver needs, 2.4 GB."""
 NEAR = 1e-3, 2e-3
@@ -122,10 +127,11 @@ def _laid(program: Program, acting: Acting) -> Program:
 
 
 def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, tuple[str, ...]]:
-    """Few convolutions where all points rest on nodes of the grid, else a matrix while it is small; and which it is.
+    """Few convolutions where all points rest on nodes of the grid, else a matrix while that is quick; and which it is.
 
-    Where no effect without a matrix is near enough it is a matrix, while that fits a computer's memory; beyond, one
-    that is less near, whose certificate says how far off it is. ComputeError where that is too far.
+    Which is quicker follows from its entries and points, before either is made. Where no effect without a matrix is
+    near enough it is a matrix, while that fits a computer's memory; beyond, one that is less near, whose certificate
+    says how far off it is. ComputeError where that is too far.
     """
     if on_nodes(grid, along.program):
         found = along.convolutions(grid, spots)
@@ -135,7 +141,7 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
             )
             return found, (note,)
     entries = along.entries(grid, spots)
-    if entries > MATRIX_ENTRIES:
+    if gives_way(entries, along.program.n):
         why = ""
         for tolerance in NEAR if entries <= MOST_ENTRIES else (NEAR[0], LESS_NEAR):
             try:
@@ -148,6 +154,17 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
             raise ComputeError(why)
         return along.matrix(grid, spots), (f"the effect is a matrix: {why}",)
     return along.matrix(grid, spots), ()
+
+
+def newton_s(entries: float, points: int) -> float:
+    """About the CPU seconds of a solve with a matrix of so many entries and points."""
+    return NEWTON_S * entries**2 / max(points, 1)
+
+
+def gives_way(entries: float, points: int) -> bool:
+    """Whether an effect without a matrix is tried in the place of such a matrix: where it saves time, or memory."""
+    slow = newton_s(entries, points) > WORTH_S and entries > WIDE * points
+    return slow or entries > MOST_ENTRIES
 
 
 def _check(grid: Grid, rate: float) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from polishd.process.gate import MAX_SHIFT_MM
-from polishd.process.identification.identify import Identified
+from polishd.process.identification.identify import Identified, length_error, with_error
 
 CERTAIN = 3.0
 """Standard errors that what is corrected must be away from none."""
@@ -40,27 +40,33 @@ class Found:
     parts: Mapping[str, float] = field(default_factory=dict)
     """The vector, by parameter."""
     error: float = 0.0
-    """Standard error that is stated: with all extensions in, and with what leaving some out has moved."""
+    """Standard error of the length that is stated: with all extensions in, and with what leaving some out has moved."""
+    errors: Mapping[str, float] = field(default_factory=dict)
+    """The same of each parameter."""
+
+    @property
+    def stated_error(self) -> float:
+        """Standard error of the length in words: never less than that of what is applied."""
+        return max(self.error, self.sigma)
 
     @property
     def words(self) -> str:
-        """With sign, unit and error; of a vector its length and each of its parameters."""
+        """With sign, unit and error; of a vector its length and each of its parameters, each with its error."""
         if len(self.parts) == 1:
             (value,) = self.parts.values()
             slope = float(np.exp(value)) if self.name in LOGARITHMS else 1.0
-            error = f"{self._error * slope * self._scale:.2g}"
-            return f"{self.name} of {self._value(value):+.3g} +- {error} {self._unit}".rstrip()
-        size = f"{self.name} of {self.size * self._scale:.3g} +- {self._error * self._scale:.2g} {self._unit}"
-        listed = ", ".join(f"{name} {value * self._scale:+.3g}" for name, value in self.parts.items())
-        return f"{size} ({listed})"
+            stated = with_error(self._value(value), self.stated_error * slope * self._scale, "+")
+            return f"{self.name} of {stated} {self._unit}".rstrip()
+        size = with_error(self.size * self._scale, self.stated_error * self._scale)
+        listed = ", ".join(
+            f"{name} {with_error(value * self._scale, self.errors[name] * self._scale, '+')}"
+            for name, value in self.parts.items()
+        )
+        return f"{self.name} of {size} {self._unit} ({listed})"
 
     def words_of(self, limit: float) -> str:
         """A limit in the unit of the words."""
         return f"{self._value(limit):.3g} {self._unit}".rstrip()
-
-    @property
-    def _error(self) -> float:
-        return max(self.error, self.sigma)
 
     @property
     def _unit(self) -> str:
@@ -102,7 +108,8 @@ def decide(
     if miss - 2 * sigma > misses_mm:
         place = [one for one in sizes if one.name in PLACE]
         by = " and ".join(one.words + _or_else(found, one.name) for one in place)
-        word = f"the spot acts {miss:.2f} +- {sigma:.2f} mm off where the plan had it, more than {misses_mm:g}"
+        stated = with_error(miss, max(sigma, found.displaced_error_mm))
+        word = f"the spot acts {stated} mm off where the plan had it, more than {misses_mm:g}"
         stops.append(f"{word}, by {by}: {LOOK}")
     for one in sizes:
         limit = limits.get(one.name, np.inf)
@@ -161,7 +168,9 @@ def _sizes(found: Identified) -> list[Found]:
         beyond = np.maximum(np.minimum(new, vector), 0.0) if name in UPWARDS else new
         unit, beyond_size = applied.parameters[own[0]].unit, float(np.linalg.norm(beyond))
         parts = {applied.names[k]: float(value) for k, value in zip(own, vector, strict=True)}
-        moved = float(along @ (vector - found.learned.mean[own]))
-        error = float(np.hypot(np.sqrt(along @ found.learned.covariance[np.ix_(own, own)] @ along), moved))
-        sizes.append(Found(name, size, sigma, unit, beyond_size, parts, error))
+        mean, covariance = found.learned.mean[own], found.learned.covariance[np.ix_(own, own)]
+        each = np.hypot(np.sqrt(np.diag(covariance)), vector - mean)
+        error = float(each[0]) if len(own) == 1 else length_error(size, mean, covariance)
+        errors = {one: float(value) for one, value in zip(parts, each, strict=True)}
+        sizes.append(Found(name, size, sigma, unit, beyond_size, parts, error, errors))
     return sizes

@@ -51,7 +51,7 @@ class Estimated:
     @property
     def sentence(self) -> str:
         """What a person should know of it."""
-        size = f"{self.value:+.3g} +- {self.sigma:.2g} {self.parameter.unit}".removesuffix(" 1")
+        size = f"{with_error(self.value, self.sigma, '+')} {self.parameter.unit}".removesuffix(" 1")
         others = _listed(self.told.confounded_with)
         if self.told.decided and others:
             return f"{self.parameter.words}: {size}; most of its error is that of {others}"
@@ -64,6 +64,8 @@ class Estimated:
 
 PLACE = ("offset_x", "offset_y", "shift_x", "shift_y", "rotation")
 """Parameters that move a spot."""
+MOST_DIGITS = 7
+"""Of a value in words, however small its error."""
 SMALL = 1e-4
 """Of their units: a rotation moves it in proportion."""
 
@@ -98,6 +100,8 @@ class Identified:
     """(ny, nx) samples that are none of the pass."""
     residual_nm: FloatArray = field(repr=False)
     """(ny, nx) measured less modelled removal; NaN outside the mask."""
+    displaced_error_mm: float = 0.0
+    """Standard error of the first of ``displaced_mm`` that is stated: with all in that may move the spot."""
 
     def __getitem__(self, name: str) -> Estimated:
         """The estimate of a parameter."""
@@ -180,6 +184,7 @@ def identify(
     comparison = compare(prior.parameters, learned.mean, covariance)
     counted = dict(counted or {})
     worths, applied = _applied(learned, comparison.best, future, least_gain_nm)
+    miss = displaced_mm(blocks, applied, counted)
     residual = np.full(removed.mask.shape, np.nan)
     residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.laid)
     return Identified(
@@ -192,10 +197,11 @@ def identify(
         tuple(name for name in odds if name != chosen and odds[name] > odds[chosen] - RIVAL),
         data.noise,
         counted,
-        displaced_mm(blocks, applied, counted),
+        miss,
         _volume(prior, columns),
         rejected,
         residual,
+        displaced_error_mm(blocks, learned, counted, miss[0]),
     )
 
 
@@ -208,18 +214,61 @@ def _volume(known: Knowledge, columns: FloatArray) -> FloatArray:
 
 def displaced_mm(blocks: Blocks, applied: Knowledge, counted: Mapping[str, float]) -> tuple[float, float]:
     """Offset and shift may cancel where the spindle leans: it is their sum that misses what a plan counted with."""
+    square, mean, covariance = _displacement(blocks, applied, counted)
+    size = float(np.sqrt(max(float(mean @ square @ mean), 0.0)))
+    along = square @ mean / size if size > 0 else np.zeros(len(mean))
+    return size, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
+
+
+def displaced_error_mm(blocks: Blocks, learned: Knowledge, counted: Mapping[str, float], stated_mm: float) -> float:
+    """Standard error of a stated displacement, with all parameters in that move the spot."""
+    square, mean, covariance = _displacement(blocks, learned, counted)
+    return length_error(stated_mm, mean, covariance, square)
+
+
+def _displacement(
+    blocks: Blocks, known: Knowledge, counted: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Metric of the mean square over the pass's time, mean beyond what was counted with, and covariance."""
+    names = [name for name in PLACE if name in known.names]
     moves = _moves(blocks)
-    names = [name for name in moves if name in applied.names]
-    if not names:
-        return 0.0, 0.0
-    ways = np.array([moves[name] for name in names])
+    ways = np.array([moves[name] for name in names]).reshape(len(names), 2, len(blocks.time_s))
     square = np.einsum("ikn,jkn,n->ij", ways, ways, blocks.time_s / blocks.time_s.sum())
-    at = [applied.at(name) for name in names]
-    mean = applied.mean[at] - [counted.get(name, 0.0) for name in names]
-    covariance = applied.covariance[np.ix_(at, at)]
-    size = float(np.sqrt(max(mean @ square @ mean, 0.0)))
-    along = square @ mean / size if size > 0 else np.zeros(len(at))
-    return size, float(np.sqrt(max(along @ covariance @ along, 0.0)))
+    at = [known.at(name) for name in names]
+    mean = known.mean[at] - [counted.get(name, 0.0) for name in names]
+    return square, mean, known.covariance[np.ix_(at, at)]
+
+
+def length_error(stated: float, mean: FloatArray, covariance: FloatArray, square: FloatArray | None = None) -> float:
+    """Standard error of a stated length of a vector that is known to be normal with this mean and covariance.
+
+    Errors across the vector make it longer, also where those along it are small: with the latter alone, intervals of
+    95 % of the length of three terms of a field held for 116 of 142 simulated machines. The mean square is taken over
+    two points on each principal axis.
+
+    Args:
+        stated: the length, in the metric's unit.
+        mean: (k,) of the vector.
+        covariance: (k, k)
+        square: (k, k) metric; None: the length is that of the vector.
+    """
+    count = len(mean)
+    if not count:
+        return 0.0
+    values, axes = np.linalg.eigh(covariance)
+    steps = np.sqrt(count * np.clip(values, 0.0, None)) * axes
+    points = np.concatenate([mean[:, None] + steps, mean[:, None] - steps], axis=1)
+    metric = np.eye(count) if square is None else square
+    lengths = np.sqrt(np.clip(np.einsum("kn,kl,ln->n", points, metric, points), 0.0, None))
+    return float(np.sqrt(np.mean((lengths - stated) ** 2)))
+
+
+def with_error(value: float, error: float, sign: str = "") -> str:
+    """``value +- error`` in words: the error to two digits, and the value at least as fine as those."""
+    digits = 3
+    if error > 0 and abs(value) > error:
+        digits = max(digits, int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2)
+    return f"{value:{sign}.{min(digits, MOST_DIGITS)}g} +- {error:.2g}"
 
 
 def _moves(blocks: Blocks) -> dict[str, FloatArray]:

@@ -12,10 +12,12 @@ import typer
 from rich.table import Table
 
 from polishd.config.cell import CellConfig
+from polishd.config.outline import OUTLINES
 from polishd.files import make_folder, write_atomic
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import load_own
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.robot import Vector
 from polishd.plain import toml
 from polishd.process.paths.raster import quiet_step_mm
 from polishd.show.tables import emit, key_table, stderr, stdout
@@ -27,6 +29,7 @@ from polishd.workbench.setup.connected import look
 from polishd.workbench.setup.draft import PROFILE, Draft, gathered
 from polishd.workbench.setup.questions import ANSWERS, Question, asked
 from polishd.workbench.setup.sample import profile_text, read_sample
+from polishd.workbench.setup.seat import find_seat, reached
 from polishd.workbench.setup.spot import add_spot
 from polishd.workbench.setup.steps import Step, lines, steps
 from polishd.workbench.setup.text import cell_text
@@ -118,6 +121,8 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
             add_spot(draft, answers.own.spot, config)
     if draft.raw["instrument"]["profile"] == PROFILE and "profile" not in answers.cell.get("instrument", {}):
         draft.files[PROFILE] = profile_text(shown).encode()
+    if _makes_program(draft):
+        config = _within_reach(draft, config)
     draft.rebase()
     text = cell_text(draft)
     said = _add_program(draft, config)
@@ -134,8 +139,50 @@ def _blamed(answers: Answers, key: str) -> Iterator[None]:
         raise answers.own.error(key, str(error)) from error
 
 
+def _makes_program(draft: Draft) -> bool:
+    """Whether a program over the part is wanted of `polishd init`, and enough is known of the robot to make one."""
+    wanted = draft.answers.own.program.make != "none" and "path" not in draft.answers.cell.get("program", {})
+    return wanted and not draft.blank
+
+
+def _within_reach(draft: Draft, config: CellConfig) -> CellConfig:
+    """The cell with its part where the robot reaches all of it: where that was assumed, at the nearest such place.
+
+    ConfigError where there is none. A place that was answered stays as it is.
+    """
+    if "part.origin_mm" not in draft.assumed:
+        return config
+    place = _reached_at(draft, config)
+    if place != config.part.origin_mm:
+        draft.raw["part"]["origin_mm"] = list(place)
+        draft.assumed["part.origin_mm"] += ", moved to where the robot reaches all of it"
+    return draft.judged()
+
+
+def _reached_at(draft: Draft, config: CellConfig) -> Vector:
+    """The nearest place of the part where the robot reaches all of it; ConfigError where there is none."""
+    seat = find_seat(config)
+    if seat is not None and seat.share == 1.0:
+        return seat.origin_mm
+    name = next(key for key in OUTLINES if key in draft.raw["part"])
+    fits = "nor a tenth of it"
+    if seat is not None:
+        fits = f"one of {seat.share:.0%} of that size fits at part.origin_mm = {toml(list(seat.origin_mm))}"
+    raise draft.answers.own.error(
+        f"part.{name}",
+        f"the robot reaches {config.outline()}, off singular poses, at no place near "
+        f"{toml(list(config.part.origin_mm))} (base frame, mm) with the part turned by part.rotation_rpy_deg = "
+        f"{toml(list(config.part.rotation_rpy_deg))} and process.dip_deg = {config.process.dip_deg:g}; {fits}. Nothing "
+        "was written. Give a robot with more reach ([kinematics] arm, or your robot's own numbers), another dip, or a "
+        'smaller part; [program] make = "none" writes the cell without a program',
+    )
+
+
 def _add_program(draft: Draft, config: CellConfig) -> str:
-    """The program over the part, where the answers name none; what was made, or why not."""
+    """The program over the part, where the answers name none; what was made, or why not.
+
+    ConfigError where the robot does not reach the part at the place that was answered: with one where it does.
+    """
     shape = draft.answers.own.program.make
     if "path" in draft.answers.cell.get("program", {}):
         return "yours"
@@ -150,7 +197,13 @@ def _add_program(draft: Draft, config: CellConfig) -> str:
         options = MakeOptions(shape, Path(config.program.path), pitch_mm=pitch_mm, step_mm=PITCH_MM)
         made = make_program(options, config, plugins_of(config))
     except PolishdError as error:
-        return f"none: {error}"
+        if "part.origin_mm" in draft.assumed or reached(config):  # of another cause
+            return f"none: {error}"
+        place = toml(list(_reached_at(draft, config)))
+        problem = f"the robot does not reach all of {config.outline()} there; it does at part.origin_mm = {place}"
+        raise draft.answers.own.error(
+            "part.origin_mm", f"{problem}. Nothing was written. Move the part there, or mend [kinematics]"
+        ) from error
     draft.files[config.program.path] = made.text
     return f"{shape}, {made.answer['points']} points, lines {pitch_mm:.3g} mm apart"
 

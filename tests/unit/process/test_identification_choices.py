@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -17,7 +18,7 @@ from polishd.process.identification.comparison import compare, extensions
 from polishd.process.identification.confounding import told
 from polishd.process.identification.decision import Found, decide
 from polishd.process.identification.forward import forward
-from polishd.process.identification.identify import Identified, displaced_mm, identify
+from polishd.process.identification.identify import Identified, displaced_error_mm, displaced_mm, identify, length_error
 from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
 from polishd.process.identification.passes import Noise
 from polishd.process.identification.prediction import Prediction, interval, predict, rms_samples
@@ -279,10 +280,14 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     assert small.stops == ()
     found = polished().identified({"offset_x": 1.2}, "offset")
     large = decide(found)
-    assert large.stops[0].startswith(
-        "the spot acts 1.20 +- 0.00 mm off where the plan had it, more than 0.5, by offset of 1.2"
+    said = re.match(
+        r"the spot acts (\S+) \+- (\S+) mm off where the plan had it, more than 0.5, by offset of 1.[12]",
+        large.stops[0],
     )
-    assert "mm (offset_x +1.2, offset_y " in large.stops[0]
+    assert said, large.stops[0]
+    assert 0 < float(said[2]) < 0.01, "an error of 0.00 mm says nothing"
+    assert abs(float(said[1]) - 1.2) < 4 * float(said[2])
+    assert re.search(r"mm \(offset_x \+1.[12]\d* \+- \S+, offset_y ", large.stops[0]), large.stops[0]
     assert "look at tool, seat and map" in large.stops[0]
     assert decide(found, misses_mm=2.0).stops == ()
     counted = {"offset_x": 1.1}
@@ -298,15 +303,34 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
         (Found("width", 0.05, 0.003, "1", 0.0, {"width": -0.05}), "width of -4.88 +- 0.29 %"),
         (Found("compliance", 0.25, 0.05, "1", 0.0, {"compliance": 0.25}), "compliance of +28.4 +- 6.4 %"),
         (Found("wear", 0.3, 0.02, "1/h", 0.0, {"wear": 0.3}), "wear of +0.3 +- 0.02 1/h"),
+        (Found("offset", 1.23456, 0.0023, "mm", 0.0, {"offset_x": -1.23456}), "offset of -1.2346 +- 0.0023 mm"),
         (Found("turn", 4.0, 0.5, "deg", 0.0, {"turn": -4.0}), "turn of -4 +- 0.5 deg"),
         (Found("exponent", 0.4, 0.05, "1", 0.0, {"exponent": -0.4}), "exponent of -0.4 +- 0.05"),
         (
-            Found("offset", 0.5, 0.02, "mm", 0.0, {"offset_x": 0.3, "offset_y": -0.4}),
-            "offset of 0.5 +- 0.02 mm (offset_x +0.3, offset_y -0.4)",
+            Found(
+                "offset",
+                0.5,
+                0.02,
+                "mm",
+                0.0,
+                {"offset_x": 0.3, "offset_y": -0.4},
+                0.03,
+                {"offset_x": 0.01, "offset_y": 0.03},
+            ),
+            "offset of 0.5 +- 0.03 mm (offset_x +0.3 +- 0.01, offset_y -0.4 +- 0.03)",
         ),
         (
-            Found("field 1", 0.05, 0.002, "1", 0.0, {"field_2": 0.03, "field_3": -0.04}),
-            "field 1 of 5 +- 0.2 % (field_2 +3, field_3 -4)",
+            Found(
+                "field 1",
+                0.05,
+                0.002,
+                "1",
+                0.0,
+                {"field_2": 0.03, "field_3": -0.04},
+                0.0,
+                {"field_2": 0.001, "field_3": 0.003},
+            ),
+            "field 1 of 5 +- 0.2 % (field_2 +3 +- 0.1, field_3 -4 +- 0.3)",
         ),
     ],
 )
@@ -336,6 +360,7 @@ def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_
         extensions=alone.extensions,
         counted={"compliance": counted},
         displaced_mm=(0.0, 0.0),
+        displaced_error_mm=0.0,
         comparison=SimpleNamespace(best=alone, rivals=()),
     )
     assert bool(decide(cast(Identified, found)).stops) is stops
@@ -359,6 +384,44 @@ def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:
     radius = np.sqrt(np.average((middle**2).sum(axis=1), weights=one.blocks().time_s))
     assert displaced_mm(one.blocks(), turned, {})[0] == pytest.approx(np.radians(radius), rel=1e-9)
     assert displaced_mm(one.blocks(), knowing("wear"), {}) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stated", "mean", "sigma"),
+    [
+        (1.0, (1.0, 0.0), (0.05, 0.001)),
+        (1.0, (1.0, 0.0), (0.001, 0.4)),
+        (1.0, (1.0, 0.5), (0.1, 0.1)),
+        (0.2, (0.2, 0.0, 0.0, 0.0), (0.01, 0.1, 0.1, 0.1)),
+    ],
+)
+def test_the_error_of_a_length_is_that_along_it_and_across(
+    stated: float, mean: tuple[float, ...], sigma: tuple[float, ...]
+) -> None:
+    """Against draws; the second vector is known to 0.001 along itself and is 0.08 longer all the same."""
+    rng = np.random.default_rng(3)
+    turned = np.linalg.qr(rng.normal(size=(len(mean), len(mean))))[0]
+    covariance = turned @ np.diag(np.square(sigma)) @ turned.T
+    lengths = np.linalg.norm(rng.multivariate_normal(turned @ mean, covariance, 100_000), axis=1)
+    error = float(np.sqrt(np.mean((lengths - stated) ** 2)))
+    assert length_error(stated, turned @ mean, covariance) == pytest.approx(error, rel=0.2)
+    halved = length_error(stated / 2, turned @ mean, covariance, np.eye(len(mean)) / 4)
+    assert halved == pytest.approx(length_error(stated, turned @ mean, covariance) / 2), "in another metric"
+
+
+def test_the_stated_error_of_a_miss_has_all_in_that_moves_the_spot() -> None:
+    """Only the offset is applied; the shift that was left out is known to 0.1 mm, so that is the miss, too."""
+    one = polished(lean="fixed")
+    known = knowing("offset shift")
+    sigma = np.array([{"offset": 0.01, "shift": 0.1}.get(p.extension or "", 1.0) for p in known.parameters])
+    mean = np.array([0.9 * (name == "offset_y") for name in known.names])
+    learned = replace(known, mean=mean, covariance=np.diag(sigma**2))
+    without_shift = np.array([0.1 * (p.extension == "shift") for p in known.parameters])
+    applied = replace(learned, covariance=np.diag(sigma**2 - without_shift**2))
+    miss, error = displaced_mm(one.blocks(), applied, {})
+    assert (miss, error) == pytest.approx((0.9, 0.01))
+    assert displaced_error_mm(one.blocks(), learned, {}, miss) == pytest.approx(np.hypot(0.1, 0.01), rel=0.05)
+    assert displaced_error_mm(one.blocks(), knowing("wear"), {}, 0.0) == 0.0
 
 
 @pytest.mark.slow

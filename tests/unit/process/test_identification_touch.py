@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from polishd.process.identification.beliefs import beliefs_of
-from polishd.process.identification.decision import decide
+from polishd.process.identification.decision import LOGARITHMS, Found, decide
 from polishd.process.identification.parameters import Knowledge
-from tests.unit.process.identified import Polished, disc, knowing, polished, removal
+from polishd.recipe.steps import TOUCH_MISS_MM
+from tests.unit.process.identified import EVERYTHING, Polished, disc, knowing, polished, removal
 
 SPREAD = {"rate": 0.15, "offset_x": 0.2, "offset_y": 0.2, "width": 0.02, "compliance": 0.1}
 """Standard deviations of machines; of each term of the field 0.03."""
@@ -31,31 +36,141 @@ def machine(known: Knowledge, seed: int) -> Mapping[str, float]:
     return {name: float(rng.normal()) * one for name, one in sigma.items()}
 
 
-@pytest.mark.parametrize(
-    "machines",
-    [pytest.param(12, marks=pytest.mark.full), pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])],
-)
-def test_what_is_stated_of_a_touch_holds(machines: int) -> None:
-    """Of the rate: how much an even pass over the whole part removes; these machines do not walk after the touch."""
-    one, known, held = touch(), knowing("field offset width compliance"), list[tuple[float, float]]()
-    even, mask, hours = polished(time="even"), disc()[1], 0.0
-    for seed in range(machines):
-        truth = machine(known, seed)
+def in_use(known: Knowledge, truth: Mapping[str, float], hours: float, seed: int) -> Mapping[str, float]:
+    """The machine so many hours of contact later: worn, and walked at random as docs/identification.md says."""
+    rng = np.random.default_rng([seed, 1])
+    after = {p.name: truth[p.name] + float(rng.normal()) * p.use * hours**0.5 for p in known.parameters}
+    return {**after, "rate": after["rate"] - hours * truth.get("wear", 0.0)}
+
+
+def of_the_prior(known: Knowledge, seed: int) -> Mapping[str, float]:
+    """A machine of those that the priors expect: of these an interval of 95 % is to hold in 95 %."""
+    draws = np.random.default_rng([seed, 2]).normal(size=len(known.parameters))
+    return {p.name: p.sigma * float(draw) for p, draw in zip(known.parameters, draws, strict=True)}
+
+
+def removed_evenly(known: Knowledge, machine: Mapping[str, float]) -> float:
+    """By an even pass that begins now: with the rate of its begin, and of a part that lies as it should."""
+    own = {p.name for p in known.parameters if p.scope in {"tool", "cell"}} - {"wear"}
+    return float(removal(polished(time="even"), {k: v for k, v in machine.items() if k in own})[disc()[1]].sum())
+
+
+STATED = re.compile(r"([+-]?\d[\d.e+-]*) \+- (\d[\d.e+-]*)")
+
+
+def off_in_words(one: Found, truth: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+    """By how many of the errors that a note prints the machine is off each value that it prints."""
+    true = np.array([truth[name] for name in one.parts])
+    if one.name in LOGARITHMS:
+        true = np.expm1(true)
+    true = true * (100 if "%" in one.words else 1)
+    lengths = [(f"note: {one.name}", float(np.linalg.norm(true)))] if len(true) > 1 else []
+    names = [*lengths, *((f"note: {name}", value) for name, value in zip(one.parts, true, strict=True))]
+    for (name, value), (printed, error) in zip(names, STATED.findall(one.words), strict=True):
+        yield name, (float(printed) - value) / float(error)
+
+
+FAR = 6.0
+"""Errors that no statement is off: those of a first touch were 5 to 9 once."""
+KINDS = ("rate", "note: ", "learned: ")
+
+
+class Held:
+    """Of each statement how often its interval of 95 % held."""
+
+    def __init__(self) -> None:
+        self.off: dict[str, list[float]] = defaultdict(list)
+
+    def add(self, name: str, off: float) -> None:
+        assert np.isfinite(off), (name, off)
+        self.off[name].append(off)
+
+    def of(self, kind: str) -> tuple[int, int]:
+        """How many held, and how many there are, of the statements of this name, or of all in KINDS that begin so."""
+        own = [kind] if kind not in KINDS else [name for name in self.off if name.startswith(kind)]
+        off = [one for name in own for one in self.off[name]]
+        return int((np.abs(off) < 1.96).sum()), len(off)
+
+    def share(self, kind: str) -> float:
+        held, count = self.of(kind)
+        return held / count
+
+    def too_rare(self, least: float = 0.90) -> dict[str, tuple[int, int]]:
+        """Statements that hold less often than that, by more than chance (one in a thousand)."""
+        every = {name: self.of(name) for name in self.off}
+        return {name: one for name, one in every.items() if stats.binom.cdf(*one, least) < 0.001}
+
+    def farthest(self) -> tuple[float, str]:
+        """Most of its own errors that a statement is off, and which it is."""
+        return max((max(map(abs, off)), name) for name, off in self.off.items())
+
+    def __str__(self) -> str:
+        lines = []
+        for kind in (*KINDS, *sorted(self.off.keys() - {"rate"})):
+            held, count = self.of(kind)
+            low, high = stats.binomtest(held, count).proportion_ci(0.95, "exact")
+            lines.append(f"{kind}: {held} of {count}, {held / count:.1%} [{low:.1%}, {high:.1%}]")
+        return "\n".join(lines)
+
+
+def stated(machines: int, known: Knowledge, drawn: Callable[[Knowledge, int], Mapping[str, float]]) -> tuple[Held, int]:
+    """What is stated of so many machines whose touch needs no person, and how many touches that took.
+
+    What is stated of the rate is compared with what an even pass removes after the touch's contact, for which machines
+    walk and wear as is reckoned with. Notes are read as they are printed, those of touches that stop, too.
+    """
+    one, held = touch(), Held()
+    hours, kept = float(one.time.sum()) / 3600, 0
+    for seed in itertools.count():
+        truth = drawn(known, seed)
         found = one.identified(truth, seed=seed, prior=known)
-        taken = [each.name for each in decide(found).corrected if each.name != "rate"]
+        decision = decide(found, misses_mm=TOUCH_MISS_MM)
+        for each in (*decision.corrected, *decision.left):
+            for name, off in off_in_words(each, truth):
+                held.add(name, off)
+        if decision.stops:
+            continue
+        for estimate in found.estimates:
+            if estimate.parameter.scope != "map":
+                name = estimate.parameter.name
+                held.add(f"learned: {name}", (estimate.value - truth[name]) / estimate.sigma)
+        taken = [each.name for each in decision.corrected if each.name != "rate"]
         told = beliefs_of(found.learned, taken, hours, (0.1, 10.0), found.volume)
         assert told.rate.sigma is not None
-        believed = {**told.applied, "rate": float(np.log(told.rate.value))}
-        off = np.log(removal(even, believed)[mask].sum() / removal(even, truth)[mask].sum())
-        z_rate = off / (told.rate.sigma / told.rate.value)
-        z_offset = (found["offset_x"].value - truth["offset_x"]) / found["offset_x"].sigma
-        held.append((float(z_rate), float(z_offset)))
-    within = (np.abs(held) < 1.96).mean(axis=0)
-    assert np.isfinite(held).all(), held
-    if machines < 100:
-        assert (within >= 0.75).all(), held
-    else:
-        assert ((within >= 0.90) & (within <= 0.98)).all(), within
+        believed = removed_evenly(known, {**told.applied, "rate": float(np.log(told.rate.value))})
+        off = np.log(believed / removed_evenly(known, in_use(known, truth, hours, seed)))
+        held.add("rate", float(off) / (told.rate.sigma / told.rate.value))
+        kept += 1
+        if kept == machines:
+            return held, seed + 1
+    raise AssertionError("seeds do not end")
+
+
+@pytest.mark.parametrize(
+    "machines",
+    [pytest.param(8, marks=pytest.mark.full), pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])],
+)
+def test_what_is_stated_of_a_touch_holds(machines: int) -> None:
+    """Of machines as the priors expect them, with all that a cell's learner fits: the figures of docs/beliefs.md."""
+    held, touches = stated(machines, knowing(f"{EVERYTHING} power"), of_the_prior)
+    print(f"{machines} machines of {touches}\n{held}")
+    assert touches < 2.5 * machines, "most machines need no person"
+    assert held.too_rare() == {}, str(held)
+    assert held.farthest() < (FAR,), str(held)
+    if machines >= 100:
+        for kind in KINDS:
+            assert 0.90 <= held.share(kind) <= 0.98, str(held)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_what_is_stated_of_machines_that_differ_by_less_than_the_priors_allow_holds_at_least_as_often() -> None:
+    """What is stated of the rate over the part is mostly its field's prior: of these machines it is too careful."""
+    held, touches = stated(200, knowing("field offset width compliance"), machine)
+    print(f"200 machines of {touches}\n{held}")
+    assert held.too_rare() == {}, str(held)
+    assert held.farthest() < (FAR,), str(held)
+    assert all(held.share(kind) >= 0.90 for kind in KINDS), str(held)
 
 
 @pytest.mark.full

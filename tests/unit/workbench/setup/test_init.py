@@ -14,18 +14,22 @@ import pytest
 from typer.testing import CliRunner
 
 from polishd.cli import app
-from polishd.config.cell import load_config
+from polishd.config.cell import CellConfig, load_config
 from polishd.config.profile import load_profile
 from polishd.config.tables import read_tif, write_tif
 from polishd.hooks.cell import load_cell
+from polishd.hooks.loader import load_own
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.process import MeasuredTif
 from polishd.model.robot import SerialRobot
 from polishd.recipe import foresight, steps
 from polishd.recipe.making import make_recipe
 from polishd.workbench.maps.files import MapSource
+from polishd.workbench.setup.answers import answers_of
 from polishd.workbench.setup.arms import ARMS
-from tests.unit.workbench.maps.maps import dat
+from polishd.workbench.setup.draft import gathered
+from polishd.workbench.setup.seat import Seat, find_seat, reached
+from tests.unit.workbench.maps.maps import dat, surface
 
 LENS = """
 [kinematics]
@@ -267,3 +271,70 @@ def test_a_map_without_a_scale_is_given_a_pitch(tmp_path: Path) -> None:
         init(tmp_path, answers)
     init(tmp_path, answers + "sample_pitch_mm = 0.5\n")
     assert load_profile(tmp_path / "cell" / "instrument.toml").instrument.pitch_mm == 0.5
+
+
+def test_a_part_whose_assumed_place_is_out_of_reach_lies_where_the_robot_reaches_it(tmp_path: Path) -> None:
+    """The paper's robot does not reach 300 mm at the place that is assumed for smaller parts."""
+    for answers in ("[part]\naperture_mm = 300.0\n", '[kinematics]\narm = "ur16e"\n[part]\naperture_mm = 300.0\n'):
+        config = drafted(tmp_path, answers)
+        assert not reached(config)
+        seat = find_seat(config)
+        assert seat is not None
+        assert seat.share == 1.0
+        moved = config.model_copy(update={"part": config.part.model_copy(update={"origin_mm": seat.origin_mm})})
+        assert reached(moved)
+        assert np.linalg.norm(np.subtract(seat.origin_mm, config.part.origin_mm)) < 150.0
+    config = drafted(tmp_path, "[part]\naperture_mm = 200.0\n")
+    assert find_seat(config) == Seat(config.part.origin_mm)
+
+
+def drafted(folder: Path, answers: str) -> CellConfig:
+    """The cell of these answers, as it is before its part is moved."""
+    return gathered(answers_of(answers, folder / "answers.toml"), folder / "cell", load_own()).judged()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("part", ["aperture_mm = 300.0", "rectangle_mm = [400.0, 300.0]"])
+def test_a_large_part_becomes_a_cell_whose_plan_takes_the_program(tmp_path: Path, part: str) -> None:
+    told = init(tmp_path, f"[part]\n{part}\n")
+    assert told["written"] == ["cell.toml", "instrument.toml", "program.rnc"]
+    assert "moved to where the robot reaches all of it" in told["look"]["part.origin_mm"]
+    config, hooks = load_cell(tmp_path / "cell" / "cell.toml")
+    recipe = make_recipe(config, hooks)
+    assert foresight.refusals(recipe, steps.read_program(recipe, config.program_path), hooks.check_plan) == []
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        (
+            "[part]\naperture_mm = 800.0\n",
+            r"toml:2: part\.aperture_mm: the robot reaches a circle of 800 mm.*; one of \d0% of that size fits at part",
+        ),
+        (
+            "[part]\naperture_mm = 12.0\norigin_mm = [600.0, 440.0, 2315.0]\n",
+            r"toml:3: part\.origin_mm: the robot does not reach all of a circle of 12 mm there; it does at part\.or",
+        ),
+    ],
+)
+def test_a_part_out_of_reach_is_one_error_with_what_would_be_within_it(tmp_path: Path, answers: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        init(tmp_path, answers)
+    assert not (tmp_path / "cell").exists()
+    told = init(tmp_path, answers + '[program]\nmake = "none"\n')
+    assert "cell.toml" in told["written"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool_radius_mm", [20.0, 80.0])
+def test_the_dwell_of_a_part_of_300_mm_is_solved_within_30_s_of_cpu_time(tmp_path: Path, tool_radius_mm: float) -> None:
+    """With 9.8 million entries a matrix takes several times as long; with 4.7 million it is the quicker one."""
+    init(tmp_path, f"[part]\naperture_mm = 300.0\n[process]\ntool_radius_mm = {tool_radius_mm}\n")
+    height = surface(600, 600)
+    measured = dat(tmp_path / "part.dat", height, part="PART-1")
+    words = ["plan", str(tmp_path / "cell" / "cell.toml"), str(measured), "--out", str(tmp_path / "plan"), "--json"]
+    said = CliRunner().invoke(app, words)
+    assert said.exit_code == 0, said.output
+    certificate = json.loads((tmp_path / "plan" / "certificate.json").read_text())
+    assert certificate["stopped"] == "converged"
+    assert certificate["seconds"] < 30.0
