@@ -165,7 +165,8 @@ def _embedded_strings(tree, src, ed, table):
         inner = tok.string.strip("\"'")
         if outside and inner in names and len(names[inner]) == 1:
             new = tok.string.replace(inner, next(iter(names[inner])))
-        new = errors_renamed(new, table)
+        if not tok.string.lstrip("rRbBfF").startswith('"""'):  # what is said; docstrings are for the words' step
+            new = errors_renamed(new, table)
         if new != tok.string:
             ed.put(start, end, new)
 
