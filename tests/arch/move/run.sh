@@ -25,6 +25,7 @@ python3 inits.py "$clone"
 fix
 python3 long_lines.py "$clone"
 fix
+python3 campaigns.py "$clone" "$out"
 python3 replace.py "$clone" after.toml
 (cd "$clone" && "$ruff" check . --fix -q --output-format concise || true; "$ruff" format -q .)
 cd "$clone"
