@@ -24,8 +24,8 @@ demo: $(VENV)/.installed ## polish a simulated part, from the first map to the r
 test: $(VENV)/.installed ## run the tests, one of each kind (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 4 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
 
-test-all: $(VENV)/.installed ## run all tests but the long campaigns (ARGS="...")
-	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" $(ARGS)
+test-all: $(VENV)/.installed ## run all tests but the long campaigns and those with peers of others: make interop (ARGS="...")
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" --ignore=tests/interop $(ARGS)
 
 # Those that run machines in real time by themselves, and first: others would starve what they simulate.
 REAL_TIME := tests/campaigns/test_ways_out.py tests/campaigns/crash tests/campaigns/soak tests/system

@@ -23,6 +23,7 @@ from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.lock import locked
 from polishd.daemon.offers import FORGOTTEN, Offer, latest_offer, recipe_of
 from polishd.model.errors import PolishdError
+from polishd.model.text import with_error
 from polishd.recipe.recipe import Recipe
 from polishd.recipe.records import Believed
 from polishd.recipe.steps import believed_at_first
@@ -173,10 +174,10 @@ def forget(state_dir: Path, reason: str) -> None:
 def in_words(believed: Believed) -> str:
     """For people."""
     rate = believed.removal.rate
-    sure = "" if rate.sigma is None else f" +- {rate.sigma:.3f}"
+    value = f"{rate.value:.3f}" if rate.sigma is None else with_error(rate.value, rate.sigma)
     more = len(getattr(believed.removal, "applied", ()))
     others = f", {more} more parameters" if more else ""
-    return f"rate {rate.value:.3f}{sure}, {1e3 * believed.block_overhead_s:.1f} ms a block{others}"
+    return f"rate {value}, {1e3 * believed.block_overhead_s:.1f} ms a block{others}"
 
 
 def _told(lesson: Lesson) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.text import with_error
 from polishd.process.explanation import Explanation, explanations
 from polishd.process.metrics import Removal
 from polishd.process.orientation import ORIENTATIONS, orientations
@@ -197,7 +198,7 @@ def _reason(seen: _Pass, best: Explanation, moved: Fit, final: Fit) -> str:
     distance, sigma = _sure(moved)
     if moved.correlation >= MIN_CORRELATION and distance - seen.most_shift_mm > SIGMAS * sigma:
         return (
-            f"the removal lies {distance:.2f} +- {sigma:.2f} mm from where it was predicted, at ({x:+.2f}, {y:+.2f}) "
+            f"the removal lies {with_error(distance, sigma)} mm from where it was predicted, at ({x:+.2f}, {y:+.2f}) "
             f"mm, and {seen.most_shift_mm:g} mm are allowed: check the part's seat, the program's offset and the map's "
             "registration before going on"
         )
@@ -207,7 +208,7 @@ def _reason(seen: _Pass, best: Explanation, moved: Fit, final: Fit) -> str:
 
 
 def _times(moved: Fit) -> str:
-    return f"{moved.rate:.3f} +- {moved.rate_sigma:.3f} times"
+    return f"{with_error(moved.rate, moved.rate_sigma)} times"
 
 
 def _without_unsure_shift(moved: Fit, own: Fit) -> Fit:
@@ -245,7 +246,7 @@ def _notes(seen: _Pass, moved: Fit, undecidable: tuple[str, ...]) -> tuple[str, 
     (x, y), (distance, sigma) = moved.shift_mm, _sure(moved)
     notes = []
     if distance > 0:
-        notes.append(f"the removal lies ({x:+.2f}, {y:+.2f}) +- {sigma:.2f} mm from where it was predicted")
+        notes.append(f"the removal lies ({x:+.2f}, {y:+.2f}) +- {sigma:.2g} mm from where it was predicted")
     low, high = seen.limits
     if not low <= moved.rate <= high:
         notes.append(f"the measured removal is {_times(moved)} the predicted one, which is no proof that it is beyond "

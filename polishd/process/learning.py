@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from polishd.model.beliefs import Beliefs, Evidence, Lesson
+from polishd.model.text import with_error
 from polishd.process.removal_fit import MIN_SIGNAL_NM, Fit, fit, levelled
 
 REST = 0.03
@@ -60,7 +61,7 @@ def _applied(own: Fit, signal_nm: float, *, tells_rate: bool) -> tuple[float, tu
     if signal_nm < MIN_SIGNAL_NM:
         note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it teaches nothing of the rate"
         return 1.0, (note,)
-    fitted = f"a rate of {own.rate:.3f} +- {own.rate_scatter:.3f}"
+    fitted = f"a rate of {with_error(own.rate, own.rate_scatter)}"
     if not abs(own.rate - 1) > SIGNIFICANT * own.rate_scatter:
         return 1.0, (f"{fitted} is not significant: the rate stays",)
     if not tells_rate:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from polishd.model.beliefs import Belief
 from polishd.model.cause import CauseName, Named
+from polishd.model.text import with_error
 from polishd.process.gate import MAX_SHIFT_MM, MIN_CORRELATION, Verdict
 from polishd.process.leftover import Leftover
 
@@ -123,7 +124,7 @@ def _named(cause: CauseName, found: Belief, least: float, unit: str, what: str, 
 
 def _rate(rate: Belief) -> Named:
     sigma = float("inf") if rate.sigma is None else rate.sigma
-    what = f"the measured removal is {rate.value:.3f} +- {sigma:.3f} times the predicted one"
+    what = f"the measured removal is {with_error(rate.value, sigma)} times the predicted one"
     return Named("rate", abs(rate.value - 1), sigma, SIGMAS * (sigma**2 + KNOWN_RATE**2) ** 0.5, "1", what)
 
 

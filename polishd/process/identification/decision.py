@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
+from polishd.model.text import with_error
 from polishd.process.gate import MAX_SHIFT_MM
-from polishd.process.identification.identify import Identified, length_error, with_error
+from polishd.process.identification.identify import Identified, length_error
 
 CERTAIN = 3.0
 """Standard errors that what is corrected must be away from none."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.text import with_error
 from polishd.process.identification.acting import Acting
 from polishd.process.identification.comparison import (
     RIVAL,
@@ -64,8 +65,6 @@ class Estimated:
 
 PLACE = ("offset_x", "offset_y", "shift_x", "shift_y", "rotation")
 """Parameters that move a spot."""
-MOST_DIGITS = 7
-"""Of a value in words, however small its error."""
 SMALL = 1e-4
 """Of their units: a rotation moves it in proportion."""
 
@@ -261,14 +260,6 @@ def length_error(stated: float, mean: FloatArray, covariance: FloatArray, square
     metric = np.eye(count) if square is None else square
     lengths = np.sqrt(np.clip(np.einsum("kn,kl,ln->n", points, metric, points), 0.0, None))
     return float(np.sqrt(np.mean((lengths - stated) ** 2)))
-
-
-def with_error(value: float, error: float, sign: str = "") -> str:
-    """``value +- error`` in words: the error to two digits, and the value at least as fine as those."""
-    digits = 3
-    if error > 0 and abs(value) > error:
-        digits = max(digits, int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2)
-    return f"{value:{sign}.{min(digits, MOST_DIGITS)}g} +- {error:.2g}"
 
 
 def _moves(blocks: Blocks) -> dict[str, FloatArray]:

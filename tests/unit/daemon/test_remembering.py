@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -70,7 +71,7 @@ async def test_a_job_begins_with_the_rate_of_the_last_one_and_says_so(tmp_path: 
     assert job.tools.believed.rate == rate
     (note,) = [one for one in notes(job) if "has taught" in one]
     assert note.startswith("begins with what pass 1 of job 'first' (20")
-    assert f"rate {rate:.3f} +- " in note
+    assert re.search(rf"rate {rate:.2f}\d* \+- ", note)
     with closing(Store.open(tmp_path / JOURNAL_NAME)) as store:
         (stats,) = store.read("SELECT stats FROM map WHERE job = 2")[0]
     assert note in json.loads(stats)["notes"], "in the journal, too"

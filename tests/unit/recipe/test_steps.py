@@ -471,7 +471,7 @@ def test_a_rate_far_from_the_model_is_a_reason_to_stop(
     after = polished(measured, removed(program, measured, solved, true))
     done = Pass(measured, after, solved.asked_s, solved.expected_s)
     taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, Believed())
-    assert f"{true:.3f} +- " in taught.verdict.stop
+    assert f"removal is {true:g} +- " in taught.verdict.stop
     assert "limits.max_rate_change" in taught.verdict.stop
     assert taught.found is None
 
