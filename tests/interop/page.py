@@ -33,7 +33,7 @@ driver has its client from the same library (pyads, canopen) as the server: ther
 
 `make interop` fetches the peers of PyPI and npm ([requirements.txt](../tests/interop/requirements.txt),
 [package.json](../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page. Those of
-Debian are for whoever may install them. A peer that is not there is skipped by its name, here and in `make test-all`.
+Debian are for whoever may install them. A peer that is not there is skipped by its name.
 
     apt-get install DEBIAN
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -65,6 +66,15 @@ def test_polishd_has_the_names_late() -> None:
         polishd.read_mop  # noqa: B018
     code = "import polishd, sys; assert 'numpy' not in sys.modules; polishd.spot_figures; assert 'numpy' in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_verb_that_is_not_known_is_an_error_and_not_a_traceback() -> None:
+    """It is looked for among the plugins' verbs, which imports modules of polishd by ``from polishd import``."""
+    command = [sys.executable, "-m", "polishd", "polsh", "cell.toml"]
+    said = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "NO_COLOR": "1"})
+    assert said.returncode == 2
+    assert "No such command 'polsh'" in said.stderr
+    assert "Traceback" not in said.stderr
 
 
 def test_what_cannot_be_is_said(folder: Path) -> None:

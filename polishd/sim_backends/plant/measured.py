@@ -49,14 +49,17 @@ class MeasuredStamp:
         stretch: FloatArray,
         skew: float = 0.0,
     ) -> None:
-        """Take material off in place: n contacts, rpm times seconds in ``turns`` (n,); the rest as `removal.wear`."""
+        """Take material off in place: n contacts, rpm times seconds in ``turns`` (n,); the rest as `removal.wear`.
+
+        The spot was measured with ``tool.rpm``, which is positive: a reversed spindle removes with its mirror image.
+        """
         active = (depth_mm > 0.0) & (turns != 0.0)
         if not active.any():
             return
         first, weight = _together(centre_mm[active], turns[active])
         shares = (_mean(values[active], first, weight) for values in (centre_mm, axis, depth_mm, stretch))
         centre_mm, axis, depth_mm, stretch = shares
-        turns = np.add.reduceat(weight, first)
+        turns = np.add.reduceat(weight, first) * np.sign(turns[active][first])
         for k in range(len(first)):
             size = math.sqrt(float(depth_mm[k]) / self._depth_mm)
             reach = self._half_mm * size / grid.pitch_mm
@@ -70,13 +73,15 @@ class MeasuredStamp:
                 y = _midpoints(row - rows, fine) * grid.pitch_mm
                 offset = np.stack(np.meshgrid(x, y))
                 along = np.einsum("ij,jyx->iyx", stretch[k], offset)
-                rate = self._rate(along / size, axis[k]) * size
+                seen = along if turns[k] > 0.0 else _mirrored(along, axis[k])
+                rate = self._rate(seen / size, axis[k]) * size
                 if skew:
                     rim = math.sqrt(self.tool.tool_radius_mm * float(depth_mm[k]))
-                    rate *= 1.0 + skew * np.einsum("i,iyx->yx", sliding(axis[k : k + 1])[0], along) / rim
+                    way = sliding(axis[k : k + 1], turns[k : k + 1])[0]
+                    rate *= 1.0 + skew * np.einsum("i,iyx->yx", way, along) / rim
                 mean = rate.reshape(rows.size, fine, columns.size, fine).mean(axis=(1, 3))
                 surface_nm[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] -= mean * (
-                    float(turns[k]) / self.tool.rpm
+                    abs(float(turns[k])) / self.tool.rpm
                 )
 
     def _rate(self, offset_mm: FloatArray, axis: FloatArray) -> FloatArray:
@@ -89,9 +94,22 @@ class MeasuredStamp:
         return np.asarray(ndimage.map_coordinates(self.tif.rate_nm_s, at, order=1, mode="constant"))
 
 
+def _mirrored(offset_mm: FloatArray, axis: FloatArray) -> FloatArray:
+    """Offsets (2, ny, nx) mirrored across where an axis (3,) leans; as they are where it does not."""
+    lean = math.hypot(axis[0], axis[1])
+    if lean == 0.0:
+        return offset_mm
+    x, y = axis[0] / lean, axis[1] / lean
+    return np.asarray(2.0 * np.multiply.outer([x, y], x * offset_mm[0] + y * offset_mm[1]) - offset_mm)
+
+
 def _together(centre_mm: FloatArray, turns: FloatArray) -> tuple[np.ndarray, FloatArray]:
-    """Where each group of contacts begins that follow one another within `TOGETHER_MM`, and the weight of each (n,)."""
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(centre_mm, axis=0).T))])
+    """Where each group of contacts begins that follow one another within `TOGETHER_MM`, and the weight of each (n,).
+
+    All of a group turn the same way.
+    """
+    apart = np.hypot(*np.diff(centre_mm, axis=0).T) + TOGETHER_MM * (np.diff(np.sign(turns)) != 0.0)
+    way = np.concatenate([[0.0], np.cumsum(apart)])
     return np.unique(np.floor(way / TOGETHER_MM), return_index=True)[1], np.abs(turns)
 
 

@@ -1,6 +1,11 @@
 """The plant's own removal law: Hertz's contact and Preston's equation with what really acts at the moment.
 
 Units: mm, N, MPa, s, rad; removal in nm. What the robot gives way, and how much of that is lost as depth: `giving`.
+
+Speeds are signed: positive turns counterclockwise, seen from above the part. Pressure times sliding speed is the same
+either way, as the feed is far below the spin and left out. A reversed spindle slides the other way, which mirrors a
+spot across the plane of its normal and axis: ``skew``, friction's drag and a measured spot change sides. The viscous
+shift of the pressure (paper eq. 29, 1 um), which changes sides too, is left out here.
 """
 
 from __future__ import annotations
@@ -76,10 +81,10 @@ def wear(
 ) -> None:
     """Take material off ``surface_nm`` in place: n contacts at ``centre_mm`` (n, 2) for ``seconds`` (n,) each.
 
-    ``seconds`` carries the rate factor too. ``radius_mm`` (n,) is that of the contact, and ``stretch`` (n, 2, 2) turns
-    offsets in x and y into those along the surface, where ``axis`` is seen from; left out: as on a flat. ``skew`` is by
-    how much more is removed at the rim that the bonnet slides towards, relative. Cell averages, by three lines through
-    each cell.
+    ``seconds`` carries the rate factor too. ``rpm`` is signed. ``radius_mm`` (n,) is that of the contact, and
+    ``stretch`` (n, 2, 2) turns offsets in x and y into those along the surface, where ``axis`` is seen from; left out:
+    as on a flat. ``skew`` is by how much more is removed at the rim that the bonnet slides towards, relative. Cell
+    averages, by three lines through each cell.
     """
     n = len(centre_mm)
     radius = np.full(n, tool.tool_radius_mm) if radius_mm is None else radius_mm
@@ -128,12 +133,12 @@ def _wear_chunk(
     inside_y = np.clip(y, -ellipse.top_mm, ellipse.top_mm)
     high = np.maximum(inside_y[:, :-1] - inside_y[:, 1:], 0.0)
     lines = inside_y[:, 1:, None] + high[:, :, None] * NODES
-    skewed = skew * sliding(axis) / np.sqrt(radius_mm * depth_mm)[:, None]
+    skewed = skew * sliding(axis, turns) / np.sqrt(radius_mm * depth_mm)[:, None]
     rate = _rate(
         x, lines.reshape(len(x), -1), ellipse, axis=axis, down_mm=depth_mm - tool.tool_radius_mm, skewed=skewed
     )
     # preston cm^2/N = 100 mm^2/N; 1e6 nm/mm; rpm * s = 60 turns, one turn = 2 pi rad
-    turned = (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / pitch**2) * turns[:, None, None]
+    turned = (tool.preston_cm2_per_n * 100.0 * 1e6 * math.tau / 60.0 / pitch**2) * np.abs(turns)[:, None, None]
     mean = np.einsum("nrjc,nrj->nrc", rate.reshape(*lines.shape, cells), high[:, :, None] * turned * WEIGHTS)
     rows = (first_row[:, None] + np.arange(cells))[:, :, None]
     cols = (first_col[:, None] + np.arange(cells))[:, None, :]
@@ -210,10 +215,12 @@ def _rate(
     return pressure
 
 
-def sliding(axis: FloatArray) -> FloatArray:
+def sliding(axis: FloatArray, speed: FloatArray) -> FloatArray:
     """(n, 2) unit directions in which the bonnet slides in the middle of its contact; 0 where its axis is the normal.
 
-    ``axis`` (n, 3) where the normal is z. Of a spindle that turns counterclockwise, seen from above.
+    ``axis`` (n, 3) where the normal is z. Of ``speed`` (n,) the sign counts: positive turns counterclockwise, seen from
+    above.
     """
     lean = np.hypot(axis[:, 0], axis[:, 1])[:, None]
-    return np.divide(np.column_stack([-axis[:, 1], axis[:, 0]]), lean, out=np.zeros((len(axis), 2)), where=lean > 0.0)
+    way = np.sign(speed)[:, None] * np.column_stack([-axis[:, 1], axis[:, 0]])
+    return np.asarray(np.divide(way, lean, out=np.zeros((len(axis), 2)), where=lean > 0.0))

@@ -61,7 +61,7 @@ class Tool:
         rpm: FloatArray,
         seconds: FloatArray,
     ) -> None:
-        """Take material off the part, in place; ``seconds`` (n,) carry the rate factor, too."""
+        """Take material off the part, in place; ``seconds`` (n,) carry the rate factor, too; ``rpm`` (n,) is signed."""
         local, off = touches.local, self.effects
         tips, axes = frames.in_base(touches.place_mm, touches.axis)
         axis = _leaning(local.levelled(touches.axis), off.lean.at(tips))
@@ -72,7 +72,7 @@ class Tool:
         centre = touches.place_mm[:, :2] + off.robot.at(tips) + _circling(len(tips)) * off.vibration_mm
         centre = centre + self._offset_mm(axis, turned) - np.array(off.seat_mm)
         if off.friction:
-            dragged = self._dragged_mm(given.matrix, Touches(touches.place_mm, axis, local), frames, force_n)
+            dragged = self._dragged_mm(given.matrix, Touches(touches.place_mm, axis, local), frames, force_n, rpm)
             centre = centre + np.linalg.solve(local.stretch, dragged[:, :2, None])[:, :, 0]
             depth = np.maximum(depth - off.eq_44 * dragged[:, 2], 0.0)
         at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": turned, "skew": off.skew}
@@ -86,13 +86,15 @@ class Tool:
         depth = hertz_depth_mm(self.process, force_n, contact_radius_mm(self.process, curvature_per_mm))
         return np.asarray(1.5 * force_n / np.maximum(depth, 1e-9))
 
-    def _dragged_mm(self, matrix: FloatArray, at: Touches, frames: Frames, force_n: FloatArray) -> FloatArray:
+    def _dragged_mm(
+        self, matrix: FloatArray, at: Touches, frames: Frames, force_n: FloatArray, rpm: FloatArray
+    ) -> FloatArray:
         """(n, 3) by which friction pulls the tip along the surface and off it, where the normal is z.
 
         It acts against the way that the bonnet slides, and grows with the normal force. What the normal force itself
         does to the tip sideways is the same everywhere, and goes away as the tool is set up. ``at.axis`` is levelled.
         """
-        against = at.local.raised(-sliding(at.axis)) @ frames.to_base.T
+        against = at.local.raised(-sliding(at.axis, rpm)) @ frames.to_base.T
         pull_n = self.effects.friction * self.effects.compliance * force_n / np.maximum(at.axis[:, 2], 1e-3)
         moved = np.einsum("nij,nj->ni", matrix, against) * pull_n[:, None]
         return at.local.levelled(moved @ frames.to_base)

@@ -44,6 +44,7 @@ class World:
     """Wall time up to which motion is known."""
     force: Timeline = field(default_factory=Timeline)
     rpm: Timeline = field(default_factory=Timeline)
+    """Of the spindle, with a sign: positive turns counterclockwise, seen from above the part."""
     set_point: Timeline = field(default_factory=Timeline)
     """Force that the actuator is to exert."""
     pace: Timeline = field(default_factory=lambda: Timeline(rest=1.0, values=[1.0]))
@@ -161,8 +162,8 @@ class World:
         rows, force, place, axis, begin = (v[touching] for v in (rows, force, place, axis, begin))
         acting_n = force
         force = force * (1.0 + self._force_noise(rows[:, DT]))
-        rpm = np.abs(self.rpm.at(middle[touching]))
-        turning = np.where(rpm > 0.0, rows[:, DT], 0.0)
+        rpm = self.rpm.at(middle[touching])
+        turning = np.where(rpm != 0.0, rows[:, DT], 0.0)
         worked = self.contact_s + np.cumsum(turning) - turning / 2.0
         self.contact_s += float(turning.sum())
         rpm = rpm * self.effects.speed(worked)
@@ -178,7 +179,7 @@ class World:
         rate = (1.0 - self.config.truth.worn) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
         seconds = rows[:, DT] * rate
         self._tool.wear(self.part, touches, self._frames, force_n=force, rpm=rpm, seconds=seconds)
-        self._book(program, rows, place, np.stack([force, rpm], axis=1))
+        self._book(program, rows, place, np.stack([force, np.abs(rpm)], axis=1))
         if before is not None:
             removed_nm = before - self.part.height_nm
             self._book_way_out(rows, removed_nm)
@@ -236,7 +237,7 @@ class World:
         pit.until_s = float(rows[-1, WALL1])
 
     def _book(self, program: str, rows: FloatArray, place: FloatArray, acted: FloatArray) -> None:
-        """``acted`` (n, 2): force in N and spindle speed in rpm."""
+        """``acted`` (n, 2): force in N and spindle speed in rpm, without its sign."""
         moving = rows[:, SEQ] >= 0
         self.account.dwell(program, rows[moving, SEQ], rows[moving, DT])
         for row, spot, (force_n, rpm) in zip(rows[~moving], place[~moving], acted[~moving].tolist(), strict=True):

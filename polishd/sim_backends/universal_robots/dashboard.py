@@ -1,4 +1,4 @@
-"""The dashboard server: a line in, a line out."""
+"""The dashboard server: a line in, a line out. Any number of clients is served at once, as a real one does."""
 
 from __future__ import annotations
 

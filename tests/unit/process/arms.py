@@ -41,6 +41,9 @@ class ArmCell:
     robot: SerialRobot
     tip_mm: FloatArray
     axis: FloatArray
+    origin_mm: tuple[float, float, float]
+    """Where the part's centre lies, as in ``[part]``."""
+    rotation_rpy_deg: tuple[float, float, float]
 
 
 def arm_cell(seed: int) -> ArmCell:
@@ -82,8 +85,13 @@ def arm_cell(seed: int) -> ArmCell:
     points = np.column_stack([np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2), np.zeros(144)])
     dip, way = np.radians(rng.uniform(5.0, 30.0)), rng.uniform(0.0, 2.0 * np.pi)
     leaning = [np.sin(dip) * np.cos(way), np.sin(dip) * np.sin(way), np.cos(dip)]
+    origin = (tip + rng.uniform(-150.0, 150.0, 3))[0]
     return ArmCell(
-        robot, lie.apply(points) + tip + rng.uniform(-150.0, 150.0, 3), np.tile(lie.apply(leaning), (144, 1))
+        robot,
+        lie.apply(points) + origin,
+        np.tile(lie.apply(leaning), (144, 1)),
+        tuple(origin.tolist()),
+        tuple(lie.as_euler("XYZ", degrees=True).tolist()),
     )
 
 

@@ -32,7 +32,9 @@ def plant(**wrong: object) -> BatchPlant:
     return BatchPlant(config, 3)
 
 
-def spot(made: BatchPlant, x: float = 0.0, y: float = 0.0, seconds: float = 10.0, force: float = 12.0) -> FloatArray:
+def spot(
+    made: BatchPlant, x: float = 0.0, y: float = 0.0, seconds: float = 10.0, force: float = 12.0, rpm: float = 1000.0
+) -> FloatArray:
     """Removal, nm, of one spot at rest."""
     before = made.world.part.height_nm.copy()
     tip = np.array([[x, y, 0.0]])
@@ -45,7 +47,7 @@ def spot(made: BatchPlant, x: float = 0.0, y: float = 0.0, seconds: float = 10.0
             "axis": lean,
             "seconds": seconds * one,
             "force_n": force * one,
-            "rpm": 1000.0 * one,
+            "rpm": rpm * one,
         }
     )
     return before - made.world.part.height_nm
@@ -239,11 +241,29 @@ def test_friction_pulls_the_spot_by_what_the_robot_gives_sideways() -> None:
     lean = np.array([[0.0, -np.sin(np.radians(15.0)), np.cos(np.radians(15.0))]])
     tips, axes = frames.in_base(np.zeros((1, 3)), lean)
     _, matrix = tip_gives_mm_per_n(HybridRobot(), tips, axes)
-    pull = frames.to_base.T @ matrix[0] @ frames.to_base @ (-sliding(lean)[0] @ np.eye(2, 3))
+    pull = frames.to_base.T @ matrix[0] @ frames.to_base @ (-sliding(lean, np.ones(1))[0] @ np.eye(2, 3))
     moved = centroid(made, spot(made)) - centroid(right, spot(right))
     pulled = pull[:2] * 0.5 * 12.0 / np.cos(np.radians(15.0))
     assert np.hypot(*pulled) > 5e-3
     assert moved == pytest.approx(pulled, abs=5e-4)
+    reversed_moved = centroid(made, spot(made, rpm=-1000.0)) - centroid(right, spot(right))
+    assert reversed_moved == pytest.approx(-pulled, abs=5e-4), "it slides the other way"
+
+
+def test_a_reversed_spindle_removes_as_much_and_the_same_where_nothing_has_a_side() -> None:
+    made = plant()
+    forward = spot(made)
+    assert forward.max() > 1000.0
+    assert np.allclose(spot(made, rpm=-1000.0), forward, rtol=1e-9, atol=1e-9)
+    assert made.world.acted
+    assert np.allclose(np.concatenate(made.world.acted)[:, 3], -1000.0), "as the spindle measures it"
+
+
+def test_a_reversed_spindle_removes_the_mirror_image_of_a_skewed_spot() -> None:
+    made = plant(spot_skew=0.3)
+    forward, backward = spot(made), spot(made, rpm=-1000.0)
+    assert np.abs(forward - backward).max() > 0.05 * forward.max()
+    assert np.allclose(backward, forward[:, ::-1], atol=1e-6 * forward.max()), "the axis leans along y"
 
 
 def test_what_is_lost_and_the_friction_are_drawn_between_their_ends() -> None:

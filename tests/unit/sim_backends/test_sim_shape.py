@@ -175,6 +175,28 @@ def test_every_kind_of_robot_is_drawn_about_its_own_stiffness_and_the_shipped_on
     assert SimConfig(process=Contact(preston="2e-9 cm2/N")).process.tool().preston_cm2_per_n == pytest.approx(2e-9)
 
 
+def test_a_reversed_spindle_wears_the_mirror_image_of_a_measured_spot() -> None:
+    """Across the plane in which it leans, however it lay as it was measured; contacts of both ways are kept apart."""
+    pitch = 0.2
+    x = (np.arange(41) - 20) * pitch
+    rate = 100.0 * np.exp(-0.5 * ((x[None, :] - 0.5) / 0.7) ** 2 - 0.5 * ((x[:, None] + 0.3) / 1.1) ** 2)
+    stamp, grid = MeasuredStamp(MeasuredTif(rate, pitch, azimuth_deg=30.0), TOOL), Grid(101, 101, 0.2)
+    rigid = hertz_depth_mm(TOOL, np.array([12.0]))
+    for lean, mirrored in (((0.26, 0.0), np.flipud), ((0.0, -0.26), np.fliplr)):
+        given = {
+            "centre_mm": np.zeros((2, 2)), "axis": np.tile([*lean, 0.966], (2, 1)),
+            "depth_mm": np.tile(rigid, 2), "stretch": np.tile(np.eye(2), (2, 1, 1)), "skew": 0.1,
+        }  # fmt: skip
+        turned = {}
+        for name, turns in (("forward", (1.0, 1.0)), ("backward", (-1.0, -1.0)), ("both", (1.0, -1.0))):
+            turned[name] = np.zeros(grid.shape)
+            stamp.wear(turned[name], grid, turns=TOOL.rpm * np.array(turns), **given)
+        forward = turned["forward"]
+        assert np.abs(forward - mirrored(forward)).max() > 0.2 * np.abs(forward).max()
+        assert np.allclose(turned["backward"], mirrored(forward), atol=1e-9)
+        assert np.allclose(turned["both"], (forward + mirrored(forward)) / 2.0, atol=1e-9)
+
+
 def test_contacts_that_follow_one_another_closely_wear_as_each_by_itself() -> None:
     x = (np.arange(41) - 20) * 0.1
     rate = np.maximum(1.0 - (x[None, :] / 1.5) ** 2 - (x[:, None] / 1.5) ** 2, 0.0) * 80.0

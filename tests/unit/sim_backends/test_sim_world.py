@@ -184,6 +184,18 @@ def test_a_tool_that_rests_without_turning_removes_nothing_and_is_booked() -> No
     assert (stand["most_n"], stand["most_rpm"]) == (pytest.approx(0.8), 0.0)
 
 
+def test_a_reversed_spindle_polishes_and_its_speed_is_booked_without_its_sign() -> None:
+    plant = world()
+    plant.rpm = Timeline()
+    plant.rpm.push([(0.0, -1000.0)], math.inf)
+    plant.stand_until(1.0, (0.0, 0.0, 0.0, 15.0, 0.0))
+    plant.integrate(math.inf)
+    (stand,) = plant.account.stands
+    assert stand["most_rpm"] == pytest.approx(1000.0)
+    assert plant.part.height_nm.min() < -50.0
+    assert plant.polished_s == pytest.approx(1.0)
+
+
 def test_the_truth_scales_removal() -> None:
     def depth(hidden: Truth) -> float:
         plant = world(hidden)

@@ -130,6 +130,30 @@ async def test_a_robot_slowed_down_goes_on_until_it_is_told_to_stop(rig: Rig) ->
     assert rig.fake.stands
 
 
+async def test_the_dashboard_serves_another_client_beside_the_driver(rig: Rig) -> None:
+    """As a real one does: `ur_rtde` holds a connection as long as it lives. Each client has its own answers."""
+    address = rig.fake.addresses.dashboard
+    others = [await asyncio.open_connection(address.host, address.port) for _ in range(2)]
+
+    async def asked(at: int, question: bytes) -> bytes:
+        others[at][1].write(question + b"\n")
+        return await asyncio.wait_for(others[at][0].readline(), TIMES.silence_s)
+
+    try:
+        for reader, _ in others:
+            assert (await reader.readline()).startswith(b"Connected: Universal Robots Dashboard Server")
+        await run(rig)
+        assert await asked(0, b"running") == b"Program running: true\n"
+        rig.fake.wires[0].cut()
+        await rig.robot.make_safe()
+        assert rig.machine.runtime == m.STOPPED
+        assert await asked(1, b"get robot model") == b"UR5\n"
+        assert await asked(0, b"running") == b"Program running: false\n"
+    finally:
+        for _, writer in others:
+            writer.close()
+
+
 async def test_a_cut_link_leaves_it_running_and_make_safe_stops_it_by_the_dashboard(rig: Rig) -> None:
     await run(rig)
     rig.fake.wires[0].cut()
