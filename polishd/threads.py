@@ -25,7 +25,15 @@ class LoopThreads(ThreadPoolExecutor):
     """What ``asyncio.to_thread`` runs in. Shut down, it waits ``END_S`` for its threads, and leaves the others."""
 
     def __init__(self) -> None:
+        """All threads begin now, and none later.
+
+        Where memory is out a thread that begins may end before it says that it has begun, and whoever starts it, which
+        would be the loop in contact, waits for that word for ever.
+        """
         super().__init__(thread_name_prefix=NAME)
+        begun = threading.Barrier(self._max_workers)
+        for _ in range(self._max_workers):
+            self.submit(begun.wait)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """See ThreadPoolExecutor."""

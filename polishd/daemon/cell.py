@@ -14,6 +14,7 @@ from polishd.config.cell import PORTS
 from polishd.daemon.approval import Approval
 from polishd.daemon.listening import LET_GO_S, within
 from polishd.daemon.live import Live
+from polishd.daemon.memory import named
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
 from polishd.model.devices import DeviceStatus, Identity, MapRefusal, RobotProgress, port_of
@@ -150,6 +151,7 @@ class Cell:
 
     def breaks(self, error: BaseException) -> None:
         """Contact is to be left over that error; later ones follow from it."""
+        error = named(error) if isinstance(error, Exception) else error
         if self.pressing and not self.leaving:
             self.leaving = f"{type(error).__name__}: {error}"
             self.on_broken(error)

@@ -25,6 +25,7 @@ from polishd.daemon.interruption import settle
 from polishd.daemon.job import Job
 from polishd.daemon.last_word import to_do
 from polishd.daemon.making import NoJob
+from polishd.daemon.memory import named
 from polishd.daemon.orders import Order, Orders, unless
 from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
@@ -255,6 +256,7 @@ class Daemon:
 
     def _failed(self, error: Exception, mended: Trigger = Trigger.MENDABLE) -> Turn:
         """A person is asked to mend what can be while the daemon waits; not where it cut off a pass."""
+        error = named(error)
         waits = isinstance(error, PolishdError) and error.mendable and bool(self._cell.identities)
         if self.state is State.POLISHING:
             waits = waits and all(record.ended_s is not None for record in self.job.journal.passes)
@@ -318,7 +320,8 @@ async def to_the_end(daemon: Daemon) -> tuple[Outcome, Exception | None]:
     try:
         await daemon.become(State.STARTING, "")
         return await daemon.run(), None
-    except Exception as error:
+    except Exception as raised:
+        error = named(raised)
         log.exception("the daemon ends")
         with suppress(PolishdError):  # a lost journal: that is what ended it
             daemon.bus.publish(daemon.failure(error))

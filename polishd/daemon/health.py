@@ -22,6 +22,7 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
 from polishd.daemon.listening import most_telling
 from polishd.daemon.making import NoJob
+from polishd.daemon.memory import LEAST_MB, process_memory_mb
 from polishd.recipe.disk import MB, Writes, rooms
 
 log = logging.getLogger(__name__)
@@ -172,6 +173,10 @@ def _left(state_dir: Path, run_dir: Path, writes: Writes) -> dict[str, Figure]:
         total_mb, left_mb = memory
         advice = "end other programs on this computer, or give the service more (MemoryMax)"
         found.append(Figure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
+    if (own := process_memory_mb()) is not None:
+        left_mb, limit = own
+        advice = f"raise the limit of the daemon's process ({limit}), or end it and see what in it grows"
+        found.append(Figure("process_memory_mb", left_mb, LEAST_MB, advice, least=True))
     return {figure.name: figure for figure in found}
 
 

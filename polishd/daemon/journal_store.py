@@ -22,6 +22,7 @@ import numpy as np
 
 from polishd.daemon.journal_check import CommitRecord
 from polishd.daemon.journal_schema import Connect, connect, copy_job, open_file
+from polishd.daemon.memory import RESERVE
 from polishd.model.errors import ConfigError, SafetyStop
 from polishd.model.surface import FloatArray
 
@@ -51,6 +52,7 @@ class Store:
         self._pending = threading.Condition()
         self._closing = False
         self._failure: str | None = None
+        self._todo = ""
         self._oldest_s = (math.inf, math.inf)
         """Since when rows wait for their commit: those of the transaction that is under way, and the others."""
         self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
@@ -168,7 +170,7 @@ class Store:
             self._check()
             try:
                 yield
-            except sqlite3.Error as error:
+            except (sqlite3.Error, MemoryError) as error:  # SQLite without memory raises MemoryError
                 self._fail(error)
                 self._check()
 
@@ -181,7 +183,7 @@ class Store:
                 self._connection.execute(sql, values)
             self._connection.execute("UPDATE commits SET count = count + 1")
             self._connection.execute("COMMIT")
-        except sqlite3.Error:
+        except (sqlite3.Error, MemoryError):
             if self._connection.in_transaction:
                 self._connection.execute("ROLLBACK")
             raise
@@ -194,20 +196,27 @@ class Store:
         self._record.write(self._journal_id, self._commits)
 
     def _commit_groups(self) -> None:
-        while True:
-            with self._pending:
-                self._pending.wait_for(lambda: self._closing or self._buffer)
-                if self._closing:
-                    return
-                self._pending.wait_for(lambda: self._closing or len(self._buffer) >= COMMIT_ROWS, COMMIT_S)
-            try:
+        try:
+            while True:
+                with self._pending:
+                    self._pending.wait_for(lambda: self._closing or self._buffer)
+                    if self._closing:
+                        return
+                    self._pending.wait_for(lambda: self._closing or len(self._buffer) >= COMMIT_ROWS, COMMIT_S)
                 self.write()
-            except SafetyStop:
-                return  # kept in _failure: whoever uses the journal next, or waits in lost(), hears of it
+        except SafetyStop:
+            return  # kept in _failure: whoever uses the journal next, or waits in lost(), hears of it
+        except MemoryError as error:
+            self._fail(error)
 
-    def _fail(self, error: sqlite3.Error) -> None:
+    def _fail(self, error: sqlite3.Error | MemoryError) -> None:
         with self._pending:
-            self._failure = f"{error} ({error.sqlite_errorname})" if hasattr(error, "sqlite_errorname") else str(error)
+            if isinstance(error, MemoryError):
+                RESERVE.release()
+                self._failure, self._todo = "the daemon has run out of memory", "give it more memory"
+            else:
+                name = f" ({error.sqlite_errorname})" if hasattr(error, "sqlite_errorname") else ""
+                self._failure, self._todo = f"{error}{name}", "mend the disk"
             for loop, event in self._waiters:
                 loop.call_soon_threadsafe(event.set)
 
@@ -215,5 +224,5 @@ class Store:
         if self._failure is not None:
             raise SafetyStop(
                 f"journal lost: {self.path}: {self._failure}; polishing without a record is refused: "
-                "mend the disk, then start polishd again"
+                f"{self._todo}, then start polishd again"
             )

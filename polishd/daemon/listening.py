@@ -12,6 +12,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, TypeVar
 
+from polishd.daemon.memory import is_out_of_memory, named
 from polishd.model.errors import LinkError, PolishdError, SafetyStop
 
 T = TypeVar("T")
@@ -75,7 +76,13 @@ async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str
 
 
 def most_telling(errors: BaseExceptionGroup[BaseException]) -> BaseException:
-    """The one error of a group that says what to do: ours before others, others before cancellation."""
+    """The one error of a group that says what to do: ours before others, others before cancellation.
+
+    Before all of them that memory is out, in words: the others follow from it.
+    """
+    memory, _ = errors.split(lambda one: not isinstance(one, BaseExceptionGroup) and is_out_of_memory(one))
+    if memory is not None and isinstance(first := _first(memory), Exception):
+        return named(first)
     for kind in (SafetyStop, PolishdError, Exception):
         if (found := errors.subgroup(kind)) is not None:
             return _first(found)

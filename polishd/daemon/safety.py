@@ -21,6 +21,7 @@ from polishd.daemon.cell import Cell
 from polishd.daemon.force_check import ForceCheck
 from polishd.daemon.force_watch import tare, told_apart, watch_force_signals, watch_sensor
 from polishd.daemon.listening import heard, most_telling, within
+from polishd.daemon.memory import RESERVE
 from polishd.daemon.time_limits import safe_within_s
 from polishd.daemon.touch import Touch
 from polishd.model.devices import ForceSample, SpeedSample
@@ -84,6 +85,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
     """
     sensor = cell.force_sensor
     watch = _Watch(limits, touch, _force_check(limits, 0.0 if sensor is None else sensor.times.delay_s))
+    RESERVE.take()
     cell.pressing, cell.leaving = True, ""
     try:
         await tare(cell, limits.apart_n)

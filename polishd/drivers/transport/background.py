@@ -111,7 +111,11 @@ class Background:
         if error is None:
             return LinkError(f"{self.name}: has ended")
         # A new one for each waiter: tracebacks grow in what is raised.
-        return type(error)(*error.args) if isinstance(error, PolishdError) else error
+        if not isinstance(error, PolishdError):
+            return error
+        anew = type(error)(*error.args)
+        anew.__cause__ = error.__cause__
+        return anew
 
 
 async def _flat(main: Coroutine[Any, Any, None]) -> None:
@@ -122,7 +126,7 @@ async def _flat(main: Coroutine[Any, Any, None]) -> None:
         first: BaseException = group
         while isinstance(first, BaseExceptionGroup):
             first = first.exceptions[0]
-        raise first from None
+        raise first from first.__cause__  # not from the group
 
 
 async def cancellable(answer: Awaitable[T]) -> T:

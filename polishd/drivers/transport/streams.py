@@ -109,6 +109,7 @@ class ReadBuffer:
         self._name = name
         self._bytes = bytearray()
         self._failure: str | None = None
+        self._cause: BaseException | None = None
         self._tap = tap(name)
         self._waiter: asyncio.Future[None] | None = None
         self.claimed = Claim()
@@ -121,10 +122,11 @@ class ReadBuffer:
         self._bytes += data
         self._wake()
 
-    def fail(self, reason: str) -> None:
+    def fail(self, reason: str | BaseException) -> None:
         """No more will come. The first reason counts."""
         if self._failure is None:
-            self._failure = reason
+            self._cause = reason if isinstance(reason, BaseException) else None
+            self._failure = reason = str(reason) or type(reason).__name__
             if self._tap is not None:
                 self._tap("end", why=reason)
         self._wake()
@@ -137,7 +139,7 @@ class ReadBuffer:
     def check(self) -> None:
         """LinkError once the link has failed."""
         if self._failure is not None:
-            raise LinkError(f"{self._name}: {self._failure}")
+            raise LinkError(f"{self._name}: {self._failure}") from self._cause
 
     def wrote(self, data: bytes) -> None:
         """Bytes go out."""
@@ -183,7 +185,7 @@ class SerialStream(ReadBuffer):
             except BlockingIOError:
                 await self._writable()
             except OSError as error:
-                self.fail(str(error))
+                self.fail(error)
 
     async def close(self) -> None:
         """See ByteStream."""
@@ -197,8 +199,8 @@ class SerialStream(ReadBuffer):
             data = os.read(self._fd, 4096)
         except BlockingIOError:
             return
-        except OSError as error:
-            self.fail(str(error))
+        except (OSError, MemoryError) as error:
+            self.fail(error)
             return
         if data:
             self.feed(data)
@@ -246,7 +248,7 @@ class TcpStream(ReadBuffer, asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Called by asyncio."""
-        self.fail(str(exc) if exc else "the connection is closed")
+        self.fail(exc or "the connection is closed")
         self._writable.set()
         settle(self._closed)
 

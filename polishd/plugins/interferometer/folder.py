@@ -7,6 +7,7 @@ import errno
 import json
 import logging
 import os
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -34,7 +35,7 @@ from polishd.api import (
 from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
 from polishd.plugins.interferometer.judge import Rules, require_new, require_plausible, source_of
-from polishd.plugins.interferometer.taken import Ask, Given, Taken
+from polishd.plugins.interferometer.taken import Ask, Given, Taken, heights_digest
 from polishd.ports.address_claims import Claim, claim, folder_key
 
 T = TypeVar("T")
@@ -86,7 +87,8 @@ class FolderOptions(BaseModel):
     clock_tolerance_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0
     """How far the instrument's clock may lag behind the folder's; files hold whole seconds only."""
     accept_unnamed: bool = False
-    """Accept files that do not say whose map they hold."""
+    """Accept files that do not say whose map they hold. One of the last part, measured again after this one was asked
+    for, or without a date of its own, is then taken for this one's (docs/maps-folder.md): name maps where you can."""
     claimed: ConfigPath = Path("taken")
     """Where taken maps are kept, under their sha256; relative to ``folder``, same file system."""
     refused: ConfigPath = Path("quarantine")
@@ -117,12 +119,14 @@ class FolderThread:
     """Runs what touches the folder, one call at a time, in a thread that nothing waits for at the end.
 
     A share that hangs takes this thread and no other one: not the event loop, and none of those that journal and health
-    need. While a call hangs, no further one begins.
+    need. While a call hangs, no further one begins. The thread begins with the first call and serves all later ones:
+    one that began where memory is out could keep the loop waiting for it.
     """
 
     def __init__(self) -> None:
         self._call: asyncio.Future[Any] | None = None
         self._began_s = 0.0
+        self._work: queue.SimpleQueue[Callable[[], None] | None] | None = None
 
     @property
     def busy_s(self) -> float:
@@ -156,15 +160,34 @@ class FolderThread:
             with suppress(RuntimeError):  # the loop has ended meanwhile
                 loop.call_soon_threadsafe(tell, result, error)
 
-        threading.Thread(target=act, name="maps folder", daemon=True).start()
+        self.begin().put(act)
         await self._ended(call, end_s)
         return call.result()
+
+    def end(self) -> None:
+        """Let the thread end after its call; a later call begins another one."""
+        if self._work is not None:
+            self._work.put(None)
+            self._work = None
+
+    def begin(self) -> queue.SimpleQueue[Callable[[], None] | None]:
+        """Begin the thread, if none serves; what it is to do."""
+        if self._work is None:
+            self._work = queue.SimpleQueue()
+            threading.Thread(target=_serve, args=(self._work,), name="maps folder", daemon=True).start()
+        return self._work
 
     @staticmethod
     async def _ended(call: asyncio.Future[Any], end_s: float) -> None:
         done, _ = await asyncio.wait({call}, timeout=max(end_s - time.monotonic(), 0.0))
         if not done:
             raise TimeoutError
+
+
+def _serve(work: queue.SimpleQueue[Callable[[], None] | None]) -> None:
+    while (act := work.get()) is not None:
+        act()
+        del act  # it holds what the call was given
 
 
 class WatchedFolder:
@@ -199,6 +222,7 @@ class WatchedFolder:
         LinkError where the folder cannot be used; DeviceClaimed where another program takes maps from it.
         """
         await self.close()
+        self._ends.begin()
         try:
             problem = await self._thread.run(self._problem)
             if problem:
@@ -214,6 +238,8 @@ class WatchedFolder:
     async def close(self) -> None:
         """Another program may take maps from the folder now."""
         self._address_claim.release()
+        self._thread.end()
+        self._ends.end()
 
     async def identify(self) -> Identity:
         """The folder. Which instrument writes into it, each map says itself."""
@@ -331,12 +357,16 @@ class WatchedFolder:
     def _asked(self, wait: Waiting) -> Ask:
         """What is asked for; the same as before where no map has been taken since. The request is written last."""
         if wait.ask is None:
-            taken, demanding = self._load(), self._request is not None or wait.after is not None
-            wait.ask = taken.ask(wait.after)
+            taken, part = self._load(), self._rules.part_id
+            unnamed = self._options.accept_unnamed and taken.any  # one of the last part's may lie there
+            demanding = self._request is not None or wait.after is not None or unnamed
+            wait.ask = taken.ask(wait.after, part)
             if wait.ask is None:
+                if (other := taken.asked_for_other(part)) is not None and other.after == wait.after:
+                    self._put_away_claimed(other, wait)
                 since = files.clock_of(self._folder) if demanding else None
                 present = {path.name: seen for path, seen in self._candidates().items()} if demanding else {}
-                wait.ask = taken.begin(wait.after, since, present)
+                wait.ask = taken.begin(wait.after, since, present, part)
         return wait.ask
 
     def _demand(self, wait: Waiting, ask: Ask) -> None:
@@ -369,6 +399,18 @@ class WatchedFolder:
             self._load().hand_on(ask, given)
             return surface
         return None
+
+    def _put_away_claimed(self, other: Ask, wait: Waiting) -> None:
+        """What was claimed for another part and never came further is not this part's, whatever it says."""
+        for given in self._load().pending(other):
+            path = self._claimed / given.claimed
+            if not files.still_is(path, given.sha256, self._folder / given.name):
+                continue
+            try:
+                require_plausible(files.read_map(path, self._readers), self._rules)
+                raise WrongPart(f"it was claimed for part {other.part!r}, the part is {self._rules.part_id!r}")
+            except SurfaceError as error:
+                self._put_away(path, error, wait)
 
     def _scan(self, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
         """The trusted map that was measured first, claimed."""
@@ -443,6 +485,7 @@ class WatchedFolder:
             claimed=target.name,
             source=source_of(surface),
             measured=surface.measured_at,
+            heights=heights_digest(surface),
         )
         taken.give(ask, given)
         if not files.claim(path, seen, target, surface.sha256):
@@ -463,16 +506,18 @@ class WatchedFolder:
         wait.another_part = wait.another_part or isinstance(error, WrongPart)
         if reason not in wait.refused:
             wait.refused.append(reason)
-            todo = _advice(error, self._rules.part_id)
+            todo = _advice(error, self._rules)
             wait.refusals.append(MapRefusal(path.name, type(error).__name__, why, todo, str(kept or "")))
 
 
-def _advice(error: SurfaceError, part_id: str) -> str:
+def _advice(error: SurfaceError, rules: Rules) -> str:
     match error:
+        case WrongPart() if rules.accept_unnamed:
+            return f"Put part {rules.part_id!r} on and measure it; files of other parts do not belong into the folder."
         case WrongPart():
             return (
-                f"Measure part {part_id!r} and export it under that name; where the instrument names no part, set "
-                "metrology.accept_unnamed = true."
+                f"Measure part {rules.part_id!r} and export it under that name; where the instrument names no part, "
+                "set metrology.accept_unnamed = true."
             )
         case StaleMap():
             return "Measure again: the map is older than the request, or was taken before."

@@ -9,7 +9,7 @@ from pathlib import Path
 from polishd.api import StaleMap, SurfaceMap, WrongPart
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer.files import Identity
-from polishd.plugins.interferometer.taken import Ask, Taken
+from polishd.plugins.interferometer.taken import Ask, Taken, heights_digest
 from polishd.process.instrument import require_profile
 
 LATEST_S = 2.0**35
@@ -41,10 +41,18 @@ def require_plausible(surface: SurfaceMap, rules: Rules) -> None:
 
 
 def require_new(surface: SurfaceMap, seen: tuple[Path, Identity], ask: Ask, taken: Taken, rules: Rules) -> None:
-    """StaleMap, in words for: duplicate, out of order, stale. A name with the token of the ask is new in any case."""
+    """StaleMap, in words for: duplicate, out of order, stale. A name with the token of the ask is new in any case.
+
+    WrongPart where it names no part, and has the heights of a map that was taken for another one.
+    """
     path, identity = seen
     if surface.sha256 == ask.after or surface.sha256 in taken:
         raise StaleMap(f"duplicate: the same content was taken before (sha256 {surface.sha256[:12]}…)")
+    if not surface.part_id and (other := taken.other_part(heights_digest(surface), rules.part_id)):
+        raise WrongPart(
+            f"it does not say whose map it is, and has the heights of a map that was taken for part {other!r}; the "
+            f"part is {rules.part_id!r}"
+        )
     if ask.token in path.name:
         return
     nevertheless = (

@@ -6,17 +6,26 @@ off in between, the record and the names in the folder of claimed files tell how
 
 from __future__ import annotations
 
+import hashlib
 import secrets
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from polishd.api import DeviceFault
+from polishd.api import DeviceFault, SurfaceMap
 from polishd.files import write_atomic
 from polishd.plugins.interferometer.files import Identity
 
 SHA256_DIGITS = 64
+
+
+def heights_digest(surface: SurfaceMap) -> str:
+    """Of shape and heights to 0.01 nm, whatever the file says beside them: noise makes each measurement's another."""
+    hundredths = np.nan_to_num(np.round(surface.height_nm * 100.0), nan=-(2.0**60)) + 0.0  # no negative zero
+    return hashlib.sha256(f"{surface.height_nm.shape}".encode() + hundredths.astype("<f8").tobytes()).hexdigest()
 
 
 class Given(BaseModel):
@@ -33,6 +42,8 @@ class Given(BaseModel):
     """Part and instrument: what ``measured`` may be compared within."""
     measured: datetime | None
     """By the instrument's clock."""
+    heights: str = ""
+    """``heights_digest`` of the map."""
     times: int = 0
     """How often it was handed on."""
 
@@ -49,6 +60,8 @@ class Ask(BaseModel):
     """What lay in the folder when it was asked."""
     given: dict[str, Given] = Field(default_factory=dict)
     """By sha256: what was claimed for it."""
+    part: str = ""
+    """Whose map is asked for; empty in a record of an earlier version."""
 
 
 class Record(BaseModel):
@@ -58,6 +71,8 @@ class Record(BaseModel):
     taken: list[str] = Field(default_factory=list)
     last: dict[str, datetime] = Field(default_factory=dict)
     """By source: when the last map that was taken was measured, by the instrument's clock."""
+    heights: dict[str, str] = Field(default_factory=dict)
+    """By ``heights_digest``: the part that a map was taken for."""
 
 
 class Taken:
@@ -97,18 +112,37 @@ class Taken:
         """When the last map that was taken of this part with this instrument was measured; None: not known."""
         return self._record.last.get(source)
 
-    def ask(self, after: str | None) -> Ask | None:
-        """What is asked already for the map after ``after``; None: nothing."""
-        ask = self._record.ask
-        return ask if ask is not None and ask.after == after else None
+    @property
+    def any(self) -> bool:
+        """Whether a map was ever taken, as far as record and folder tell."""
+        return bool(self._taken or self._record.heights or self._record.last)
 
-    def begin(self, after: str | None, since: datetime | None, present: dict[str, Identity]) -> Ask:
+    def other_part(self, heights: str, part: str) -> str:
+        """Another part that a map with these heights was taken for; empty where there is none."""
+        found = self._record.heights.get(heights, part)
+        return "" if found == part else found
+
+    def ask(self, after: str | None, part: str) -> Ask | None:
+        """What is asked already for that part's map after ``after``; None: nothing.
+
+        A map that was asked for before this part was in may show the last one: another part is another ask.
+        """
+        ask = self._record.ask
+        return ask if ask is not None and ask.after == after and ask.part in ("", part) else None
+
+    def asked_for_other(self, part: str) -> Ask | None:
+        """What is asked for another part; None: nothing."""
+        ask = self._record.ask
+        return ask if ask is not None and ask.part not in ("", part) else None
+
+    def begin(self, after: str | None, since: datetime | None, present: dict[str, Identity], part: str) -> Ask:
         """Ask anew, durably: what was claimed for the ask before is taken for good."""
-        ask = Ask(after=after, token=secrets.token_hex(4), since=since, present=present)
+        ask = Ask(after=after, token=secrets.token_hex(4), since=since, present=present, part=part)
         before = self._record.ask.given.values() if self._record.ask else ()
         done = [one.sha256 for one in before if one.sha256 in (*self._handed, after) or self._lies(one)]
         self._taken.update(done)
-        self._save(Record(ask=ask, taken=[*dict.fromkeys([*self._record.taken, *done])], last=self._record.last))
+        taken = [*dict.fromkeys([*self._record.taken, *done])]
+        self._save(self._record.model_copy(update={"ask": ask, "taken": taken}))
         return ask
 
     def pending(self, ask: Ask) -> list[Given]:
@@ -126,10 +160,12 @@ class Taken:
 
     def hand_on(self, ask: Ask, given: Given) -> None:
         """Record, durably, that a claimed map is handed on now."""
-        last = dict(self._record.last)
+        last, heights = dict(self._record.last), dict(self._record.heights)
         if given.measured is not None:
             last[given.source] = given.measured
-        self._update(ask, given.model_copy(update={"times": given.times + 1}), last)
+        if given.heights:
+            heights.setdefault(given.heights, ask.part)
+        self._update(ask, given.model_copy(update={"times": given.times + 1}), last=last, heights=heights)
 
     def handed(self, sha256: str) -> None:
         """The map is in the daemon's hands."""
@@ -142,10 +178,10 @@ class Taken:
             return False
         return True
 
-    def _update(self, ask: Ask, given: Given, last: dict[str, datetime] | None = None) -> None:
+    def _update(self, ask: Ask, given: Given, **also: Any) -> None:
         kept = {**ask.given, given.sha256: given}
         new = ask.model_copy(update={"given": kept})
-        self._save(Record(ask=new, taken=self._record.taken, last=self._record.last if last is None else last))
+        self._save(self._record.model_copy(update={"ask": new, **also}))
         ask.given = kept
 
     def _save(self, record: Record) -> None:

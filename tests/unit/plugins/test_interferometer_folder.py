@@ -417,3 +417,84 @@ async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., Wa
     assert found == set(contents.values())
     # copies that came to rest after the last map was taken may still lie there
     assert len([*folder.glob("*.dat"), *(folder / "quarantine").glob("*.dat")]) == 3
+
+
+def of_part(make: Callable[..., WatchedFolder], part: str, **options: Any) -> WatchedFolder:
+    """A device that accepts unnamed maps, with that part in."""
+    device = make(accept_unnamed=True, **options)
+    device._rules = replace(device._rules, part_id=part)
+    return device
+
+
+async def test_an_unnamed_map_with_the_heights_of_another_parts_is_refused(
+    make: Callable[..., WatchedFolder], folder: Path
+) -> None:
+    """The last part's map, exported again: another header, so another content, and a new date."""
+    now = time.time()
+    (folder / "a.dat").write_bytes(dat(1, part="P-1", at=now))
+    first = await of_part(make, "P-1").next_map(None)
+    second = of_part(make, "P-2", timeout_s=1.0)
+
+    async def drop() -> None:
+        await until(lambda: second._waits > 0)
+        (folder / "again.dat").write_bytes(dat(1, part="", at=now + 5))
+
+    with pytest.raises(BaseExceptionGroup):
+        await while_waiting(second, drop, first.sha256)
+    assert "again.dat: WrongPart: it does not say whose map it is, and has the heights of" in reasons(folder)
+    assert "taken for part 'P-1'; the part is 'P-2'" in reasons(folder)
+    # the same part's own heights are no news of another part, and other heights are another map
+    (folder / "b.dat").write_bytes(dat(2, part="", at=now + 6))
+    assert (await of_part(make, "P-2").next_map(first.sha256)).path is not None
+
+
+async def test_what_was_asked_for_the_last_part_is_not_asked_for_this_one(
+    make: Callable[..., WatchedFolder], folder: Path, tmp_path: Path
+) -> None:
+    """The map of the last part comes late, when this one is in: it was measured before this one's was asked for."""
+    (folder / "a.dat").write_bytes(dat(1, part=""))
+    first = await of_part(make, "P-1", clock_tolerance_s=0).next_map(None)
+    waiting = of_part(make, "P-1", clock_tolerance_s=0, timeout_s=0.3)
+    with pytest.raises(SurfaceError, match="no file came"):
+        await waiting.next_map(first.sha256)
+    token = json.loads((tmp_path / "state" / "maps_taken.json").read_text())["ask"]["token"]
+    late = dat(2, part="", at=time.time() + 0.999)
+    await asyncio.sleep(2.0)  # dates in files are whole seconds
+    second = of_part(make, "P-2", clock_tolerance_s=0, timeout_s=1.0)
+    (folder / "late.dat").write_bytes(late)
+    with pytest.raises(SurfaceError, match=r"late\.dat: StaleMap: stale: measured at"):
+        await second.next_map(first.sha256)
+    assert json.loads((tmp_path / "state" / "maps_taken.json").read_text())["ask"]["token"] != token
+    # the same part, started again: the same ask, so that a map that came meanwhile is taken
+    (folder / "own.dat").write_bytes(dat(3, part="", at=time.time() + 1))
+    assert (await of_part(make, "P-2", clock_tolerance_s=0).next_map(first.sha256)).sha256 != first.sha256
+
+
+async def test_unnamed_maps_are_asked_to_be_new_once_one_was_taken(
+    make: Callable[..., WatchedFolder], folder: Path
+) -> None:
+    """Also where the journal names no map, and nobody listens to requests."""
+    (folder / "a.dat").write_bytes(dat(1, part=""))
+    await of_part(make, "P-1").next_map(None)
+    (folder / "b.dat").write_bytes(dat(2, part="", at=time.time() - 60))
+    with pytest.raises(SurfaceError, match=r"b\.dat: StaleMap: (stale|out of order)"):
+        await of_part(make, "P-2", timeout_s=1.0).next_map(None)
+
+
+async def test_an_unnamed_map_that_was_claimed_for_the_last_part_is_not_handed_on_for_this_one(
+    make: Callable[..., WatchedFolder], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The daemon was killed between claiming a map and handing it on; then another part was put in."""
+
+    def die(*_: object) -> None:
+        raise RuntimeError("killed")
+
+    (folder / "a.dat").write_bytes(dat(1, part=""))
+    device = of_part(make, "P-1")
+    with monkeypatch.context() as patched:
+        patched.setattr(device._load(), "hand_on", die)
+        with pytest.raises(RuntimeError, match="killed"):
+            await device.next_map(None)
+    assert len(list((folder / "taken").glob("*.dat"))) == 1
+    with pytest.raises(SurfaceError, match="WrongPart: it was claimed for part 'P-1', the part is 'P-2'"):
+        await of_part(make, "P-2", timeout_s=0.5).next_map(None)
