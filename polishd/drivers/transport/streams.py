@@ -207,7 +207,7 @@ class SerialStream(ReadBuffer):
         else:
             self.fail("the line was hung up")
 
-    def fail(self, reason: str) -> None:
+    def fail(self, reason: str | BaseException) -> None:
         """See ReadBuffer."""
         if self._port.is_open:
             self._loop.remove_reader(self._fd)

@@ -241,12 +241,18 @@ async def test_no_contact_is_a_fault(rig: Rig) -> None:
     await rig.device.make_safe()
 
 
-async def test_retracting_ends_a_landing(rig: Rig) -> None:
-    rig.coil.stuck = True
+async def landing_begun(rig: Rig) -> asyncio.Task[None]:
+    """The landing, of which the coil has the order."""
     landing = asyncio.create_task(rig.device.set_force(12.0))
     async with asyncio.timeout(SOON_S):
         while not rig.coil.command:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
+    return landing
+
+
+async def test_retracting_ends_a_landing(rig: Rig) -> None:
+    rig.coil.stuck = True
+    landing = await landing_begun(rig)
     await rig.device.retract()
     with pytest.raises(DeviceRefused, match="retracted while landing"):
         await landing
@@ -254,8 +260,7 @@ async def test_retracting_ends_a_landing(rig: Rig) -> None:
 
 async def test_a_fault_while_landing(rig: Rig) -> None:
     rig.coil.stuck = True
-    landing = asyncio.create_task(rig.device.set_force(12.0))
-    await asyncio.sleep(0.1)
+    landing = await landing_begun(rig)
     rig.coil.fault = 8
     with pytest.raises(DeviceFault, match=r"fault 8 while landing \(encoder"):
         await landing
