@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import ast
 import collections
+import io
 import json
 import re
 import subprocess
 import sys
+import tokenize
 from pathlib import Path
 
 from analysis import SKIP, Edits, Tree
 from collide import groups, read_map
 
+DOTTED = re.compile(r"(?<![\w./-])polishd(\.\w+)+")
+EMBEDDED = re.compile(r"from (polishd[\w.]*) import ([\w, ]+\w)")
 FUTURE = "from __future__ import annotations"
 
 
@@ -268,15 +272,36 @@ class Move:
             local = names.get(id(b[4]))
             if local is not None and local != node.id:
                 ed.at(node.lineno, node.col_offset, node.id, local)
-        for node, scope in src.strings:
-            if node.lineno != node.end_lineno or not re.fullmatch(r"polishd(\.\w+)+", node.value):
+        for tok in tokenize.generate_tokens(io.StringIO(src.text).readline):
+            if tok.type != tokenize.STRING or "polishd." not in tok.string:
                 continue
-            new = self.dotted(node.value)
-            if new != node.value:
-                raw = ed.data[ed.pos(node.lineno, node.col_offset) : ed.pos(node.end_lineno, node.end_col_offset)].decode()
-                if node.value in raw:
-                    i = raw.index(node.value)
-                    ed.at(node.lineno, node.col_offset + i, node.value, new)
+            row, col = tok.start
+            at = ed.pos(row, len(src.lines[row - 1][:col].encode()))
+            spans = []
+            for m in EMBEDDED.finditer(tok.string):  # from polishd.package import module
+                new = self.embedded(m)
+                if new is not None:
+                    start = at + len(tok.string[: m.start()].encode())
+                    ed.put(start, start + len(m.group(0).encode()), new)
+                    spans.append(m.span())
+            for m in DOTTED.finditer(tok.string):
+                if any(a <= m.start() < b for a, b in spans):
+                    continue
+                new = self.dotted(m.group(0))
+                if new != m.group(0):
+                    start = at + len(tok.string[: m.start()].encode())
+                    ed.put(start, start + len(m.group(0).encode()), new)
+
+    def embedded(self, m):
+        found = [part.strip().partition(" as ") for part in m.group(2).split(",")]
+        lines = []
+        for name, _, alias in found:
+            new = self.NEW.get(f"{m.group(1)}.{name}")
+            if new is None:
+                return None
+            pk, _, leaf = new.rpartition(".")
+            lines.append(f"from {pk} import {leaf}" + (f" as {alias or name}" if leaf != (alias or name) else ""))
+        return "; ".join(lines)
 
     def touched(self, src, stmt):
         if isinstance(stmt, ast.Import):
@@ -304,6 +329,7 @@ class Move:
         for src in sources:
             ed = Edits(src)
             d = ast.get_docstring(src.tree, clean=False)
+            d = d and DOTTED.sub(lambda m: self.dotted(m.group(0)), d)
             docs[src.mod] = d
             drop = []
             if d is not None:

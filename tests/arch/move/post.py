@@ -8,6 +8,11 @@ for a,b in MOVES:
     (R/'polishd'/b).parent.mkdir(parents=True,exist_ok=True)
     if (R/'polishd'/a).exists(): git('mv','polishd/'+a,'polishd/'+b)
     else: print('no',a)
+for line in subprocess.run(['git','-C',str(R),'ls-files','-s'],check=True,capture_output=True,text=True).stdout.splitlines():
+    if line.startswith('120000'):  # a link to what has moved
+        link=R/line.split('\t')[1]; to=str(link.readlink()); new=to
+        for a,b in MOVES: new=new.replace('polishd/'+a,'polishd/'+b)
+        if new!=to: link.unlink(); link.symlink_to(new)
 def fix(t,*subs):
     p=R/t; x=p.read_text()
     for o,n in subs:
@@ -19,7 +24,7 @@ fix('polishd/sim_backends/linuxcnc/machine.py',('{mount}/gate.py','{mount}/hal_g
 p = R / "polishd/api.py"
 x = p.read_text()
 rows = {}
-for m in re.finditer(r"from polishd\.drivers\.(transport\.\w+|profile_device\.modbus) import ([^\n(]+|\([^)]*\))", x):
+for m in re.finditer(r"from polishd\.drivers\.(transport\.\w+) import ([^\n(]+|\([^)]*\))", x):
     rows.setdefault(m.group(1), []).extend(re.findall(r"\w+", m.group(2)))
 API = "_TRANSPORT = {\n" + "".join(f'    "{k}": ({", ".join(chr(34) + n + chr(34) for n in v)},),\n' for k, v in rows.items()) + "}\n"
 x = re.sub(r"_TRANSPORT = \{.*?\n\}\n", lambda _: API, x, flags=re.S)
@@ -56,5 +61,5 @@ for p in R.rglob('*'):
 p=R/'pyproject.toml'; x=p.read_text()
 a=x.index('[tool.importlinter]'); head=x[:a]
 head=dots.sub(lambda m: dot[m.group(1)],head)
-head=head.replace('"polishd/plugins/rnc_robot/nc/{words,block,moves,scan,write}.py"','"polishd/plugins/rnc_robot/gcode/{scanner,kernels}.py"').replace('"polishd/process/{transforms/*,dwell/compiled_*,spreading/compiled}.py"','"polishd/process/{fft/*,dwell/{douglas_rachford_iteration,alternating_step},removal/spread_effect_compiled}.py"').replace('"polishd/process/transforms/{lanes,butterflies}.py"','"polishd/process/fft/{simd,transforms}.py"')
+head=head.replace('"polishd/plugins/rnc_robot/nc/{words,block,moves,scan,write}.py"','"polishd/plugins/rnc_robot/gcode/{scanner,kernels}.py"').replace('"PLR0917", "PLR1714", "RUF046"','"PLR0917", "PLR1714", "RUF046", "SIM109"').replace('"polishd/process/{transforms/*,dwell/compiled_*,spreading/compiled}.py"','"polishd/process/{fft/*,dwell/{douglas_rachford_iteration,alternating_step},removal/spread_effect_compiled}.py"').replace('"polishd/process/transforms/{lanes,butterflies}.py"','"polishd/process/fft/{simd,transforms}.py"')
 p.write_text(head+Path(__file__).with_name('contracts.toml').read_text())

@@ -103,11 +103,80 @@ def rename(root: Path, table: dict[tuple[str, str], str], docs: bool = True) -> 
                 ed.at(node.end_lineno, node.end_col_offset - len(node.attr.encode()), node.attr, table[r[1:]])
         _strings(tree, src, ed, table)
         _globals(src, ed, mine)
+        _embedded_strings(tree, src, ed, table)
         if ed.items:
             (root / src.path).write_text(ed.apply())
     if docs:
         report += _prose(root, table, owners)
+        for p in [*root.glob("docs/**/*.md"), root / "README.md", *root.glob("examples/**/*.md")]:
+            if "decisions" in p.parts:
+                continue
+            text = p.read_text()
+            new = re.sub(r"```python\n.*?```", lambda m: embedded(tree, m.group(0), table), text, flags=re.S)
+            for (m, n), name in table.items():
+                if m == "polishd.model.events":
+                    new = re.sub(rf"^\| `{n}`, `", f"| `{name}`, `", new, flags=re.M)
+            new = errors_renamed(new, table)
+            if new != text:
+                p.write_text(new)
     return report
+
+
+EMBEDDED = re.compile(r"from (polishd[\w.]*) import ([\w, ]+)")
+
+
+def embedded(tree, text, table):
+    """Code in a string or a page: what it imports by name gets its new name, and wherever else it has it."""
+    for m in EMBEDDED.finditer(text):
+        for part in m.group(2).split(","):
+            name, _, alias = part.strip().partition(" as ")
+            r = tree.real(m.group(1), name) if tree.is_module(m.group(1)) else None
+            if r and r[0] == "sym" and r[1:] in table and r[2] == name:
+                text = re.sub(rf"(?:(?<![\w'\"])|(?<=\\n)){name}\b", table[r[1:]], text)
+
+    def attribute(m):
+        r = tree.real("polishd.researcher", m.group(1))
+        return f"polishd.{table[r[1:]]}" if r and r[0] == "sym" and r[1:] in table else m.group(0)
+
+    return re.sub(r"(?<![\w.])polishd\.(\w+)\b(?!\.)", attribute, text)
+
+
+CAMEL = re.compile(r"[A-Z][a-z]+[A-Z]\w*")
+
+
+def _embedded_strings(tree, src, ed, table):
+    import io
+    import tokenize
+
+    outside = src.mod.split(".")[0] == "tests"
+    names: dict[str, set] = {}
+    for (m, n), new in table.items():
+        if CAMEL.fullmatch(n):
+            names.setdefault(n, set()).add(new)
+    for tok in tokenize.generate_tokens(io.StringIO(src.text).readline):
+        if tok.type != tokenize.STRING:
+            continue
+        row, col = tok.start
+        start = ed.pos(row, len(src.lines[row - 1][:col].encode()))
+        end = start + len(tok.string.encode())
+        if any(start <= s < end for s, _ in ed.items):
+            continue
+        new = embedded(tree, tok.string, table) if "import" in tok.string else tok.string
+        inner = tok.string.strip("\"'")
+        if outside and inner in names and len(names[inner]) == 1:
+            new = tok.string.replace(inner, next(iter(names[inner])))
+        if not tok.string.lstrip("rRbBfF").startswith('"""'):  # what is said; docstrings are for the words' step
+            new = errors_renamed(new, table)
+        if new != tok.string:
+            ed.put(start, end, new)
+
+
+def errors_renamed(text, table):
+    """Classes of errors are said in messages, and written into records."""
+    for (m, n), new in table.items():
+        if m == "polishd.model.errors":
+            text = re.sub(rf"(?<![\w./]){n}\b", new, text)
+    return text
 
 
 def _same(tree, src, scope, new, r):
