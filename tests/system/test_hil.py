@@ -97,7 +97,7 @@ def test_whoever_interrupts_it_finds_the_tool_up(tmp_path: Path) -> None:
     files.sim.write_text(with_keys(files.sim.read_text(), on_part))
     options = ["--level", "contact", "--max-force", "4", "--simulate", "robot,spindle", "--yes"]
     command = [sys.executable, "-m", "polishd", "hil", str(files.cell), *options]
-    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--speed", "20"], files.out / "sim.stderr"):
+    with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--speed", "4"], files.out / "sim.stderr"):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as process:
             wait_for(lambda: events(files, "force_on"), "contact")
             os.killpg(process.pid, signal.SIGINT)  # as the terminal does
