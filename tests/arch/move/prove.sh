@@ -1,8 +1,8 @@
 #!/bin/bash
-# The whole move on a fresh clone: prove.sh [CLONE [OUT]]. The project's commit that is checked out here is what moves.
+# The whole move on a fresh clone: prove.sh CLONE OUT. The project's commit that is checked out here is what moves.
 set -euo pipefail
 here=$(dirname "$(realpath "$0")") root=$(realpath "$(dirname "$(realpath "$0")")/../../..")
-clone=${1:-/work/house2} out=${2:-/tmp/house/out}
+clone=$(realpath -m "$1") out=$(realpath -m "$2")
 mkdir -p "$out"
 [ ! -d "$clone/.venv" ] || mv "$clone/.venv" "$clone.venv" # one of before serves again
 rm -rf "$clone" && git clone -q "$root" "$clone"
