@@ -27,6 +27,7 @@ import numpy as np
 from polishd.console.demo_files import DemoFiles, with_values
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
+from polishd.daemon.journal_check import register_checksum
 from polishd.model.errors import LinkError
 from tests.fakes import proxy
 from tests.system.agreement import disagreements, passes
@@ -234,6 +235,7 @@ def _as_before(journal: Path) -> Path:
     """A copy that knows nothing of what ran while contact was left."""
     copy = journal.with_name("as-before.sqlite")
     with contextlib.closing(sqlite3.connect(journal)) as whole, contextlib.closing(sqlite3.connect(copy)) as file:
+        register_checksum(file)
         whole.backup(file)
         file.execute("DELETE FROM segment WHERE touched IS NOT 1")
         file.execute("UPDATE pass SET uncertain_from = NULL, uncertain_to = NULL")
