@@ -22,7 +22,7 @@ from polishd.plugins.removal_models import along_path
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 from polishd.workbench.setup.answers import answers_of
 from polishd.workbench.setup.verb import new_cell, write_cell
 
@@ -87,7 +87,7 @@ class Part:
 
     recipe: Recipe
     program: Program
-    measured: Measured
+    measured: MeasureResult
 
 
 def prepared(case: Case, folder: Path) -> Part:

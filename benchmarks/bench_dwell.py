@@ -15,7 +15,7 @@ from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, quadratic
+from polishd.process.dwell.quadratic import QuadraticObjective, quadratic
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.effect import SparseEffect
@@ -54,7 +54,7 @@ class Goal:
     objective: float
 
 
-def ours(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
+def ours(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
     zero = np.zeros(problem.effect.n)
     value, slope = f.value(zero), f.gradient(zero)
 
@@ -66,7 +66,7 @@ def ours(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
     require(f, t, problem, goal)
 
 
-def lbfgsb(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
+def lbfgsb(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
     m = f.target.size
 
     def both(t: FloatArray) -> tuple[float, FloatArray]:
@@ -90,7 +90,7 @@ def lbfgsb(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
     require(f, found.x, problem, goal)
 
 
-def require(f: Quadratic, t: FloatArray, problem: DwellProblem, goal: Goal) -> None:
+def require(f: QuadraticObjective, t: FloatArray, problem: DwellProblem, goal: Goal) -> None:
     """A solver that stopped short, or left its bounds, has not run the race."""
     if f.value(t) > goal.objective * (1 + 1e-9) or (t < problem.lower_s).any() or (t > problem.upper_s).any():
         raise RuntimeError(f"reached {f.value(t):g} of {goal.objective:g}")

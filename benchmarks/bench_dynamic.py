@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.bench_dwell import path
 from benchmarks.harness import Progress, Row
-from polishd.model.dwell import KeptStart
+from polishd.model.dwell import WarmStart
 from polishd.model.limits import Envelope
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
@@ -24,7 +24,7 @@ from polishd.process import motion
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, effect_matrix
+from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix, tif_at_point
 from polishd.process.effect import SparseEffect
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
@@ -89,7 +89,7 @@ class Part:
         return np.asarray(1 - (1 - self.gamma) / stiffness, dtype=np.float64)
 
     def exact(self, gamma: FloatArray) -> SparseEffect:
-        return self.effect(corrected_spot("exact", gamma))
+        return self.effect(tif_at_point("exact", gamma))
 
     @cached_property
     def believed(self) -> SparseEffect:
@@ -111,10 +111,10 @@ class Part:
         for _ in range(ROUNDS):
             late = delivered(self, plan.time_s, MACHINE)
             lower = np.maximum(lower, np.where(late > plan.time_s * 1.001 + 1e-4, late, 0.0))
-            plan = self._solved(height_nm, self.believed, lower, KeptStart(plan.time_s, {}))
+            plan = self._solved(height_nm, self.believed, lower, WarmStart(plan.time_s, {}))
         return plan
 
-    def _solved(self, height_nm: FloatArray, effect: SparseEffect, lower_s: FloatArray, warm: KeptStart | None) -> Plan:
+    def _solved(self, height_nm: FloatArray, effect: SparseEffect, lower_s: FloatArray, warm: WarmStart | None) -> Plan:
         target = height_nm + choose_piston_nm(height_nm, self.solve, effect.removal_nm(lower_s))
         p = regularisation_from_rho(effect, self.solve, RHO)
         none = np.full(lower_s.size, np.inf)
@@ -178,12 +178,12 @@ def of_machine(part: Part, height: FloatArray, exact: Plan, progress: Progress) 
 def of_belief(part: Part, height: FloatArray, progress: Progress) -> Iterator[Row]:
     """What other beliefs of the spot leave on the same plant."""
     mean = float(part.gamma.mean())
-    static = corrected_spot("none", part.gamma)
+    static = tif_at_point("none", part.gamma)
     for name, spots in (
         ("static TIF, the rigid robot's", static),
-        ("static TIF, of the mean pose", corrected_spot("none", part.gamma, reference=mean)),
-        ("eq. 49 (linear)", corrected_spot("linear", part.gamma)),
-        ("power 1.5", corrected_spot("power", part.gamma)),
+        ("static TIF, of the mean pose", tif_at_point("none", part.gamma, reference=mean)),
+        ("eq. 49 (linear)", tif_at_point("linear", part.gamma)),
+        ("power 1.5", tif_at_point("power", part.gamma)),
     ):
         progress(f"dynamic: {name}")
         plan = part.plan(height, part.effect(spots))
@@ -201,7 +201,7 @@ def left(plant: SparseEffect, plan: Plan) -> FloatArray:
 def finely(part: Part, plan: Plan) -> tuple[FloatArray, BoolArray]:
     """What the same dwell leaves on samples FINER times as fine, and those of the clear aperture: ripple shows."""
     grid = Grid(FINER * part.grid.ny, FINER * part.grid.nx, part.grid.pitch_mm / FINER)
-    removed = part.effect(corrected_spot("exact", part.gamma), grid).removal_nm(plan.time_s)
+    removed = part.effect(tif_at_point("exact", part.gamma), grid).removal_nm(plan.time_s)
     return part.height_nm(grid) - removed, grid.radius_mm() <= DIAMETER_MM / 2 - EDGE_MM
 
 

@@ -20,14 +20,14 @@ from gcodeparser import parse_gcode_lines  # type: ignore[import-untyped]
 from benchmarks.harness import MIN_REPEATS, PEER_CAP_S, Progress, Row, Runner, cpu_seconds, race
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
 from polishd.plugins.rnc_robot.nc import stream
 
 LINES = 1_000_000
 SLICE = 10_000
 TIMES_LONGER = 10
 LIMIT_MB = 200.0
-RS274 = cast("Dialect", dialect("rs274"))
+RS274 = cast("GcodeDialect", dialect("rs274"))
 
 # Peak resident memory of a child that rewrites argv[1] to argv[2] in bounded memory, MB. VmHWM is of its own memory;
 # ru_maxrss would begin with what its parent held.

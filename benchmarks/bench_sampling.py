@@ -26,7 +26,7 @@ from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
-from polishd.drivers.transport.address import Socketcand, Tcp, parse_address
+from polishd.drivers.transport.address import SocketcandAddress, Tcp, parse_address
 from polishd.process.dwell import newton_cg
 
 RATE_HZ = 100.0
@@ -84,7 +84,7 @@ async def devices(endpoints: dict[str, str], opened: AsyncExitStack) -> list[Ask
     robot_at, actuator_at, sensor_at, spindle_at = (parse_address(endpoints[name], Path()) for name in names)
     if not (isinstance(robot_at, Tcp) and isinstance(actuator_at, Tcp) and isinstance(sensor_at, Tcp)):
         raise TypeError(f"the simulated devices are not where they were to be: {endpoints}")
-    if not isinstance(spindle_at, Socketcand):
+    if not isinstance(spindle_at, SocketcandAddress):
         raise TypeError(f"the simulated spindle is not on CAN: {endpoints}")
     robot = RobotLink(robot_at, client="benchmark")
     actuator = make.actuator(profile_of("voice_coil_modbus", Path()), actuator_at)

@@ -28,7 +28,7 @@ from polishd.console.demo import commission_demo
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.console.simulator import simulated_cell
 from polishd.daemon import client
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from polishd.model.errors import PolishdError
 from polishd.model.surface import FloatArray
 
@@ -127,7 +127,7 @@ class Running:
 async def running(folder: Path, progress: Progress) -> AsyncIterator[Running]:
     """It, for the time of the block."""
     files, note = small(folder / "cell"), folder / "late.txt"
-    users = Users(users_path(load_config(files.cell)))
+    users = UserFile(users_path(load_config(files.cell)))
     tokens = [users.add(f"user{k}", Role.WATCH) for k in range(USERS)]
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--speed", "1"], folder / "sim.stderr"):
         command = ["benchmarks.probed_daemon", str(note), "run", str(files.cell)]

@@ -17,15 +17,15 @@ from polishd.plugins.dwell_solvers import qp
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell import douglas_rachford, newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic
-from polishd.process.dwell.splitting import Splitting, splitting
+from polishd.process.dwell.quadratic import QuadraticObjective
+from polishd.process.dwell.splitting import SplittingState, splitting
 from polishd.process.transforms.butterflies import inline
 from polishd.process.transforms.kernel import kernel
 from polishd.process.transforms.lanes import COUNT, load, store
 from polishd.process.transforms.plane import (
     Columns,
+    FftPlanArrays,
     Field,
-    Order,
     columns_back,
     columns_forth,
     plane,
@@ -38,7 +38,7 @@ Indices = NDArray[np.int64]
 Spectrum = NDArray[np.complex128]
 
 
-def lean(problem: DwellProblem) -> Quadratic:
+def lean(problem: DwellProblem) -> QuadraticObjective:
     """The objective in float64 for an effect of convolutions, with little but the transforms to pay for."""
     effect, mask = problem.effect, problem.solve_mask
     assert isinstance(effect, ConvolutionEffect)
@@ -71,7 +71,7 @@ def lean(problem: DwellProblem) -> Quadratic:
             total += factor * restore(back * spectrum, point)
         return total
 
-    return Quadratic(forward, backward, problem.target_nm[mask], problem.effect.n, problem.regularisation)
+    return QuadraticObjective(forward, backward, problem.target_nm[mask], problem.effect.n, problem.regularisation)
 
 
 def ours(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> None:
@@ -84,7 +84,7 @@ def ours(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal
 
 def started(
     problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal
-) -> tuple[Splitting, douglas_rachford.Stop]:
+) -> tuple[SplittingState, douglas_rachford.Stop]:
     assert isinstance(problem.effect, ConvolutionEffect)
     return splitting(problem, problem.effect), lambda t: "reached" if value(t) <= goal.objective else None
 
@@ -106,7 +106,7 @@ def transforms(problem: DwellProblem, times: int) -> None:
     kernel(_alone)(times, fields, on.columns(1)[0], on.order)
 
 
-def _alone(times: int, fields: Field, columns: Columns, order: Order) -> None:
+def _alone(times: int, fields: Field, columns: Columns, order: FftPlanArrays) -> None:
     for _ in range(times):
         for f in range(len(fields)):
             for slab in range(order.slabs):
@@ -120,14 +120,14 @@ def _alone(times: int, fields: Field, columns: Columns, order: Order) -> None:
 
 
 @inline
-def _scaled(field: Field, slab: int, order: Order) -> None:
+def _scaled(field: Field, slab: int, order: FftPlanArrays) -> None:
     """That nothing grows without end."""
     for half in range(2):
         for x in range(order.row.n):
             store(field[half, slab], x * COUNT, TINY * load(field[half, slab], x * COUNT))
 
 
-def newton(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
+def newton(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
     zero = np.zeros(problem.effect.n)
     value, slope = f.value(zero), f.gradient(zero)
 
@@ -138,7 +138,7 @@ def newton(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
     require(f, t, problem, goal)
 
 
-def lsq_linear(problem: DwellProblem, f: Quadratic, goal: Goal) -> None:
+def lsq_linear(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
     """It has no way to be stopped at an objective: run at ever smaller tolerances until it gets there."""
     m, n = f.target.size, problem.effect.n
     root = np.sqrt(m * f.regularisation)

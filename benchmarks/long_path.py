@@ -11,12 +11,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from polishd.daemon.for_people import ForPeople
+from polishd.daemon.for_people import RunFolderWriter
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.stream import streaming
 from polishd.drivers.robot_link.driver import _hash_of
-from polishd.model.devices import Executed, RobotProgress
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.limits import Envelope
 from polishd.model.program import Plan, Program, Segment, Segments
 from polishd.plugins.plan_guard.checks import CHECKS
@@ -132,7 +132,7 @@ def kept_stages(blocks: int, folder: Path) -> Iterator[Stage]:
 
     yield "recovery", recovered
     opened[0].end_pass(0, "done")
-    people = ForPeople(RunFolder(folder / "run"), opened[0])
+    people = RunFolderWriter(RunFolder(folder / "run"), opened[0])
     yield "executed.csv", lambda: people._executed(0)
     opened[0].copy_to(folder / "run" / "journal.sqlite")
     opened.pop().close()
@@ -153,7 +153,12 @@ def executed(seq: int) -> BlockRecord:
     """A block with numbers as long as they come."""
     begin_s = seq * 0.0123456789
     return BlockRecord(
-        Executed(seq, begin_s, begin_s + 0.0123456789), True, 12.0123 + seq * 1e-7, 1000.12345, begin_s, 12.03456789
+        ExecutedBlock(seq, begin_s, begin_s + 0.0123456789),
+        True,
+        12.0123 + seq * 1e-7,
+        1000.12345,
+        begin_s,
+        12.03456789,
     )
 
 
@@ -178,9 +183,9 @@ class Sink:
     async def progress(self) -> RobotProgress:
         return RobotProgress("held", "", self.taken, 0, 0.0)
 
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         for seq in range(from_seq, self.taken):
-            yield Executed(seq, 0.0, 1.0)
+            yield ExecutedBlock(seq, 0.0, 1.0)
 
 
 async def streamed(plan: Plan) -> int:

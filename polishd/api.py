@@ -20,22 +20,21 @@ from polishd.hookspecs import (
     learn_rate,
 )
 from polishd.model import events
-from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson, MachineBeliefs, MapPixels
-from polishd.model.concern import Concern, Severity, Standing
+from polishd.model.beliefs import Estimate, Estimates, EstimateUpdate, MachineEstimates, MapPixels, PassEvidence
+from polishd.model.concern import CellSafety, OperatorNotice, Severity
 from polishd.model.devices import (
+    DeviceIdentity,
     DeviceStatus,
-    Executed,
+    ExecutedBlock,
     ForceSample,
-    Identity,
     MapRefusal,
     RobotProgress,
     SensedForce,
     Signal,
     SpeedSample,
 )
-from polishd.model.dwell import Certificate, DwellSolution
+from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import (
-    BadMap,
     ComputeError,
     ConfigError,
     DeviceBusy,
@@ -44,6 +43,7 @@ from polishd.model.errors import (
     DeviceFault,
     DeviceRefused,
     LinkError,
+    MapError,
     PlanRefused,
     PluginError,
     PolishdError,
@@ -77,9 +77,9 @@ from polishd.ports import (
     Device,
     ForceActuator,
     ForceSensor,
-    Loader,
     Metrology,
     Monitor,
+    PartLoader,
     Robot,
     Spindle,
 )
@@ -94,7 +94,7 @@ if TYPE_CHECKING:
     from polishd.drivers.transport.background import Background
     from polishd.drivers.transport.claims import claim_address
     from polishd.drivers.transport.numbered import NumberedLines
-    from polishd.drivers.transport.pace import Pace
+    from polishd.drivers.transport.pace import PeriodicTimer
     from polishd.drivers.transport.plain import PlainLines
     from polishd.drivers.transport.requests import RequestQueue
     from polishd.drivers.transport.streams import LineReader, open_stream
@@ -104,16 +104,16 @@ __all__ = [
     "ActuatorTimes",
     "Address",
     "Background",
-    "BadMap",
-    "Belief",
-    "Beliefs",
+    "MapError",
+    "Estimate",
+    "Estimates",
     "ByteStream",
-    "Certificate",
+    "OptimalityCertificate",
     "Circle",
     "Clock",
     "ComplianceOptions",
     "ComputeError",
-    "Concern",
+    "OperatorNotice",
     "ConfigError",
     "ConvolutionEffect",
     "Correction",
@@ -132,21 +132,21 @@ __all__ = [
     "Effect",
     "Envelope",
     "Event",
-    "Evidence",
-    "Executed",
+    "PassEvidence",
+    "ExecutedBlock",
     "ForceActuator",
     "ForceSample",
     "ForceSensor",
     "Grid",
     "HybridRobot",
-    "Identity",
+    "DeviceIdentity",
     "Learner",
-    "Lesson",
+    "EstimateUpdate",
     "LineReader",
     "LinkError",
-    "Loader",
+    "PartLoader",
     "LoaderTimes",
-    "MachineBeliefs",
+    "MachineEstimates",
     "MapPixels",
     "MapRefusal",
     "MeasuredCompliance",
@@ -160,7 +160,7 @@ __all__ = [
     "NumberedLines",
     "Optic",
     "OwnLines",
-    "Pace",
+    "PeriodicTimer",
     "Placement",
     "PlainLines",
     "Plan",
@@ -193,7 +193,7 @@ __all__ = [
     "Spindle",
     "SpindleTimes",
     "StaleMap",
-    "Standing",
+    "CellSafety",
     "SurfaceError",
     "SurfaceMap",
     "SurfaceReader",

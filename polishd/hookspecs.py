@@ -14,9 +14,9 @@ from typing import Any
 
 import pluggy
 
-from polishd.model.beliefs import UNTAUGHT, Beliefs, Evidence, Lesson
+from polishd.model.beliefs import UNTAUGHT, Estimates, EstimateUpdate, PassEvidence
 from polishd.model.dwell import DwellSolution
-from polishd.model.errors import BadMap, SurfaceError
+from polishd.model.errors import MapError, SurfaceError
 from polishd.model.events import Event
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
@@ -38,9 +38,9 @@ from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.ports.devices import Device
 from polishd.process import learning
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.edge.correctable import Transfer
+from polishd.process.edge.correctable import SpotTransferFunction
 from polishd.process.effect import Effect
-from polishd.process.plausible import plausible
+from polishd.process.plausible import is_plausible
 
 API_VERSION = 1
 PROJECT = "polishd"
@@ -153,12 +153,14 @@ class SurfaceReader:
             raise
         except Exception as error:  # a parser may raise anything at all on a broken file
             reason = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
-            raise BadMap(
+            raise MapError(
                 f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
             ) from error
         if isinstance(surface, SurfaceMap):
-            return plausible(surface, datetime.now(UTC), _written(path))
-        raise BadMap(f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin")
+            return is_plausible(surface, datetime.now(UTC), _written(path))
+        raise MapError(
+            f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin"
+        )
 
 
 def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str:
@@ -213,7 +215,7 @@ class RemovalRequest:
     """The cell's measured TIF (``process.tif``), for models that use one."""
     rim: Outline | None = None
     """The part's rim where it is free; None: the part sits in a flush ring."""
-    beliefs: Beliefs = UNTAUGHT
+    beliefs: Estimates = UNTAUGHT
     """All that the model believes, its own record (``RemovalModel.beliefs``); ``rate`` is of it."""
 
 
@@ -229,7 +231,7 @@ class RemovalAnswer:
     notes: tuple[str, ...] = ()
     divide_by: FloatArray | None = None
     """(n,) for "pointwise": ``effect`` is the static one, and the dwell solved with it is divided by this."""
-    transfer: Transfer | None = None
+    transfer: SpotTransferFunction | None = None
     """The spot's transfer function: what of a surface is out of its reach; None: not known."""
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
@@ -237,16 +239,16 @@ class RemovalAnswer:
         return self.effect.removal_nm(time_s if self.divide_by is None else time_s * self.divide_by)
 
 
-def learn_rate(request: RemovalRequest, evidence: Evidence) -> Lesson:
+def learn_rate(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
     """What a model learns that says nothing else: the removal rate."""
     return learning.learn_rate(evidence)
 
 
-Learn = Callable[[RemovalRequest, Evidence], Lesson]
+Learn = Callable[[RemovalRequest, PassEvidence], EstimateUpdate]
 """(what the last pass's effect was asked with, what the pass did) -> what is believed after it."""
 
 
-Later = Callable[[Beliefs, float], Beliefs]
+Later = Callable[[Estimates, float], Estimates]
 """(what the last pass of a job has taught, days since) -> what the next job begins with, on another part."""
 
 
@@ -254,7 +256,7 @@ Later = Callable[[Beliefs, float], Beliefs]
 class Learner:
     """One way to learn from passes."""
 
-    beliefs: Beliefs
+    beliefs: Estimates
     """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn
     later: Later = learning.later
@@ -266,7 +268,7 @@ class RemovalModel:
 
     name: str
     effect: Callable[[RemovalRequest], RemovalAnswer]
-    beliefs: Beliefs = UNTAUGHT
+    beliefs: Estimates = UNTAUGHT
     """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn = learn_rate
     later: Later = learning.later

@@ -13,8 +13,8 @@ from typing import Any
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.loop_study import LoopStudy
-from polishd.config.places import Source
-from polishd.config.sweep_points import Swept, load_swept
+from polishd.config.places import TomlSource
+from polishd.config.sweep_points import SweepStudy, load_swept
 from polishd.config.tables import read_tif
 from polishd.model.errors import ConfigError
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement, ToolProcess
@@ -23,13 +23,13 @@ from polishd.model.surface import Grid, SurfaceMap
 from polishd.process.compliance_field import compliance_field
 from polishd.process.dwell.arrays import DwellCase, dwell_from_arrays
 from polishd.process.spot_figures import measured_figures, spot_figures
-from polishd.workbench.studies.cases import Making
+from polishd.workbench.studies.cases import CaseFactory
 from polishd.workbench.studies.kept import Rows, read_table
-from polishd.workbench.studies.loop import Run
+from polishd.workbench.studies.loop import ClosedLoopResult
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.running import run_cases
-from polishd.workbench.studies.summary import Summary, summed_up
+from polishd.workbench.studies.summary import Summary, summarise
 from polishd.workbench.studies.working import closed_loop
 from polishd.workbench.studies.working import read as _read
 
@@ -43,7 +43,7 @@ __all__ = [
     "MeasuredTif",
     "Optic",
     "Placement",
-    "Run",
+    "ClosedLoopResult",
     "SerialRobot",
     "Summary",
     "SurfaceMap",
@@ -58,7 +58,7 @@ __all__ = [
     "read_tif",
     "run_study",
     "spot_figures",
-    "summed_up",
+    "summarise",
 ]
 
 _JOB = "job"
@@ -91,7 +91,7 @@ def loop_job(
     plant_with: Mapping[str, Mapping[str, Any]] | None = None,
     passes: int = 6,
     raster: bool = True,
-) -> Run:
+) -> ClosedLoopResult:
     """One job in a closed loop, from its first map to its end, against a simulated plant in a process of its own.
 
     Args:
@@ -120,8 +120,8 @@ def loop_job(
         "passes": passes,
         "raster": raster,
     }
-    study = LoopStudy.of(raw, Source("loop_job", ""))
-    making = Making(Swept(Path(cell), raw, study.source, ({},), is_sweep=False))
+    study = LoopStudy.of(raw, TomlSource("loop_job", ""))
+    making = CaseFactory(SweepStudy(Path(cell), raw, study.source, ({},), is_sweep=False))
     making.config(study, _JOB)
     making.check_plant(study, _ONE)
     with PlantProcess() as machine:

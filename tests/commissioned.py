@@ -8,7 +8,7 @@ from typing import Any
 
 from polishd.config.profile import load_profile, write_commissioned
 from polishd.console.demo_files import with_values
-from polishd.model.instrument import Commissioned
+from polishd.model.instrument import CommissioningRecord
 
 SHIPPED = Path(__file__).resolve().parents[1] / "examples" / "instrument.toml"
 AT = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
@@ -16,7 +16,7 @@ AT = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
 def forged(path: Path) -> Path:
     """The profile with a record of its values, as if they had been proved."""
-    write_commissioned(path, Commissioned(AT, "three bumps", "0" * 64, 0.99, 0.4, load_profile(path).sha256))
+    write_commissioned(path, CommissioningRecord(AT, "three bumps", "0" * 64, 0.99, 0.4, load_profile(path).sha256))
     return path
 
 

@@ -34,7 +34,7 @@ COLUMNS = "| member | what it does | time | errors | when the caller is cancelle
 
 
 def aspects(member: Any) -> dict[str, str]:
-    """What a port's docstring says: "" is what the method does, then ``Time``, ``Errors``, ``Cancelled``."""
+    """What a port's docstring says: "" is what the method does, then ``Time``, ``MapErrors``, ``Cancelled``."""
     text = _flat(inspect.getdoc(member) or "")
     found = re.split(rf" ?\b({'|'.join(ASPECTS)}): ", text)
     return {"": found[0], **dict(zip(found[1::2], found[2::2], strict=True))}

@@ -9,7 +9,7 @@ from statistics import fmean
 
 from docs.reference.naming import put
 from polishd.workbench.studies.kept import Rows, read_table
-from polishd.workbench.studies.summary import Middle, Summary, summed_up
+from polishd.workbench.studies.summary import MedianInterval, Summary, summarise
 
 PAGE = Path(__file__).parents[1] / "studies.md"
 MARKS = "<!-- written by make robustness -->\n", "<!-- end of what make robustness writes -->"
@@ -19,7 +19,7 @@ JOBS = 2200
 
 def table(rows: Rows) -> str:
     """How many jobs ran, what each loop came to, and what its error goes with."""
-    found = summed_up(rows)
+    found = summarise(rows)
     points = len({row["point"] for row in rows})
     cpu_s = fmean(row["cpu_s"] for row in rows if row["cpu_s"])
     errors = sum(bool(row["error"]) for row in rows)
@@ -56,7 +56,7 @@ def _keys(found: Summary) -> str:
     return _markdown(lines)
 
 
-def _middle(one: Middle) -> str:
+def _middle(one: MedianInterval) -> str:
     if one.median is None:
         return "-"
     high = "..." if one.high is None else f"{one.high:.3g}"

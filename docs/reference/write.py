@@ -17,19 +17,19 @@ from polishd.config.cell import CellConfig
 from polishd.config.controller_profile import ControllerProfile
 from polishd.config.device_profile import DeviceProfile
 from polishd.config.meanings import meanings
-from polishd.config.places import plain_kind, section_of, variants
+from polishd.config.places import section_of, toml_type, variants
 from polishd.config.profile_sections import ProfileFile
 from polishd.config.sections import DeviceSection
 from polishd.config.shop import ShopFile
 from polishd.config.simulator import SimConfig
 from polishd.config.study import KINDS
 from polishd.config.sweep import SweepSection
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.console.certificate.model import schema
 from polishd.hooks.loader import load_own
 
 
-class Swept(Section):
+class Swept(ConfigSection):
     """What a study of any kind may have besides."""
 
     sweep: SweepSection | None = None
@@ -147,7 +147,7 @@ def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:
 
 def _tables(model: type[BaseModel], name: str) -> list[Table]:
     """Headers and models of a key that is a table, a list of tables, or a table of them by name; none of any other."""
-    kind = plain_kind(model.model_fields[name].annotation)
+    kind = toml_type(model.model_fields[name].annotation)
     if inner := section_of(kind):
         return [("[{}]", inner)]
     found = [(f'[{{}}] type = "{tag}"', inner) for tag, inner in variants(kind).items()]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader, hookimpl
+from polishd.api import MapError, SurfaceMap, SurfaceReader, hookimpl
 
 POLISHD_API = 1
 
@@ -29,18 +29,18 @@ def read(path: Path) -> SurfaceMap:
         lines = [line.split() for line in content.decode("ascii").splitlines() if line.strip() and line[0] != "#"]
         x_mm, y_mm, height_nm = np.array(lines, dtype=float).T
     except (OSError, ValueError) as error:
-        raise BadMap(f"{path.name}: not a table of x_mm y_mm height_nm: {error}") from error
+        raise MapError(f"{path.name}: not a table of x_mm y_mm height_nm: {error}") from error
     columns_mm = np.unique(x_mm)
     if columns_mm.size < 2 or not np.isfinite([x_mm, y_mm, height_nm]).all():
-        raise BadMap(f"{path.name}: a map needs two columns at least, and finite numbers")
+        raise MapError(f"{path.name}: a map needs two columns at least, and finite numbers")
     pitch_mm = float(np.diff(columns_mm).min())
     exact = np.array([y_mm.max() - y_mm, x_mm - x_mm.min()]) / pitch_mm
     place = np.rint(exact)
     ny_nx = place.max(axis=1) + 1
     if np.abs(exact - place).max() > OFF_GRID or ny_nx.prod() * MIN_FILL > place.shape[1]:
-        raise BadMap(f"{path.name}: the samples are not on a square grid of {pitch_mm:g} mm")
+        raise MapError(f"{path.name}: the samples are not on a square grid of {pitch_mm:g} mm")
     if np.unique(place, axis=1).shape != place.shape:
-        raise BadMap(f"{path.name}: two samples share a place")
+        raise MapError(f"{path.name}: two samples share a place")
     grid_nm = np.full(ny_nx.astype(int), np.nan)
     grid_nm[tuple(place.astype(int))] = height_nm
     return SurfaceMap(grid_nm, pitch_mm, sha256=hashlib.sha256(content).hexdigest(), path=path, format="xyz")

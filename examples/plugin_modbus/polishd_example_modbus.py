@@ -14,14 +14,14 @@ from polishd.api import (
     ActuatorTimes,
     DeviceContext,
     DeviceFault,
+    DeviceIdentity,
     DeviceRefused,
     DeviceStatus,
     DeviceType,
     ForceSample,
-    Identity,
     LinkError,
     ModbusLink,
-    Pace,
+    PeriodicTimer,
     ProtocolError,
     RequestQueue,
     SerialLine,
@@ -88,11 +88,11 @@ class Actuator:
         await self._queue.stop()
         await self._link.disconnect()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         words = await self._ask(lambda: self._link.read("input", 100, 30))
         vendor, model, serial, firmware = (_text(words[first : first + count]) for first, count in TEXTS)
-        return Identity(vendor, model, serial, firmware, str(words[28] << 16 | words[29]))
+        return DeviceIdentity(vendor, model, serial, firmware, str(words[28] << 16 | words[29]))
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means retracted."""
@@ -124,7 +124,7 @@ class Actuator:
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
-        pace = Pace(BEAT_S)
+        pace = PeriodicTimer(BEAT_S)
         while True:
             reading = await self._ask(self._beat)
             yield ForceSample(

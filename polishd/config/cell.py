@@ -10,12 +10,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from polishd.config.document import parse_toml
+from polishd.config.document import load_toml
 from polishd.config.handling import BetweenSection, TouchOffSection
-from polishd.config.places import Location, Source, did_you_mean, key_lines, listed, problems
+from polishd.config.places import Location, TomlSource, did_you_mean, join_words, key_lines, validation_problems
 from polishd.config.sections import (
     CellSection,
     CertificateSection,
+    DeviceInterface,
     DeviceSection,
     DwellSection,
     ForceSensorSection,
@@ -26,14 +27,13 @@ from polishd.config.sections import (
     MemorySection,
     NotifySection,
     PluginsSection,
-    Port,
     ProgramSection,
     RobotSection,
 )
 from polishd.config.signals import SignalSection
 from polishd.config.tables import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
-from polishd.config.tools import ToolSection, laid_over
+from polishd.config.tools import ToolSection, tool_overlay
 from polishd.config.values import Name, Texts, as_tuple, require_cells
 from polishd.config.web import ServedDocument
 from polishd.hookspecs import DeviceType, NotifierType
@@ -42,8 +42,8 @@ from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
 from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
-from polishd.model.tolerance import Line
-from polishd.ports.devices import ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
+from polishd.model.tolerance import ToleranceLine
+from polishd.ports.devices import ForceActuator, ForceSensor, Metrology, Monitor, PartLoader, Robot, Spindle
 
 
 class CellConfig(ServedDocument):
@@ -54,13 +54,13 @@ class CellConfig(ServedDocument):
     cell: CellSection
     plugins: PluginsSection
     # ports, in the order in which their devices are opened; the one place that lists them
-    actuator: Annotated[DeviceSection, Port(ForceActuator)]
-    robot: Annotated[RobotSection, Port(Robot)]
-    spindle: Annotated[DeviceSection, Port(Spindle)]
-    metrology: Annotated[DeviceSection, Port(Metrology, acts=False, of_part=True)]
-    loader: Annotated[DeviceSection | None, Port(Loader)] = None
-    force_sensor: Annotated[ForceSensorSection | None, Port(ForceSensor, acts=False)] = None
-    monitor: Annotated[DeviceSection | None, Port(Monitor, acts=False, chosen=False)] = None
+    actuator: Annotated[DeviceSection, DeviceInterface(ForceActuator)]
+    robot: Annotated[RobotSection, DeviceInterface(Robot)]
+    spindle: Annotated[DeviceSection, DeviceInterface(Spindle)]
+    metrology: Annotated[DeviceSection, DeviceInterface(Metrology, acts=False, of_part=True)]
+    loader: Annotated[DeviceSection | None, DeviceInterface(PartLoader)] = None
+    force_sensor: Annotated[ForceSensorSection | None, DeviceInterface(ForceSensor, acts=False)] = None
+    monitor: Annotated[DeviceSection | None, DeviceInterface(Monitor, acts=False, chosen=False)] = None
     signals: Mapping[Name, SignalSection] = {}
     roles: Mapping[str, Name] = {}
     """Which of several devices at a port the job uses: ``robot = "left"``."""
@@ -125,7 +125,7 @@ class CellConfig(ServedDocument):
         }
 
     @property
-    def lines(self) -> tuple[Line, ...]:
+    def lines(self) -> tuple[ToleranceLine, ...]:
         """What the part is judged by."""
         return lines_of(self.job, tuple(line for section in self.tolerance for line in section.lines))
 
@@ -146,7 +146,7 @@ class CellConfig(ServedDocument):
 
     def of_tool(self, name: str) -> CellConfig:
         """The cell as it is with that tool on its spindle, and no other. ConfigError where it makes no cell."""
-        made = type(self).of(*laid_over(self._raw, self._source, name))
+        made = type(self).of(*tool_overlay(self._raw, self._source, name))
         made._path = self._path
         return consistent(made)
 
@@ -168,8 +168,11 @@ class CellConfig(ServedDocument):
         )
 
 
-PORTS: Mapping[str, Port] = {
-    name: mark for name, field in CellConfig.model_fields.items() for mark in field.metadata if isinstance(mark, Port)
+PORTS: Mapping[str, DeviceInterface] = {
+    name: mark
+    for name, field in CellConfig.model_fields.items()
+    for mark in field.metadata
+    if isinstance(mark, DeviceInterface)
 }
 """What each port asks; in the order in which devices are opened."""
 
@@ -192,13 +195,13 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
     The fragments that ``include`` names are laid over it: what they say replaces what the file says.
     Raises ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
     """
-    raw, source = parse_toml(path)
-    fragments = [parse_toml(path.parent / Path(name).expanduser()) for name in _included(raw, source)]
+    raw, source = load_toml(path)
+    fragments = [load_toml(path.parent / Path(name).expanduser()) for name in _included(raw, source)]
     source = replace(source, overrides=frozenset(overrides or {}), included=tuple(part for _, part in fragments))
     for fragment, part in fragments:
         if "include" in fragment:
             raise ConfigError(part.error(("include",), "a fragment includes no other; name all in the cell's file"))
-        lay_over(raw, fragment)
+        overlay(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
     return consistent(CellConfig.of(raw, source))
@@ -294,15 +297,15 @@ def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
     for port, section in several.items():
         yield from _wrong_table(port, section)
         if port in chosen and port not in config.roles:
-            yield f"roles.{port}", f"is missing: there are {listed(section.tables)}; say which one the job uses"
+            yield f"roles.{port}", f"is missing: there are {join_words(section.tables)}; say which one the job uses"
     for port, name in config.roles.items():
         if port not in chosen:
-            yield f"roles.{port}", f"unknown key{did_you_mean(port, chosen)} Known here: {listed(chosen)}"
+            yield f"roles.{port}", f"unknown key{did_you_mean(port, chosen)} Known here: {join_words(chosen)}"
         elif port not in several:
             yield f"roles.{port}", f"there is one {port}, without a name; remove the line, or name it: [{port}.{name}]"
         elif name not in several[port].tables:
             known = several[port].tables
-            yield f"roles.{port}", f"there is no {name!r}{did_you_mean(name, known)} There are: {listed(known)}"
+            yield f"roles.{port}", f"there is no {name!r}{did_you_mean(name, known)} There are: {join_words(known)}"
 
 
 def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
@@ -313,12 +316,12 @@ def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
         if config.monitor is None:
             yield key, "nobody tells it: the cell has no [monitor]; add one, or remove the section"
         elif signal.monitor is None and named:
-            yield f"{key}.monitor", f"is missing: there are {listed(named)}; say which one tells it"
+            yield f"{key}.monitor", f"is missing: there are {join_words(named)}; say which one tells it"
         elif signal.monitor is not None and not named:
             todo = f"remove the line, or name it: [monitor.{signal.monitor}]"
             yield f"{key}.monitor", f"there is one monitor, without a name; {todo}"
         elif signal.monitor is not None and signal.monitor not in named:
-            known = f"{did_you_mean(signal.monitor, named)} There are: {listed(named)}"
+            known = f"{did_you_mean(signal.monitor, named)} There are: {join_words(named)}"
             yield f"{key}.monitor", f"there is no {signal.monitor!r}{known}"
 
 
@@ -326,7 +329,7 @@ def _wrong_table(port: str, section: DeviceSection) -> Iterator[tuple[str, str]]
     for name in {**dict.fromkeys(section.model_fields_set - {"type"}), **(section.model_extra or {})}:
         keys = section.tables.get(name, {})
         if name not in section.tables:
-            yield f"{port}.{name}", f"is no device; write it into one of {listed(section.tables)}"
+            yield f"{port}.{name}", f"is no device; write it into one of {join_words(section.tables)}"
         elif not re.fullmatch(r"[\w-]+", name, re.ASCII):
             yield f"{port}.{name}", "is no name: use letters, digits, '-' and '_'"
         elif not isinstance(keys.get("type"), str):
@@ -341,11 +344,11 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
     if kind is None:
         raise config.error(
             f"{device}.type",
-            f"unknown type {named!r}{did_you_mean(named, fitting)} The loaded plugins have: {listed(fitting)}; "
+            f"unknown type {named!r}{did_you_mean(named, fitting)} The loaded plugins have: {join_words(fitting)}; "
             "a type of another plugin needs that plugin in plugins.load",
         )
     if kind.port != port:
-        raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {listed(fitting)}")
+        raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {join_words(fitting)}")
     given, of_port = dict(raw.model_extra or {}), set(type(raw).model_fields) - {"type"}
     return kind, _judged(config, tuple(device.split(".")), kind.options, given, of_port)
 
@@ -358,7 +361,7 @@ def notifier_options(config: CellConfig, name: str, types: Mapping[str, Notifier
         raise config.error(
             f"notify.{name}.type",
             f"unknown type {section.type!r}{did_you_mean(section.type, types)} The loaded plugins have: "
-            f"{listed(types)}; plugins.load must name its plugin, for polishd's own 'notifications'",
+            f"{join_words(types)}; plugins.load must name its plugin, for polishd's own 'notifications'",
         )
     return kind, _judged(config, ("notify", name), kind.options, dict(section.model_extra or {}))
 
@@ -375,7 +378,7 @@ def _judged(
     try:
         value = options.model_validate(given)
     except ValidationError as error:
-        found += [line for line in problems(error, options, config.source, section) if line not in found]
+        found += [line for line in validation_problems(error, options, config.source, section) if line not in found]
     else:
         if not found:
             return value
@@ -390,29 +393,29 @@ def _unknown_options(
         return []
     known = {field.alias or name for name, field in options.model_fields.items()} | set(also)
     return [
-        config.source.error((*section, key), f"unknown key{did_you_mean(key, known)} Known here: {listed(known)}")
+        config.source.error((*section, key), f"unknown key{did_you_mean(key, known)} Known here: {join_words(known)}")
         for key in given
         if key not in known
     ]
 
 
-def _included(raw: Mapping[str, Any], source: Source) -> list[str]:
+def _included(raw: Mapping[str, Any], source: TomlSource) -> list[str]:
     names = raw.get("include", [])
     if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
         raise ConfigError(source.error(("include",), 'must be a list of file names, such as ["calibration.toml"]'))
     return names
 
 
-def lay_over(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
+def overlay(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
     """Keys of the fragment's tables replace those of the file's."""
     for name, value in fragment.items():
         if isinstance(value, dict) and isinstance(raw.get(name), dict):
-            lay_over(raw[name], value)
+            overlay(raw[name], value)
         else:
             raw[name] = value
 
 
-def _override(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
+def _override(raw: dict[str, Any], key: str, value: Any, source: TomlSource) -> None:
     *tables, last = key.split(".")
     inner = raw
     for name in tables:

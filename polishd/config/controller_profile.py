@@ -11,8 +11,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.document import Document, parse_toml
-from polishd.config.values import Positive, Section, Text, as_tuple
+from polishd.config.document import TomlDocument, load_toml
+from polishd.config.values import ConfigSection, Positive, Text, as_tuple
 from polishd.model.errors import ConfigError
 
 FOLDER = Path(__file__).with_name("controller_profiles")
@@ -23,7 +23,7 @@ Values = Annotated[tuple[int | str, ...], BeforeValidator(as_tuple)]
 Milliseconds = Annotated[float, Field(ge=1, le=10000)]
 
 
-class Variable(Section):
+class Variable(ConfigSection):
     """A variable of the controller."""
 
     address: Text
@@ -33,7 +33,7 @@ class Variable(Section):
     """What it holds there. A `string` has no place in Modbus."""
 
 
-class Order(Variable):
+class CommandVariable(Variable):
     """One that polishd sets, and takes back."""
 
     on: bool | int = True
@@ -51,7 +51,7 @@ class Flag(Variable):
     """What says yes. [1]"""
 
 
-class Clock(Variable):
+class ClockVariable(Variable):
     """One that counts time."""
 
     unit_s: Positive = 1.0
@@ -65,7 +65,7 @@ class Override(Variable):
     """What it shows where the program's own feeds are run. [1]"""
 
 
-class Line(Variable):
+class LineVariable(Variable):
     """Where in its program the controller is."""
 
     shows: Literal["executed", "interpreted"]
@@ -79,7 +79,7 @@ class Line(Variable):
     """Its time stamp (opcua) is the time at which it changed, and not the time at which it was asked for."""
 
 
-class State(Variable):
+class StateVariable(Variable):
     """What the controller does. A value may stand for several: `paused` where the line is a pause of the file."""
 
     idle: Values = ()
@@ -109,20 +109,20 @@ class State(Variable):
         return self
 
 
-class VariablesTable(Section):
+class VariablesTable(ConfigSection):
     """The controller's variables, by what they mean."""
 
-    state: State
+    state: StateVariable
     """What it does."""
-    line: Line
+    line: LineVariable
     """Where in the program it is."""
-    start: Order
+    start: CommandVariable
     """Starts the program, or goes on with it. Its rising edge counts."""
-    hold: Order | None = None
+    hold: CommandVariable | None = None
     """Holds, and lets nothing start while it stands; without it the profile is refused."""
-    reset: Order | None = None
+    reset: CommandVariable | None = None
     """Ends what is loaded, and acknowledges alarms."""
-    load: Order | None = None
+    load: CommandVariable | None = None
     """Loads the file. Its rising edge counts; left out: writing `program` does."""
     program: Variable | None = None
     """Gets the file's name before it is loaded."""
@@ -143,17 +143,17 @@ class VariablesTable(Section):
     """polishd counts it up; the controller holds by itself when it stands still."""
     controller_heartbeat: Variable | None = None
     """The controller counts it up; the link counts as lost when it stands still."""
-    clock: Clock | None = None
+    clock: ClockVariable | None = None
     """The controller's clock, for the times of blocks; left out: this computer's."""
-    line_began: Clock | None = None
+    line_began: ClockVariable | None = None
     """When the block that `line` shows began, on `clock`: the controller's own word is finer than its reports."""
-    state_began: Clock | None = None
+    state_began: ClockVariable | None = None
     """When it came to its state, likewise."""
     session: Variable | None = None
     """Changes at each start of the controller; left out: what the link tells of that, if anything."""
 
 
-class ProgramTable(Section):
+class ProgramTable(ConfigSection):
     """How programs are written for it. Lines that polishd puts into the file stand out of contact."""
 
     file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=24)] = "polishd.nc"
@@ -178,7 +178,7 @@ class ProgramTable(Section):
         return self
 
 
-class ControllerProfile(Document):
+class ControllerProfile(TomlDocument):
     """A controller."""
 
     name: Text
@@ -270,7 +270,7 @@ def load_controller_profile(name: str, base_dir: Path) -> ControllerProfile:
         ConfigError: it is not known or cannot be read, or one line per problem: ``FILE:LINE: table.key: ...``.
     """
     if name.endswith(".toml"):
-        return ControllerProfile.of(*parse_toml(base_dir / Path(name).expanduser()))
+        return ControllerProfile.of(*load_toml(base_dir / Path(name).expanduser()))
     if name not in shipped():
         raise ConfigError(f"profile {name!r} is not known; known are {', '.join(shipped())}, or the path of a .toml")
-    return ControllerProfile.of(*parse_toml(FOLDER / f"{name}.toml"))
+    return ControllerProfile.of(*load_toml(FOLDER / f"{name}.toml"))

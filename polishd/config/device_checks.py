@@ -8,7 +8,7 @@ from polishd.config.device_profile import DeviceProfile
 from polishd.config.device_steps import slots_of, write_of
 from polishd.config.device_tables import LEAST, MOST, Faults
 from polishd.config.device_units import KINDS
-from polishd.config.places import Location, did_you_mean, listed
+from polishd.config.places import Location, did_you_mean, join_words
 
 Fault = tuple[Location, str]
 
@@ -83,10 +83,10 @@ def _foreign(profile: DeviceProfile) -> Iterator[Fault]:
     orders, states = ORDERS[profile.kind], STATES[profile.kind]
     for name in type(profile.orders).model_fields:
         if getattr(profile.orders, name) and name not in orders:
-            yield ("orders", name), f"no {_said(profile)} is told that; known: {listed(orders)}"
+            yield ("orders", name), f"no {_said(profile)} is told that; known: {join_words(orders)}"
     for at, rule in enumerate(profile.states):
         if rule.state not in states:
-            yield ("states", at, "state"), f'no {_said(profile)} is "{rule.state}"; known: {listed(states)}'
+            yield ("states", at, "state"), f'no {_said(profile)} is "{rule.state}"; known: {join_words(states)}'
 
 
 def _units(profile: DeviceProfile) -> Iterator[Fault]:
@@ -94,7 +94,7 @@ def _units(profile: DeviceProfile) -> Iterator[Fault]:
     meant = MEASURES | {"set_point": "speed" if profile.spindle else "force"}
     for name, quantity in profile.quantities.items():
         if name in meant and quantity.unit not in KINDS[meant[name]]:
-            fitting = listed(KINDS[meant[name]])
+            fitting = join_words(KINDS[meant[name]])
             yield (table, name, "unit"), f"{quantity.unit!r} is no unit of {meant[name]}; use one of {fitting}"
 
 
@@ -129,7 +129,7 @@ def _step(profile: DeviceProfile, order: str, step: str) -> Iterator[Fault]:
     register = profile.registers.get(write.register)
     if register is None:
         near = did_you_mean(write.register, profile.registers)
-        yield key, f"there is no [registers.{write.register}]{near} Known: {listed(profile.registers)}"
+        yield key, f"there is no [registers.{write.register}]{near} Known: {join_words(profile.registers)}"
     elif register.table in {"input", "discrete"} or register.type == "text":
         yield key, f"{write.register!r} cannot be written: it is a {register.table} register of type {register.type}"
     elif isinstance(write.value, float):
@@ -139,7 +139,7 @@ def _step(profile: DeviceProfile, order: str, step: str) -> Iterator[Fault]:
         if order not in ASKED:
             yield key, "nothing is asked with this order; write a number"
         elif register.unit not in KINDS[ASKED[order]]:
-            fitting = listed(KINDS[ASKED[order]])
+            fitting = join_words(KINDS[ASKED[order]])
             problem = f"orders.{order} writes a {ASKED[order]} there, and {register.unit!r} is no unit of it"
             yield ("registers", write.register, "unit"), f"{problem}; use one of {fitting}"
 
@@ -153,7 +153,7 @@ def _names(profile: DeviceProfile) -> Iterator[Fault]:
     used += [((table, name, "negative"), q.negative.when) for name, q in known.items() if q.negative]
     for key, name in used:
         if name not in known:
-            yield key, f"there is no value {name!r}{did_you_mean(name, known)} Known: {listed(known)}"
+            yield key, f"there is no value {name!r}{did_you_mean(name, known)} Known: {join_words(known)}"
     for name in profile.values:
         if name not in known:
             yield ("values", name), f"no answer has a group {name!r}; name it in [asks.NAME] answer, or remove this"

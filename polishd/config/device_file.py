@@ -6,7 +6,7 @@ from pathlib import Path
 
 from polishd.config.device_checks import faults_of
 from polishd.config.device_profile import DeviceProfile
-from polishd.config.document import parse_text
+from polishd.config.document import loads_toml
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError
 
@@ -18,7 +18,7 @@ def load_device_profile(path: Path) -> DeviceProfile:
 
 def device_profile_of(text: str, path: Path) -> DeviceProfile:
     """The same of a text that stood in that file."""
-    profile = DeviceProfile.of(*parse_text(text, path))
+    profile = DeviceProfile.of(*loads_toml(text, path))
     if found := faults_of(profile):
         raise ConfigError("\n".join(profile.source.error(key, problem) for key, problem in found))
     return profile

@@ -9,22 +9,22 @@ from pydantic import BeforeValidator, Field
 
 from polishd.config.device_tables import (
     ActuatorTable,
-    Ask,
+    CommandSteps,
     Faults,
     ForceSensorTable,
-    Group,
     IdentityTable,
+    LineRequest,
     LinesTable,
     ModbusTable,
-    Orders,
     Quantity,
+    RegexGroup,
     Register,
     SerialTable,
     SpindleTable,
+    StateCondition,
     StateRule,
-    When,
 )
-from polishd.config.document import Document
+from polishd.config.document import TomlDocument
 from polishd.config.values import Text, Texts, as_tuple
 
 Kind = Literal["actuator", "spindle", "force_sensor"]
@@ -37,7 +37,7 @@ IDENTITY = ("vendor", "model", "serial", "firmware", "boot")
 """Values by which the device says who it is."""
 
 
-class DeviceProfile(Document):
+class DeviceProfile(TomlDocument):
     """One kind of device on one kind of link: one of each has its table."""
 
     title: Text
@@ -56,12 +56,12 @@ class DeviceProfile(Document):
     modbus: ModbusTable | None = None
     lines: LinesTable | None = None
     registers: dict[str, Register] = Field(default_factory=dict)
-    asks: dict[str, Ask] = Field(default_factory=dict)
-    values: dict[str, Group] = Field(default_factory=dict)
-    orders: Orders = Orders()
+    asks: dict[str, LineRequest] = Field(default_factory=dict)
+    values: dict[str, RegexGroup] = Field(default_factory=dict)
+    orders: CommandSteps = CommandSteps()
     states: Annotated[tuple[StateRule, ...], BeforeValidator(as_tuple)] = ()
     faults: Faults | None = None
-    expects: Annotated[tuple[When, ...], BeforeValidator(as_tuple)] = ()
+    expects: Annotated[tuple[StateCondition, ...], BeforeValidator(as_tuple)] = ()
 
     @property
     def name(self) -> str:
@@ -83,7 +83,7 @@ class DeviceProfile(Document):
         """What each value is worth, by name. Groups of answers without a table of their own are plain numbers."""
         if self.modbus:
             return self.registers
-        return {name: self.values.get(name, Group()) for ask in self.asks.values() for name in ask.groups}
+        return {name: self.values.get(name, RegexGroup()) for ask in self.asks.values() for name in ask.groups}
 
     @property
     def polled(self) -> tuple[str, ...]:

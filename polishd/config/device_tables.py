@@ -8,8 +8,9 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, model_validator
 
 from polishd.config.device_units import FACTORS
-from polishd.config.places import did_you_mean, listed
-from polishd.config.values import Positive, Range, Section, Text, Texts, as_tuple
+from polishd.config.places import did_you_mean, join_words
+from polishd.config.values import ConfigSection, Positive, Range, Text, Texts, as_tuple
+from polishd.model.devices import RegisterTable
 from polishd.model.times import ActuatorTimes, SensorTimes, SpindleTimes
 
 _ACTUATOR, _SPINDLE, _SENSOR = ActuatorTimes(), SpindleTimes(), SensorTimes()
@@ -19,13 +20,13 @@ WordOrder = Literal["high_first", "low_first"]
 Value = float | str
 Values = Annotated[tuple[Annotated[Value, WithJsonSchema({"type": "number"})], ...], BeforeValidator(as_tuple)]
 Times = Annotated[float, Field(gt=0.0, le=120.0)]
-Table = Literal["holding", "input", "coil", "discrete"]
+
 LEAST = {"u16": 0, "i16": -(1 << 15), "u32": 0, "i32": -(1 << 31), "bit": 0, "f32": -3.4e38}
 MOST = {"u16": (1 << 16) - 1, "i16": (1 << 15) - 1, "u32": (1 << 32) - 1, "i32": (1 << 31) - 1, "bit": 1, "f32": 3.4e38}
 """Of the raw values of a register, by its type."""
 
 
-class When(Section):
+class StateCondition(ConfigSection):
     """A condition on one value that the device gives, in N, mm or rpm where it has a unit."""
 
     when: Text
@@ -57,14 +58,14 @@ class When(Section):
         return fits and (self.above is None or value > self.above) and (self.below is None or value < self.below)
 
 
-class StateRule(When):
+class StateRule(StateCondition):
     """What the device's words for its state mean. The first rule that holds decides."""
 
     state: Literal["retracted", "extending", "contact", "retracting", "fault", "stopped", "running"]
     """Of an actuator, of a spindle (`stopped`, `running`), or `fault` of either."""
 
 
-class Quantity(Section):
+class Quantity(ConfigSection):
     """A number on the wire, and what it is worth."""
 
     unit: Text = "1"
@@ -74,7 +75,7 @@ class Quantity(Section):
     """One step of the number is so many of the unit. [1]"""
     offset: float = 0.0
     """In the unit; added after scaling. [1]"""
-    negative: When | None = None
+    negative: StateCondition | None = None
     """When the number, which has no sign of its own, means less than nothing."""
     range: Range | None = None
     """What can be true, in N, mm or rpm; anything else is another device, or another word order. [1]"""
@@ -83,7 +84,7 @@ class Quantity(Section):
     @classmethod
     def _known(cls, unit: str) -> str:
         if unit not in FACTORS:
-            raise ValueError(f"unit {unit!r} is not known{did_you_mean(unit, FACTORS)} Known: {listed(FACTORS)}")
+            raise ValueError(f"unit {unit!r} is not known{did_you_mean(unit, FACTORS)} Known: {join_words(FACTORS)}")
         return unit
 
     @field_validator("scale")
@@ -99,7 +100,7 @@ class Register(Quantity):
 
     address: Annotated[int, Field(ge=0, le=0xFFFF)]
     """As on the wire, from 0: many manuals count from 1, or write 40001 for the first holding register. [1]"""
-    table: Table = "holding"
+    table: RegisterTable = "holding"
     """Read with function 3, 4, 1 or 2; written with 6 (or 16) or 5 (or 15)."""
     type: Literal["u16", "i16", "u32", "i32", "f32", "bit", "text"] = "u16"
     """What the words are: whole, whole with a sign, a float of IEEE 754, one bit, or ASCII, two characters a word."""
@@ -129,14 +130,14 @@ class Register(Quantity):
         return self
 
 
-class Group(Quantity):
+class RegexGroup(Quantity):
     """A named group of an answer."""
 
     type: Literal["number", "hex", "text"] = "number"
     """What its characters are."""
 
 
-class Ask(Section):
+class LineRequest(ConfigSection):
     """A request on the line, and its answer."""
 
     send: Text
@@ -164,7 +165,7 @@ def pattern(text: str) -> str:
     return text
 
 
-class SerialTable(Section):
+class SerialTable(ConfigSection):
     """The serial line; an address in the cell may say otherwise: `serial:PATH?baud=9600&parity=even&stop_bits=1`."""
 
     baud: Annotated[int, Field(ge=300, le=4_000_000)] = 115_200
@@ -175,7 +176,7 @@ class SerialTable(Section):
     """After each byte. [1]"""
 
 
-class ModbusTable(Section):
+class ModbusTable(ConfigSection):
     """The device speaks Modbus: RTU on a serial line, or TCP."""
 
     unit: Annotated[int, Field(ge=0, le=247)] = 1
@@ -190,7 +191,7 @@ class ModbusTable(Section):
     """What its exception codes mean, where the standard says too little: `4 = "a fault is set"`."""
 
 
-class LinesTable(Section):
+class LinesTable(ConfigSection):
     """The device speaks lines of ASCII text."""
 
     framing: Literal["plain", "numbered"] = "plain"
@@ -210,7 +211,7 @@ class LinesTable(Section):
         return pattern(text)
 
 
-class Orders(Section):
+class CommandSteps(ConfigSection):
     """What is written, in this order. On Modbus `"register = value"`; on lines the request itself.
 
     The value is a number, `asked` (the force in newtons, the speed in rpm without its sign, the time, each turned into
@@ -241,7 +242,7 @@ class Orders(Section):
     """Of a force sensor: what it reads now is no force."""
 
 
-class Faults(Section):
+class Faults(ConfigSection):
     """What the device says of its faults. Anything but 0 is one."""
 
     value: Text
@@ -256,7 +257,7 @@ class Faults(Section):
     """Those of the device's own watchdog: made safe, it is told `orders.clear`; all others are a person's. [1]"""
 
 
-class IdentityTable(Section):
+class IdentityTable(ConfigSection):
     """Who it is, where it does not say so itself in values `vendor`, `model`, `serial`, `firmware`, `boot`."""
 
     vendor: Text
@@ -269,7 +270,7 @@ class IdentityTable(Section):
     """Its firmware."""
 
 
-class ActuatorTable(Section):
+class ActuatorTable(ConfigSection):
     """A force actuator, and its times where the cell says no others."""
 
     unpowered: Unpowered
@@ -298,7 +299,7 @@ class ActuatorTable(Section):
         return unpowered
 
 
-class SpindleTable(Section):
+class SpindleTable(ConfigSection):
     """A spindle, and its times where the cell says no others."""
 
     max_rpm: Positive
@@ -309,7 +310,7 @@ class SpindleTable(Section):
     """Longest from standstill to any speed, or back."""
 
 
-class ForceSensorTable(Section):
+class ForceSensorTable(ConfigSection):
     """A force sensor."""
 
     range_n: Range

@@ -11,8 +11,8 @@ from typing import Any, Self
 
 from pydantic import PrivateAttr, ValidationError
 
-from polishd.config.places import Source, problems
-from polishd.config.values import Section
+from polishd.config.places import TomlSource, validation_problems
+from polishd.config.values import ConfigSection
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError, PolishdError
 
@@ -20,25 +20,25 @@ MOST_LEVELS = 32
 """Of lists and tables inside one another, in a file."""
 
 
-class Document(Section):
+class TomlDocument(ConfigSection):
     """What all files share: where they lie, and where each of their keys stands."""
 
     _path: Path = PrivateAttr(default=Path("none.toml"))
-    _source: Source = PrivateAttr(default=Source("none.toml", ""))
+    _source: TomlSource = PrivateAttr(default=TomlSource("none.toml", ""))
     _raw: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
     @classmethod
-    def of(cls, raw: Mapping[str, Any], source: Source) -> Self:
+    def of(cls, raw: Mapping[str, Any], source: TomlSource) -> Self:
         """The values of a file; ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
         try:
             made = cls.model_validate(raw)
         except ValidationError as error:
-            raise ConfigError("\n".join(problems(error, cls, source))) from error
+            raise ConfigError("\n".join(validation_problems(error, cls, source))) from error
         made._path, made._source, made._raw = Path(source.file).absolute(), source, raw
         return made
 
     @property
-    def source(self) -> Source:
+    def source(self) -> TomlSource:
         """The text it came from: says where a key stands, for errors."""
         return self._source
 
@@ -70,18 +70,18 @@ class Document(Section):
             raise self.error(key, str(error)) from error
 
 
-def parse_toml(path: Path) -> tuple[dict[str, Any], Source]:
+def load_toml(path: Path) -> tuple[dict[str, Any], TomlSource]:
     """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
-    return parse_text(toml_text(path), path)
+    return loads_toml(toml_text(path), path)
 
 
-def parse_text(text: str, path: Path) -> tuple[dict[str, Any], Source]:
+def loads_toml(text: str, path: Path) -> tuple[dict[str, Any], TomlSource]:
     """The same of a text that stood in that file."""
     try:
         raw = tomllib.loads(text)
         if deep := _too_deep(raw):
             raise ConfigError(f"{path}: {deep} is nested more than {MOST_LEVELS} levels deep; no key of polishd is")
-        return raw, Source(str(path), text)
+        return raw, TomlSource(str(path), text)
     except RecursionError:
         raise ConfigError(
             f"{path}: lists or tables are nested more than {MOST_LEVELS} levels deep; no key of polishd is"

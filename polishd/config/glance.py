@@ -17,7 +17,7 @@ from polishd.model.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Glance:
+class CellSummary:
     """Of one cell."""
 
     name: str
@@ -26,7 +26,7 @@ class Glance:
     """As ``CellConfig.state_dir``, absolute."""
 
 
-def glance(path: Path) -> Glance:
+def cell_summary(path: Path) -> CellSummary:
     """Of a cell's file; where that cannot be said, the ConfigError is the one of ``load_config``."""
     try:
         name, state_dir = (_said(path, key) for key in ("name", "state_dir"))
@@ -34,8 +34,8 @@ def glance(path: Path) -> Glance:
         from polishd.config.cell import load_config  # it says what is wrong, and where
 
         config = load_config(path)
-        return Glance(config.cell.name, config.state_dir)
-    return Glance(name, path.absolute().parent / Path(state_dir).expanduser())
+        return CellSummary(config.cell.name, config.state_dir)
+    return CellSummary(name, path.absolute().parent / Path(state_dir).expanduser())
 
 
 def _said(path: Path, key: str) -> str:

@@ -6,10 +6,10 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.values import Pair, Positive, Seconds, Section, Text, Texts, as_tuple
+from polishd.config.values import ConfigSection, Pair, Positive, Seconds, Text, Texts, as_tuple
 
 
-class TouchOffSection(Section):
+class TouchOffSection(ConfigSection):
     """Height and seat of the part, proved before contact: left out, nobody proves them."""
 
     force_n: Annotated[float, Field(gt=0, le=0.8)] = 0.8
@@ -30,7 +30,7 @@ class TouchOffSection(Section):
     after a start, a hold or an interruption."""
 
 
-class StepSection(Section):
+class StepSection(ConfigSection):
     """A step that a person or a command does, tool up and robot at rest."""
 
     person: Text | None = None
@@ -47,7 +47,7 @@ class StepSection(Section):
         return self
 
 
-class SettleSection(Section):
+class SettleSection(ConfigSection):
     """Maps are taken until two in a row agree within the instrument's noise; the last one counts."""
 
     wait_s: Annotated[float, Field(ge=0, le=86400)] = 60.0
@@ -56,7 +56,7 @@ class SettleSection(Section):
     """Most maps of one measurement; where none agrees with the one before, the cell is held. [1]"""
 
 
-class BetweenSection(Section):
+class BetweenSection(ConfigSection):
     """What happens between passes: each table that is there."""
 
     clean: StepSection | None = None

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from polishd.config.cell import FILES, PORTS, CellConfig, consistent, lay_over, tool_files
-from polishd.config.document import parse_text
+from polishd.config.cell import FILES, PORTS, CellConfig, consistent, overlay, tool_files
+from polishd.config.document import loads_toml
 from polishd.config.outline import OUTLINES
-from polishd.config.places import Source, listed
+from polishd.config.places import TomlSource, join_words
 from polishd.files import toml_text
 from polishd.model.errors import ConfigError
 
@@ -63,14 +63,14 @@ class JobFile:
         _drop_other_outline(raw, fragment)
         if "tools" in fragment:  # all of them: a job with one tool has no other's turn
             raw.pop("tools", None)
-        lay_over(raw, fragment)
+        overlay(raw, fragment)
         return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
 
-    def fragment(self) -> tuple[dict[str, Any], Source]:
+    def fragment(self) -> tuple[dict[str, Any], TomlSource]:
         """Its values, judged as far as that can be done without a cell, and where they stand; ConfigError."""
-        fragment, source = parse_text(self.text, self.path)
+        fragment, source = loads_toml(self.text, self.path)
         wrong = [
-            source.error((name,), f"is the cell's, and no job's; a job has sections {listed(_sections())}")
+            source.error((name,), f"is the cell's, and no job's; a job has sections {join_words(_sections())}")
             for name in fragment
             if name in OF_THE_CELL
         ]
@@ -85,7 +85,7 @@ class JobFile:
 
     def names(self) -> list[str]:
         """The keys by which it names files itself."""
-        fragment, _ = parse_text(self.text, self.path)
+        fragment, _ = loads_toml(self.text, self.path)
         return [key for key, _ in self.named(fragment)]
 
     def named(self, fragment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from polishd.config.document import Document, parse_toml
+from polishd.config.document import TomlDocument, load_toml
 from polishd.config.values import Name, Text, Texts
 
 Taken = Literal["rate", "spot", "touch"]
@@ -23,7 +23,7 @@ AS_IT_IS = "nothing"
 """The scenario of a plant as its file has it."""
 
 
-class Scenario(Document):
+class Scenario(TomlDocument):
     """What is wrong with a plant: sections of SIM.toml that are laid over the study's."""
 
     what: Text
@@ -36,7 +36,7 @@ class Scenario(Document):
     """By section of SIM.toml, the keys that differ: `[plant.effects]`."""
 
 
-class LoopStudy(Document):
+class LoopStudy(TomlDocument):
     """Jobs in a closed loop: measured, solved, executed by a plant with its errors, and learned from."""
 
     kind: Literal["loop"]
@@ -113,4 +113,4 @@ class LoopStudy(Document):
 
 def load_scenario(path: Path) -> Scenario:
     """One scenario's file; ConfigError with file, line and key."""
-    return Scenario.of(*parse_toml(path))
+    return Scenario.of(*load_toml(path))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.values import Section, Size, as_tuple
+from polishd.config.values import ConfigSection, Size, as_tuple
 from polishd.model.errors import ComputeError
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 
@@ -19,7 +19,7 @@ Coordinate = Annotated[float, Field(ge=-5000, le=5000)]
 Corner = Annotated[tuple[Coordinate, Coordinate], BeforeValidator(as_tuple)]
 
 
-class OutlineKeys(Section):
+class OutlineKeys(ConfigSection):
     """The outline of a part about its centre."""
 
     aperture_mm: Size | None = None

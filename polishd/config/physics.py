@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from polishd.config.document import Document
+from polishd.config.document import TomlDocument
 from polishd.config.process import ComplianceSection, HybridSection, KinematicsSection, ProcessSection
 from polishd.config.robots import robot_of
 from polishd.config.sections import PartSection
@@ -16,7 +16,7 @@ from polishd.model.robot import RobotModel
 from polishd.process.frames import rotation_from_rpy_deg
 
 
-class ProcessDocument(Document):
+class ProcessDocument(TomlDocument):
     """A file about a process."""
 
     process: ProcessSection = ProcessSection()

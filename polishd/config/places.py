@@ -42,14 +42,14 @@ _FAULTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class TomlSource:
     """The text that a configuration came from, kept to say where something stands."""
 
     file: str
     text: str = field(repr=False)
     overrides: frozenset[str] = frozenset()
     """Dotted keys that came from the command line instead."""
-    included: tuple[Source, ...] = ()
+    included: tuple[TomlSource, ...] = ()
     """Fragments that the text includes; a key that one of them has comes from the last of those."""
     stands_for: tuple[tuple[Location, Location], ...] = ()
     """Keys whose values were written elsewhere, and where: a tool's table stands for some of other sections."""
@@ -132,12 +132,14 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else "."
 
 
-def listed(names: Iterable[str]) -> str:
+def join_words(names: Iterable[str]) -> str:
     """``'a', 'b'``, or ``none`` for nothing."""
     return ", ".join(repr(name) for name in sorted(names)) or "none"
 
 
-def problems(error: ValidationError, model: type[BaseModel], source: Source, section: Location = ()) -> list[str]:
+def validation_problems(
+    error: ValidationError, model: type[BaseModel], source: TomlSource, section: Location = ()
+) -> list[str]:
     """One line per finding of pydantic, in the order of the file."""
     lines = []
     for found in error.errors(include_url=False):
@@ -156,12 +158,12 @@ def _line(said: str) -> int:
     return int(place[1]) if place else 0
 
 
-def plain_kind(kind: Any) -> Any:
+def toml_type(kind: Any) -> Any:
     """The type without what Annotated adds, and without None."""
     if get_origin(kind) is Annotated:
-        return plain_kind(get_args(kind)[0])
+        return toml_type(get_args(kind)[0])
     kinds = [item for item in get_args(kind) if item is not NoneType]
-    return plain_kind(kinds[0]) if NoneType in get_args(kind) and len(kinds) == 1 else kind
+    return toml_type(kinds[0]) if NoneType in get_args(kind) and len(kinds) == 1 else kind
 
 
 def variants(kind: Any) -> dict[str, type[BaseModel]]:
@@ -187,7 +189,7 @@ def _follow(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[Location,
             key, owner = (*key, part), section_of(kind)
             fields = owner.model_fields if owner else {}
             inner = [item for item in get_args(kind) if item is not ...]  # of a list or a table of names
-            kind = plain_kind(fields[str(part)].annotation if part in fields else inner[-1] if inner else None)
+            kind = toml_type(fields[str(part)].annotation if part in fields else inner[-1] if inner else None)
     return key, kind, owner
 
 
@@ -206,7 +208,7 @@ def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseMod
     said = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)
     if fault == "extra_forbidden":
         known = owner.model_fields if owner else ()
-        return f"{said}{did_you_mean(str(key[-1]), known)} Known here: {listed(known)}"
+        return f"{said}{did_you_mean(str(key[-1]), known)} Known here: {join_words(known)}"
     if fault == "literal_error":
         near = re.findall(r"'([^']*)'", context["expected"]) if isinstance(given, str) else []
         return said + did_you_mean(str(given), near)

@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from polishd.config.values import Section, Text
+from polishd.config.values import ConfigSection, Text
 
 
-class OpcUaSection(Section):
+class OpcUaSection(ConfigSection):
     """What `polishd opcua` says of this machine, to clients on this computer. Left out: there is no such server."""
 
     port: Annotated[int, Field(ge=0, le=65535)] = 4840

@@ -9,13 +9,13 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, field_serialize
 
 from polishd.config.values import (
     Angle,
+    ConfigSection,
     Dip,
     Force,
     NotNegative,
     Pair,
     Positive,
     Range,
-    Section,
     Speed,
     Text,
     Vector,
@@ -44,7 +44,7 @@ CM2_PER_N = {"cm2/N": 1.0, "mm2/N": 1e-2, "m2/N": 1e4, "1/Pa": 1e4, "1/kPa": 10.
 """Units of a Preston constant. The paper prints none, and the unit is worth a factor of 100."""
 
 
-class HybridSection(Section):
+class HybridSection(ConfigSection):
     """The paper's 3UPS-UP with a C/A wrist; the defaults are a fit to the ranges that it prints (docs/robot.md)."""
 
     type: Literal["hybrid"] = "hybrid"
@@ -94,7 +94,7 @@ class HybridSection(Section):
     """Stiffness of the wrist's C joint about its axis."""
 
 
-class SerialSection(Section):
+class SerialSection(ConfigSection):
     """A six-axis arm."""
 
     type: Literal["serial"]
@@ -115,7 +115,7 @@ class SerialSection(Section):
     of the base frame as it goes. [1]"""
 
 
-class MeasuredSection(Section):
+class MeasuredSection(ConfigSection):
     """A cell that was only loaded and measured: a table of compliance instead of a model."""
 
     type: Literal["measured"]
@@ -141,7 +141,7 @@ KinematicsSection = Annotated[
 ]
 
 
-class ComplianceSection(Section):
+class ComplianceSection(ConfigSection):
     """How the robot's compliance is read (docs/robot.md)."""
 
     projection: Projection = SHIPPED_OPTIONS.projection
@@ -183,7 +183,7 @@ LEAST_FORCE_MARGIN_N = 2.0
 FORCE_MARGIN = 1.5
 
 
-class ProcessSection(Section):
+class ProcessSection(ConfigSection):
     """Tool and contact, and how removal is computed; the defaults are the paper's Table II and its main process."""
 
     removal_model: Text = "hertz_preston"

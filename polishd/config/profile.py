@@ -11,13 +11,13 @@ from typing import Any
 
 import tomlkit
 
-from polishd.config.document import parse_toml
-from polishd.config.places import Source
+from polishd.config.document import load_toml
+from polishd.config.places import TomlSource
 from polishd.config.profile_sections import ProfileFile
 from polishd.files import write_atomic
 from polishd.model.errors import ConfigError
-from polishd.model.instrument import Calibrated, Commissioned, Instrument, Unseen
-from polishd.process.commissioning import Bump
+from polishd.model.instrument import CommissioningRecord, Instrument, SystemErrorRecord, UnmeasuredTerms
+from polishd.process.commissioning import ArtefactBump
 
 RECORD, SYSTEM = "commissioned", "system"
 UNPROVED = {RECORD, SYSTEM, "repeatability", "unseen"}
@@ -29,7 +29,7 @@ COMMENTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class InstrumentProfile:
     """A profile as its file gives it."""
 
     path: Path
@@ -39,13 +39,13 @@ class Profile:
     """Of the values, defaults included, without the record: layout and comments do not count."""
     artefact: str
     """Name of the artefact that proves it; empty where the file describes none."""
-    bumps: tuple[Bump, ...]
+    bumps: tuple[ArtefactBump, ...]
     """The artefact's."""
     unproved: str
     """Why no map of this instrument may drive polishing; empty where it may."""
-    system: Calibrated | None
+    system: SystemErrorRecord | None
     """The record of its system map; None where there is none."""
-    source: Source
+    source: TomlSource
     """The file's text: says where a key stands, for errors."""
 
     def error(self, key: str, problem: str) -> ConfigError:
@@ -53,48 +53,48 @@ class Profile:
         return ConfigError(self.source.error(tuple(key.split(".")), problem))
 
 
-def load_profile(path: Path) -> Profile:
+def load_profile(path: Path) -> InstrumentProfile:
     """Read an instrument's profile.
 
     Raises:
         ConfigError: it cannot be read, or one line per problem: ``FILE:LINE: table.key: what is wrong; what to do``.
     """
-    raw, source = parse_toml(path)
+    raw, source = load_toml(path)
     given = ProfileFile.of(raw, source)
     values = given.model_dump(mode="json", exclude=UNPROVED)
     sha256 = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-    record = None if given.commissioned is None else Commissioned(**dict(given.commissioned))
+    record = None if given.commissioned is None else CommissioningRecord(**dict(given.commissioned))
     unproved = _unproved(path, record, sha256)
     instrument = _instrument(given, {key: value for key, value in raw.items() if key != RECORD})
-    return Profile(
+    return InstrumentProfile(
         path=path,
         instrument=instrument if unproved else replace(instrument, commissioned=record),
         sha256=sha256,
         artefact="" if given.artefact is None else given.artefact.name,
-        bumps=() if given.artefact is None else tuple(Bump(**dict(bump)) for bump in given.artefact.bumps),
+        bumps=() if given.artefact is None else tuple(ArtefactBump(**dict(bump)) for bump in given.artefact.bumps),
         unproved=unproved,
-        system=None if given.system is None else Calibrated(**dict(given.system)),
+        system=None if given.system is None else SystemErrorRecord(**dict(given.system)),
         source=source,
     )
 
 
-def write_commissioned(path: Path, record: Commissioned) -> None:
+def write_commissioned(path: Path, record: CommissioningRecord) -> None:
     """Put the proof into the profile's file; ConfigError as of ``_write``."""
     _write(path, RECORD, record)
 
 
-def write_system(path: Path, record: Calibrated) -> None:
+def write_system(path: Path, record: SystemErrorRecord) -> None:
     """Put the record of the system map into the profile's file; ConfigError as of ``_write``."""
     _write(path, SYSTEM, record)
 
 
-def _write(path: Path, table: str, record: Commissioned | Calibrated) -> None:
+def _write(path: Path, table: str, record: CommissioningRecord | SystemErrorRecord) -> None:
     """Put a record into the profile's file, for an earlier one; all else stays as the user wrote it.
 
     Raises:
         ConfigError: the file cannot be written, or its layout does not let the record be put in; it is as it was.
     """
-    before, source = parse_toml(path)
+    before, source = load_toml(path)
     document = tomlkit.parse(source.text)
     if table not in document:
         document.append(None, tomlkit.nl())
@@ -112,7 +112,7 @@ def _write(path: Path, table: str, record: Commissioned | Calibrated) -> None:
         ) from error
 
 
-def _unproved(path: Path, record: Commissioned | None, sha256: str) -> str:
+def _unproved(path: Path, record: CommissioningRecord | None, sha256: str) -> str:
     prove = f"measure the artefact, then: polishd map commission {path} MAP"
     if record is None:
         return f"{path}: the profile was never commissioned; {prove}"
@@ -138,6 +138,6 @@ def _instrument(given: ProfileFile, raw: dict[str, Any]) -> Instrument:
         max_turn_deg=given.registration.max_turn_deg,
         max_drift_mm=given.registration.max_drift_mm,
         repeatability_nm=given.repeatability.rms_nm,
-        unseen=Unseen(**dict(given.unseen)),
+        unseen=UnmeasuredTerms(**dict(given.unseen)),
         raw=raw,
     )

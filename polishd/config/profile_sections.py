@@ -6,8 +6,19 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AwareDatetime, BeforeValidator, Field, StringConstraints, model_validator
 
-from polishd.config.document import Document
-from polishd.config.values import Angle, Bump, NotNegative, Pair, Positive, Section, Share, Text, Texts, as_tuple
+from polishd.config.document import TomlDocument
+from polishd.config.values import (
+    Angle,
+    BumpSection,
+    ConfigSection,
+    NotNegative,
+    Pair,
+    Positive,
+    Share,
+    Text,
+    Texts,
+    as_tuple,
+)
 from polishd.model.instrument import Instrument, RegisterBy
 
 _PLAIN = Instrument("")
@@ -17,7 +28,7 @@ Given = Annotated[tuple[Literal["surface", "orientation"], ...], BeforeValidator
 MIN_FIDUCIALS = 3
 
 
-class OrientationTable(Section):
+class OrientationTable(ConfigSection):
     """How the instrument's arrays lie on the part: flipped left-right first, then turned counter-clockwise."""
 
     mirror: bool = _PLAIN.mirror
@@ -26,7 +37,7 @@ class OrientationTable(Section):
     """... then turned counter-clockwise: the part as the tool sees it, x right, y up."""
 
 
-class HeightTable(Section):
+class HeightTable(ConfigSection):
     """What the numbers mean."""
 
     sign: Literal[1, -1] = _PLAIN.sign
@@ -37,7 +48,7 @@ class HeightTable(Section):
     """Nanometres per unit, for files that name no unit."""
 
 
-class LateralTable(Section):
+class LateralTable(ConfigSection):
     """The pitch of files that give none, and how far one that a file gives may be from it."""
 
     pitch_mm: Positive | None = _PLAIN.pitch_mm
@@ -46,7 +57,7 @@ class LateralTable(Section):
     """How far one that a file gives may be off, relative. [1]"""
 
 
-class ApertureTable(Section):
+class ApertureTable(ConfigSection):
     """The outline that maps of the part show; without a diameter: the part's own aperture."""
 
     diameter_mm: Positive | None = _PLAIN.aperture_mm
@@ -55,7 +66,7 @@ class ApertureTable(Section):
     """How far the outline may be off that."""
 
 
-class FiducialsTable(Section):
+class FiducialsTable(ConfigSection):
     """Marks on the part."""
 
     positions_mm: Places = _PLAIN.fiducials_mm
@@ -64,7 +75,7 @@ class FiducialsTable(Section):
     """How far a mark may be off its place after the fit."""
 
 
-class RegistrationTable(Section):
+class RegistrationTable(ConfigSection):
     """By what each map is laid on the part, and how far off it may have lain."""
 
     by: RegisterBy = _PLAIN.register_by
@@ -78,14 +89,14 @@ class RegistrationTable(Section):
     """Most shift against the last map of the same part."""
 
 
-class RepeatabilityTable(Section):
+class RepeatabilityTable(ConfigSection):
     """How well the instrument repeats itself: no part of the proof, but all figures are read beside it."""
 
     rms_nm: Positive | None = _PLAIN.repeatability_nm
     """RMS of what one map of a part has and the mean of many has not, levelled, in one set-up; left out: not known."""
 
 
-class UnseenTable(Section):
+class UnseenTable(ConfigSection):
     """How large the instrument's own error may be where nothing has told it: one standard deviation, nm RMS.
 
     No part of the proof. A reference that was measured makes a number smaller: a sphere of known radius `power_nm`.
@@ -105,7 +116,7 @@ class UnseenTable(Section):
     """All waves shorter than the terms together, where there is no system map; with one its poses tell it."""
 
 
-class SystemTable(Section):
+class SystemTable(ConfigSection):
     """What ``polishd calibrate instrument`` wrote: the instrument's own error, which is taken off each map."""
 
     map: Text
@@ -118,14 +129,14 @@ class SystemTable(Section):
     """Of the profile's values by which its maps were read: once one is changed, the map is refused."""
 
 
-class BumpTable(Bump):
+class BumpTable(BumpSection):
     """A Gaussian bump of the artefact; a hollow where its height is negative."""
 
     angle_deg: Angle = 0.0
     """How its own x is turned, counter-clockwise."""
 
 
-class ArtefactTable(Section):
+class ArtefactTable(ConfigSection):
     """The artefact that proves the profile."""
 
     name: Text
@@ -134,7 +145,7 @@ class ArtefactTable(Section):
     """Its bumps: no turn, flip or negation of them may look like the original."""
 
 
-class RecordTable(Section):
+class RecordTable(ConfigSection):
     """What ``polishd map commission`` wrote."""
 
     at: AwareDatetime
@@ -151,7 +162,7 @@ class RecordTable(Section):
     """Of the profile's values that were proved: once one is changed, the record is void."""
 
 
-class ProfileFile(Document):
+class ProfileFile(TomlDocument):
     """The whole file."""
 
     name: Text

@@ -12,13 +12,13 @@ from polishd.config.outline import OutlineKeys
 from polishd.config.values import (
     Angle,
     Angles,
+    ConfigSection,
     Name,
     NotNegative,
     Pair,
     Positive,
     Range,
     Seconds,
-    Section,
     Share,
     ShareOrNone,
     Text,
@@ -49,7 +49,7 @@ def _feed(value: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
+class DeviceInterface:
     """Marks a section of the cell as one for devices, and says what is asked of them."""
 
     protocol: type
@@ -61,7 +61,7 @@ class Port:
     """A job uses one of them; else all that there are."""
 
 
-class DeviceSection(Section):
+class DeviceSection(ConfigSection):
     """A device: its type, and the raw options that the type's own model judges (see ``device_options``).
 
     Or a table of several, by names of the user's: ``[robot.left]`` and ``[robot.right]`` are such sections each.
@@ -115,7 +115,7 @@ class ForceSensorSection(DeviceSection):
     """How long they may be apart: filters differ, and a landing is steep."""
 
 
-class NotifySection(Section):
+class NotifySection(ConfigSection):
     """A way to reach a person: `[notify.mail]`, by names of the user's. `type` says which other keys there are."""
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
@@ -127,7 +127,7 @@ class NotifySection(Section):
     """What happens again within that time is counted, and told once at its end; 0: each time."""
 
 
-class CellSection(Section):
+class CellSection(ConfigSection):
     """Who this cell is, and where it keeps its state."""
 
     name: Name
@@ -138,7 +138,7 @@ class CellSection(Section):
     """Where the run folder goes; left out: `state_dir/runs/<job>-<time>`."""
 
 
-class PluginsSection(Section):
+class PluginsSection(ConfigSection):
     """The plugins to load, by entry-point name."""
 
     load: Annotated[Texts, Field(min_length=1)]
@@ -154,7 +154,7 @@ class PluginsSection(Section):
         return names
 
 
-class InstrumentSection(Section):
+class InstrumentSection(ConfigSection):
     """The instrument whose maps the cell polishes by."""
 
     profile: Text | None = None
@@ -214,7 +214,7 @@ class PartSection(OutlineKeys):
             yield "curvature_radius_mm", f"{radius:g} mm is no surface of {across:g} mm aperture"
 
 
-class ProgramSection(Section):
+class ProgramSection(ConfigSection):
     """The part program, and how its frame lies on the part: ``part = rotation_z @ program + offset``."""
 
     path: Text
@@ -231,7 +231,7 @@ class ProgramSection(Section):
     """How the program's frame is turned on the part, counter-clockwise."""
 
 
-class MachineSection(Section):
+class MachineSection(ConfigSection):
     """What the machine can do, from its data sheet, on the safe side."""
 
     max_feed_mm_s: Annotated[
@@ -260,7 +260,7 @@ class MachineSection(Section):
         return self
 
 
-class DwellSection(Section):
+class DwellSection(ConfigSection):
     """How the dwell is solved, and by whom it is checked."""
 
     solver: Text = "auto"
@@ -301,7 +301,7 @@ class DwellSection(Section):
         return self
 
 
-class JobSection(Section):
+class JobSection(ConfigSection):
     """What is to be reached, and with how much effort."""
 
     id: Name
@@ -324,7 +324,7 @@ class JobSection(Section):
     """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
 
 
-class MemorySection(Section):
+class MemorySection(ConfigSection):
     """What a job takes over from the jobs before it (docs/beliefs.md)."""
 
     remember: bool = True
@@ -333,7 +333,7 @@ class MemorySection(Section):
     """Name of the tool on the spindle: under another name all is learned anew."""
 
 
-class CertificateSection(Section):
+class CertificateSection(ConfigSection):
     """Who issues certificates of this cell's parts (docs/certificate.md)."""
 
     shop: str = ""
@@ -343,7 +343,7 @@ class CertificateSection(Section):
     not signed."""
 
 
-class LimitsSection(Section):
+class LimitsSection(ConfigSection):
     """What must never happen to the part."""
 
     force_band: Share = 0.25

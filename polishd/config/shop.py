@@ -7,12 +7,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from polishd.config.document import Document, parse_toml
-from polishd.config.values import Name, Section, Text
+from polishd.config.document import TomlDocument, load_toml
+from polishd.config.values import ConfigSection, Name, Text
 from polishd.config.web import WebSection
 
 
-class ShopSection(Section):
+class ShopSection(ConfigSection):
     """Who this shop is, and where it keeps what it knows."""
 
     name: Name
@@ -30,7 +30,7 @@ class ShopWebSection(WebSection):
     """File of its people, with hashes of their tokens; left out: `shop-users.json` in `shop.state_dir`."""
 
 
-class ShopFile(Document):
+class ShopFile(TomlDocument):
     """All of a shop's file."""
 
     shop: ShopSection
@@ -44,4 +44,4 @@ class ShopFile(Document):
 
 def load_shop(path: Path) -> ShopFile:
     """ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
-    return ShopFile.of(*parse_toml(path))
+    return ShopFile.of(*load_toml(path))

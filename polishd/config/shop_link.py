@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
 
-from polishd.config.values import Section, Text
+from polishd.config.values import ConfigSection, Text
 from polishd.secret import SecretPlace
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -27,7 +27,7 @@ def _address(url: str) -> str:
     return url
 
 
-class ShopLinkSection(Section):
+class ShopLinkSection(ConfigSection):
     """The shop that this cell belongs to; `polishd shop link` tells it what happens here, and asks it for parts."""
 
     url: Annotated[Text, AfterValidator(_address)]

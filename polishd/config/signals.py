@@ -6,11 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polishd.config.values import Name, Section, Text
-from polishd.model.signal_limits import Bounds, LeadsTo, SignalLimits
+from polishd.config.values import ConfigSection, Name, Text
+from polishd.model.signal_limits import LeadsTo, SignalLimits, SignalRange
 
 
-class BoundsSection(Section):
+class BoundsSection(ConfigSection):
     """What a signal must be: a state, or a range."""
 
     min: float | None = None
@@ -31,9 +31,9 @@ class BoundsSection(Section):
         return self
 
     @property
-    def bounds(self) -> Bounds:
+    def bounds(self) -> SignalRange:
         """As they are judged."""
-        return Bounds(self.min, self.max, self.state)
+        return SignalRange(self.min, self.max, self.state)
 
 
 class BeforeSection(BoundsSection):
@@ -50,7 +50,7 @@ class InContactSection(BoundsSection):
     """How long it may be otherwise, or not known."""
 
 
-class SignalSection(Section):
+class SignalSection(ConfigSection):
     """A signal of the cell that is watched: slurry flow, a pressure, a guard (docs/monitors.md)."""
 
     monitor: Name | None = None

@@ -10,21 +10,21 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.document import Document, parse_toml
+from polishd.config.document import TomlDocument, load_toml
 from polishd.config.process import HybridSection, KinematicsSection
 from polishd.config.robots import robot_of
 from polishd.config.simulator_effects import Effects
-from polishd.config.simulator_faults import FRAMES, MOTION, STATES, Fault
+from polishd.config.simulator_faults import FRAMES, MOTION, STATES, FaultSection
 from polishd.config.simulator_instrument import InstrumentErrors
-from polishd.config.simulator_plant import CLOSEST, Contact, Plant, Truth
+from polishd.config.simulator_plant import CLOSEST, Plant, SimContactSection, Truth
 from polishd.config.tables import read_tif
 from polishd.config.values import (
-    Bump,
+    BumpSection,
+    ConfigSection,
     Name,
     NotNegative,
     Pair,
     Positive,
-    Section,
     ShareOrNone,
     Text,
     Texts,
@@ -33,12 +33,12 @@ from polishd.config.values import (
 from polishd.model.process import MeasuredTif
 from polishd.model.robot import RobotModel
 
-__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "Fault", "SimConfig", "load_simulator"]
+__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "FaultSection", "SimConfig", "load_simulator"]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 
-class MapFaults(Section):
+class MapFaults(ConfigSection):
     """What an interferometer does to those who read its folder."""
 
     preallocate: bool = False
@@ -57,18 +57,18 @@ class MapFaults(Section):
     """Of all heights; 2: it gives wavefronts for surfaces. [1]"""
 
 
-class Artefact(Section):
+class Artefact(ConfigSection):
     """A round flat with bumps, for ``--artefact``."""
 
     part_id: str = "ARTEFACT"
     """Its name in the map."""
     diameter_mm: Annotated[float, Field(gt=5, le=5000)] = 100.0
     """Of the flat."""
-    bumps: Annotated[tuple[Bump, ...], BeforeValidator(as_tuple)] = ()
+    bumps: Annotated[tuple[BumpSection, ...], BeforeValidator(as_tuple)] = ()
     """What stands on it: `[artefact]` of the instrument's profile says the same."""
 
 
-class Robot(Section):
+class SimRobotSection(ConfigSection):
     """The robot controller."""
 
     kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
@@ -111,7 +111,7 @@ class Robot(Section):
     """X, Y, Z, A and C at the very first start; later it is wherever it stood. [mm, mm, mm, deg, deg]"""
 
 
-class Actuator(Section):
+class SimActuatorSection(ConfigSection):
     """The voice-coil actuator. Its times go with the simulated clock."""
 
     kind: Literal["modbus_rtu", "modbus_tcp", "serial", "slcan", "socketcand", "profile", "profile_tcp"] = "modbus_rtu"
@@ -139,7 +139,7 @@ class Actuator(Section):
     """What its tool does where its process is killed, which is its power cut."""
 
 
-class Spindle(Section):
+class SimSpindleSection(ConfigSection):
     """The spindle drive."""
 
     kind: Literal["slcan", "socketcand", "profile", "profile_tcp"] = "slcan"
@@ -166,7 +166,7 @@ class Spindle(Section):
     """Without a command for so long it stops by itself, wall time."""
 
 
-class Interferometer(Section):
+class SimInterferometerSection(ConfigSection):
     """The interferometer and its folder (``maps`` in the state folder)."""
 
     request_file: str = "measure.request"
@@ -180,7 +180,7 @@ class Interferometer(Section):
     errors: InstrumentErrors = InstrumentErrors()
 
 
-class Line(Section):
+class SimLineSection(ConfigSection):
     """How a small device is reached."""
 
     kind: Literal["tcp", "serial"] = "tcp"
@@ -191,7 +191,7 @@ class Line(Section):
     """Pace of the serial line. [bit/s]"""
 
 
-class ForceSensor(Line):
+class SimForceSensorSection(SimLineSection):
     """A force sensor beside the actuator: it feels what truly acts."""
 
     offset_n: float = 6.0
@@ -204,7 +204,7 @@ class ForceSensor(Line):
     """Beyond it a fault bit is set."""
 
 
-class SimSignal(Section):
+class SimSignal(ConfigSection):
     """A signal of the simulated monitor."""
 
     value: float | bool
@@ -231,13 +231,13 @@ SEVEN: Mapping[str, SimSignal] = {
 """What a cell's monitor tells that says no more: l/min, degC, bar, kPa below the air's, and states."""
 
 
-class Monitor(Line):
+class SimMonitorSection(SimLineSection):
     """A monitor of the cell's signals, with the seven of examples/monitored_cell.toml and those that are named here."""
 
     signals: Mapping[Name, SimSignal] = {}
 
 
-class LoaderFaults(Section):
+class LoaderFaults(ConfigSection):
     """What a loader can do to parts, by the part that it is asked for; dropping and jamming once each."""
 
     wrong: Texts = ()
@@ -250,7 +250,7 @@ class LoaderFaults(Section):
     """Parts over which it jams."""
 
 
-class Loader(Line):
+class SimLoaderSection(SimLineSection):
     """The part loader. Its times go with the simulated clock."""
 
     parts: Texts = ()
@@ -264,22 +264,22 @@ class Loader(Line):
     faults: LoaderFaults = LoaderFaults()
 
 
-class SimConfig(Document):
+class SimConfig(TomlDocument):
     """The whole of SIM.toml."""
 
     plant: Plant = Plant()
     truth: Truth = Truth()
     effects: Effects = Effects()
-    process: Contact = Contact()
+    process: SimContactSection = SimContactSection()
     kinematics: KinematicsSection = HybridSection()
-    robot: Robot = Robot()
-    actuator: Actuator = Actuator()
-    spindle: Spindle = Spindle()
-    interferometer: Interferometer = Interferometer()
-    loader: Loader | None = None
-    force_sensor: ForceSensor | None = None
-    monitor: Monitor | None = None
-    fault: Annotated[tuple[Fault, ...], BeforeValidator(as_tuple)] = ()
+    robot: SimRobotSection = SimRobotSection()
+    actuator: SimActuatorSection = SimActuatorSection()
+    spindle: SimSpindleSection = SimSpindleSection()
+    interferometer: SimInterferometerSection = SimInterferometerSection()
+    loader: SimLoaderSection | None = None
+    force_sensor: SimForceSensorSection | None = None
+    monitor: SimMonitorSection | None = None
+    fault: Annotated[tuple[FaultSection, ...], BeforeValidator(as_tuple)] = ()
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -299,4 +299,4 @@ class SimConfig(Document):
 
 def load_simulator(path: Path) -> SimConfig:
     """Read SIM.toml; ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``."""
-    return SimConfig.of(*parse_toml(path))
+    return SimConfig.of(*load_toml(path))

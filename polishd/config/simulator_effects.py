@@ -6,10 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polishd.config.values import NotNegative, Pair, Positive, Section, ShareOrNone
+from polishd.config.values import ConfigSection, NotNegative, Pair, Positive, ShareOrNone
 
 
-class Effects(Section):
+class Effects(ConfigSection):
     """What the controller assumes and the machine does not do; sizes have no source but the shop's experience."""
 
     rate_field: ShareOrNone = 0.0

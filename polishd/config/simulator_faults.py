@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polishd.config.values import NotNegative, Positive, Section
+from polishd.config.values import ConfigSection, NotNegative, Positive
 
 FRAMES = ("drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception")
 """What happens to single frames, ..."""
@@ -35,7 +35,7 @@ KNOWS |= {"force_n": ("spike", "press"), "factor": ("lie",), "offset_n": ("lie",
 """Keys that others than these must not have."""
 
 
-class Fault(Section):
+class FaultSection(ConfigSection):
     """Something that goes wrong; docs/faults.md has examples. Several act together, in the order of the file."""
 
     device: Literal["robot", "actuator", "spindle", "loader", "force_sensor", "monitor"]

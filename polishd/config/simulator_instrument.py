@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from polishd.config.values import NotNegative, Section, ShareOrNone
+from polishd.config.values import ConfigSection, NotNegative, ShareOrNone
 
 
-class InstrumentErrors(Section):
+class InstrumentErrors(ConfigSection):
     """What is in every map and not in the part. Sizes in nm are RMS over the circle about the part."""
 
     tilt_nm: NotNegative = 0.0

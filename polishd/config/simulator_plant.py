@@ -10,12 +10,12 @@ from pydantic import BeforeValidator, Field, model_validator
 from polishd.config.outline import OutlineKeys
 from polishd.config.process import Poisson, Preston
 from polishd.config.values import (
+    ConfigSection,
     Dip,
     Force,
     NotNegative,
     Pair,
     Positive,
-    Section,
     ShareOrNone,
     Speed,
     Text,
@@ -97,7 +97,7 @@ class Plant(OutlineKeys):
         return self
 
 
-class Truth(Section):
+class Truth(ConfigSection):
     """Ranges that the hidden truth is drawn from; 0 makes a perfect machine."""
 
     rate: Pair = (-0.10, 0.0)
@@ -130,7 +130,7 @@ class Truth(Section):
     """How far off that it is drawn, either way, relative. [1]"""
 
 
-class Contact(Section):
+class SimContactSection(ConfigSection):
     """The tool, and how it removes: Hertz's contact and Preston's equation, or a spot that was measured."""
 
     tool_radius_mm: Positive = _TOOL.tool_radius_mm

@@ -8,11 +8,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polishd.config.document import parse_toml
+from polishd.config.document import load_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.physics import PartDocument, ProcessDocument
-from polishd.config.places import Source, did_you_mean, listed
+from polishd.config.places import TomlSource, did_you_mean, join_words
 from polishd.config.values import (
+    ConfigSection,
     Dip,
     Force,
     Name,
@@ -20,7 +21,6 @@ from polishd.config.values import (
     Positive,
     Range,
     Seconds,
-    Section,
     Share,
     ShareOrNone,
     Speed,
@@ -33,7 +33,7 @@ MOST_SAMPLES = 1_000_000
 """Samples, and dwell points, of a study: beyond it the machine's memory decides, not the file."""
 
 
-class SurfaceSection(Section):
+class SurfaceSection(ConfigSection):
     """The surface at the start: drawn from a seed, or a measured map."""
 
     file: Text | None = None
@@ -57,7 +57,7 @@ class SurfaceSection(Section):
         return self
 
 
-class PathSection(Section):
+class PathSection(ConfigSection):
     """Dwell points at rest on a square lattice, over the aperture and an extension beyond it."""
 
     step_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
@@ -66,7 +66,7 @@ class PathSection(Section):
     """How far beyond the aperture they go."""
 
 
-class SolveSection(Section):
+class SolveSection(ConfigSection):
     """How the dwell is solved: eq. 50 with ``t >= 0``."""
 
     regularisation_nm2_s2: NotNegative = 1e-9
@@ -143,7 +143,7 @@ class PassesStudy(PartStudy):
                 yield f"part.{key}", "this study has no map"
 
 
-class SpotSection(Section):
+class SpotSection(ConfigSection):
     """One spot, and what the paper prints of it, if anything."""
 
     size_mm: Positive
@@ -186,16 +186,16 @@ def load_study(path: Path) -> Study:
 
     Of one with a ``[sweep]``, `polishd.config.sweep_points.load_swept` reads all cases.
     """
-    return study_of(*parse_toml(path))
+    return study_of(*load_toml(path))
 
 
-def study_of(raw: Mapping[str, Any], source: Source) -> Study:
+def study_of(raw: Mapping[str, Any], source: TomlSource) -> Study:
     """The same of a file's values, and the text that says where they stand."""
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."
         given = "is missing" if kind is None else f"{kind!r} is not allowed"
-        raise ConfigError(source.error(("kind",), f"{given}; must be one of {listed(KINDS)}{near}"))
+        raise ConfigError(source.error(("kind",), f"{given}; must be one of {join_words(KINDS)}{near}"))
     study = KINDS[kind].of(raw, source)
     unused = [source.error(tuple(key.split(".")), f"{why}; drop it") for key, why in study.without_use()]
     if unused:

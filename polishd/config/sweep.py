@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.values import Pair, Range, Section, Text, as_tuple
+from polishd.config.values import ConfigSection, Pair, Range, Text, as_tuple
 
 How = Literal["crossed", "zipped", "drawn", "latin"]
 EVEN = ("linear", "log")
@@ -14,7 +14,7 @@ SPREAD = ("uniform", "log_uniform", "normal", "lognormal")
 """Axes that are distributions: they need draws."""
 
 
-class AxisSection(Section):
+class AxisSection(ConfigSection):
     """The values of one key: a list, or a table with one of these."""
 
     values: Annotated[tuple[Any, ...], BeforeValidator(as_tuple)] | None = None
@@ -79,7 +79,7 @@ class AxisSection(Section):
 _KINDS = ("values", *EVEN, *SPREAD, "files", "numbers_from")
 
 
-class GroupSection(Section):
+class GroupSection(ConfigSection):
     """Keys whose values go together in one way; groups are crossed with each other."""
 
     how: How = "crossed"
@@ -101,7 +101,7 @@ class GroupSection(Section):
         return self
 
 
-class SweepSection(Section):
+class SweepSection(ConfigSection):
     """Many cases of one study."""
 
     seed: Annotated[int, Field(ge=0)] = 1

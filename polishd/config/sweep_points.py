@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from polishd.config.document import parse_toml
-from polishd.config.places import Location, Source, problems
+from polishd.config.document import load_toml
+from polishd.config.places import Location, TomlSource, validation_problems
 from polishd.config.study import Study, study_of
 from polishd.config.sweep import SPREAD, AxisSection, GroupSection, SweepSection
 from polishd.model.errors import ConfigError
@@ -32,13 +32,13 @@ Point = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Swept:
+class SweepStudy:
     """A study's file as its cases see it."""
 
     path: Path
     raw: Mapping[str, Any]
     """All but ``[sweep]``."""
-    source: Source
+    source: TomlSource
     points: tuple[Point, ...]
     """One without keys where nothing is swept."""
     is_sweep: bool
@@ -51,36 +51,36 @@ class Swept:
         return study_of(raw, self.source)
 
 
-def read_swept(path: Path) -> Swept:
+def read_swept(path: Path) -> SweepStudy:
     """A study's file without its points, for whoever is told them. ConfigError."""
-    raw, source = parse_toml(path)
+    raw, source = load_toml(path)
     swept = raw.pop("sweep", None) is not None
-    return Swept(path.absolute(), raw, source, (), is_sweep=swept)
+    return SweepStudy(path.absolute(), raw, source, (), is_sweep=swept)
 
 
-def load_swept(path: Path) -> Swept:
+def load_swept(path: Path) -> SweepStudy:
     """Read a study's file with its ``[sweep]``, if any, and check each of its points.
 
     ConfigError, a line each: ``FILE:LINE: key: what is wrong; what to do``.
     """
-    raw, source = parse_toml(path)
+    raw, source = load_toml(path)
     section = raw.pop("sweep", None)
     if section is None:
         study_of(raw, source)
-        return Swept(path.absolute(), raw, source, ({},), is_sweep=False)
+        return SweepStudy(path.absolute(), raw, source, ({},), is_sweep=False)
     try:
         sweep = SweepSection.model_validate(section)
     except ValidationError as error:
-        raise ConfigError("\n".join(problems(error, SweepSection, source, ("sweep",)))) from error
+        raise ConfigError("\n".join(validation_problems(error, SweepSection, source, ("sweep",)))) from error
     places = _places(sweep, raw, source)
     points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
     stands = (*((location_of(key), place) for key, place in places.items()), *_made(places, raw))
-    swept = Swept(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
+    swept = SweepStudy(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
     require_all(swept, lambda _, point: swept.at(point))
     return swept
 
 
-def require_all(swept: Swept, make: Callable[[int, Point], object]) -> None:
+def require_all(swept: SweepStudy, make: Callable[[int, Point], object]) -> None:
     """Try each point; ConfigError, a line each, of what cannot be: at a key of the sweep, or with its point."""
     said: dict[str, str] = {}
     for number, point in enumerate(swept.points):
@@ -117,7 +117,7 @@ def put(raw: dict[str, Any], key: str, value: Any) -> None:
     inner[last] = value
 
 
-def _places(sweep: SweepSection, raw: Mapping[str, Any], source: Source) -> dict[str, Location]:
+def _places(sweep: SweepSection, raw: Mapping[str, Any], source: TomlSource) -> dict[str, Location]:
     """Where each swept key is written. ConfigError for one that is swept twice, or that no case can have."""
     places: dict[str, Location] = {}
     loops = list(raw.get("loops", ())) if isinstance(raw.get("loops", {}), Mapping) else []
@@ -150,7 +150,7 @@ def _made(places: Mapping[str, Location], raw: Mapping[str, Any]) -> Iterator[tu
 class _Values:
     """The values of keys, and where each key is written."""
 
-    source: Source
+    source: TomlSource
     places: Mapping[str, Location]
     folders: Mapping[str, Path]
     """By root of a key, the folder from which the file that it ends in counts its paths; "": the study's."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.config.places import did_you_mean, listed
+from polishd.config.places import did_you_mean, join_words
 from polishd.files import write_atomic
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.outline import Polygon, polygon
@@ -87,7 +87,7 @@ def _entries(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> 
         if name not in header:
             raise ConfigError(
                 f"{path}:{rows[0][0]}: the column {name!r} is missing{did_you_mean(name, header)} There are: "
-                f"{listed(header)}"
+                f"{join_words(header)}"
             )
     return [
         (f"{path}:{number}", dict(zip(header, next(csv.reader([line])), strict=False))) for number, line in rows[1:]

@@ -8,10 +8,10 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.document import Document, parse_toml
+from polishd.config.document import TomlDocument, load_toml
 from polishd.config.sections import JobSection
-from polishd.config.values import Positive, Section, Text, as_tuple
-from polishd.model.tolerance import Figure, Line
+from polishd.config.values import ConfigSection, Positive, Text, as_tuple
+from polishd.model.tolerance import Figure, ToleranceLine
 
 FIGURES: dict[str, Figure] = {
     "rms_nm": "rms",
@@ -34,7 +34,7 @@ _RMS = re.compile(rf"RMS([tia])\s*<\s*{_NUMBER}")
 _EXAMPLE = '"3/200(50/20)", with "-" for what has no limit, and "RMSi < 5" after a ";"'
 
 
-class ToleranceSection(Section):
+class ToleranceSection(ConfigSection):
     """One line of the drawing: a figure in the clear aperture with its limit.
 
     A part is accepted when all lines hold.
@@ -65,14 +65,14 @@ class ToleranceSection(Section):
     """`iso10110` counts fringe spacings, of half this wavelength, as drawings before 2015 do; left out: nm."""
 
     @property
-    def lines(self) -> tuple[Line, ...]:
+    def lines(self) -> tuple[ToleranceLine, ...]:
         """What a surface is judged by: one line, or one for each limit of `iso10110`."""
         if self.iso10110 is not None:
             scale = 1.0 if self.wavelength_nm is None else self.wavelength_nm / 2
-            return tuple(Line(figure, limit * scale) for figure, limit in notation(self.iso10110).items())
+            return tuple(ToleranceLine(figure, limit * scale) for figure, limit in notation(self.iso10110).items())
         key, figure = next((key, figure) for key, figure in FIGURES.items() if getattr(self, key) is not None)
         above, below = self.periods_above_mm or 0.0, self.periods_below_mm
-        return (Line(figure, getattr(self, key), above, below, self.integration_mm, self.exponent or 0.0),)
+        return (ToleranceLine(figure, getattr(self, key), above, below, self.integration_mm, self.exponent or 0.0),)
 
     @model_validator(mode="after")
     def _is_one_line(self) -> Self:
@@ -102,24 +102,24 @@ class ToleranceSection(Section):
             raise ValueError(f"periods_below_mm: {below:g} leaves no period above {above:g}; exchange or mend them")
 
 
-class ToleranceFile(Document):
+class ToleranceFile(TomlDocument):
     """A drawing's lines in a file of their own."""
 
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple), Field(min_length=1)]
     """The lines: at least one."""
 
 
-def load_tolerance(path: Path) -> tuple[Line, ...]:
+def load_tolerance(path: Path) -> tuple[ToleranceLine, ...]:
     """The lines of a file that holds ``[[tolerance]]`` sections and nothing else; ConfigError with file and line."""
-    raw, source = parse_toml(path)
+    raw, source = load_toml(path)
     return tuple(line for section in ToleranceFile.of(raw, source).tolerance for line in section.lines)
 
 
-def lines_of(job: JobSection, drawing: tuple[Line, ...]) -> tuple[Line, ...]:
+def lines_of(job: JobSection, drawing: tuple[ToleranceLine, ...]) -> tuple[ToleranceLine, ...]:
     """What a part is judged by: the one line of the job's short form, or the drawing's."""
     if job.tolerance_nm is None:
         return drawing
-    return (Line("rms", job.tolerance_nm, job.tolerance_period_mm),)
+    return (ToleranceLine("rms", job.tolerance_nm, job.tolerance_period_mm),)
 
 
 def notation(text: str) -> dict[Figure, float]:

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from polishd.config.places import Location, Source
+from polishd.config.places import Location, TomlSource
 from polishd.config.process import Poisson, Preston
-from polishd.config.values import Dip, Force, NotNegative, Pair, Positive, Section, Speed, Text
+from polishd.config.values import ConfigSection, Dip, Force, NotNegative, Pair, Positive, Speed, Text
 
 
-class ToolSection(Section):
+class ToolSection(ConfigSection):
     """A tool, `[tools.NAME]`: in the order of the file they polish one part (docs/tools.md).
 
     What it leaves out is as `[process]`, `[kinematics]` and `[touch_off]` say.
@@ -66,7 +66,7 @@ ELSEWHERE = {
 OF_THE_TURN = ("passes", "change_s")
 
 
-def laid_over(raw: Mapping[str, Any], source: Source, name: str) -> tuple[dict[str, Any], Source]:
+def tool_overlay(raw: Mapping[str, Any], source: TomlSource, name: str) -> tuple[dict[str, Any], TomlSource]:
     """The cell's values, as they were written, with that tool on its spindle and no other; and where each stands."""
     values = copy.deepcopy(dict(raw))
     written = list[tuple[Location, Location]]()

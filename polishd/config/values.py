@@ -86,7 +86,7 @@ Range = Annotated[
 ]
 
 
-class Section(BaseModel):
+class ConfigSection(BaseModel):
     """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -98,7 +98,7 @@ class Section(BaseModel):
         return value
 
 
-class Bump(Section):
+class BumpSection(ConfigSection):
     """A Gaussian bump of an artefact; a hollow where its height is negative."""
 
     x_mm: float

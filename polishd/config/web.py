@@ -10,10 +10,10 @@ from pydantic import BeforeValidator, Field, model_validator
 from polishd.config.physics import PartDocument
 from polishd.config.plant import OpcUaSection
 from polishd.config.shop_link import ShopLinkSection
-from polishd.config.values import Section, Text, as_tuple
+from polishd.config.values import ConfigSection, Text, as_tuple
 
 
-class WebSection(Section):
+class WebSection(ConfigSection):
     """Where `polishd web` serves the cell's page and HTTP API. Left out: for this computer only."""
 
     address: Text = "127.0.0.1"

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from polishd.config.cell import load_config
 from polishd.daemon.history import read_only
-from polishd.daemon.remembering import Lesson, forget, lessons
+from polishd.daemon.remembering import JournalledEstimates, forget_estimates, journalled_estimates
 from polishd.show.tables import emit, figure_table
 
 COLUMNS = ("tool", "job", "pass", "taught, UTC", "rate", "+-", "ms a block", "more")
@@ -24,7 +24,7 @@ def beliefs_verb(cell: Path, *, as_json: bool) -> None:
     """The last lesson of each series, read beside a daemon that may be running. ConfigError."""
     config = load_config(cell)
     with read_only(config.state_dir) as journal:
-        last = list(_last(lessons(lambda sql, values: journal.execute(sql, values).fetchall())))
+        last = list(_last(journalled_estimates(lambda sql, values: journal.execute(sql, values).fetchall())))
     emit(
         {"cell": config.cell.name, "remember": config.memory.remember, "beliefs": [asdict(one) for one in last]},
         as_json=as_json,
@@ -36,7 +36,7 @@ def beliefs_verb(cell: Path, *, as_json: bool) -> None:
 def forget_verb(cell: Path, reason: str, *, as_json: bool) -> None:
     """Begin anew: nothing that was taught so far is remembered. ConfigError where a daemon runs the cell."""
     config = load_config(cell)
-    forget(config.state_dir, reason)
+    forget_estimates(config.state_dir, reason)
     emit(
         {"cell": config.cell.name, "forgotten": True, "reason": reason},
         as_json=as_json,
@@ -44,7 +44,7 @@ def forget_verb(cell: Path, reason: str, *, as_json: bool) -> None:
     )
 
 
-def _last(found: Iterable[Lesson]) -> Iterator[Lesson]:
+def _last(found: Iterable[JournalledEstimates]) -> Iterator[JournalledEstimates]:
     """Of each series; none where a person had to see to the tool since."""
     seen: set[str] = set()
     for one in found:
@@ -62,11 +62,11 @@ def _words(*, remember: bool, found: bool) -> Iterator[str]:
         yield "a job of the same tool, process, robot and instrument begins with it (docs/beliefs.md)"
 
 
-def _table(name: str, found: Iterable[Lesson]) -> Table:
+def _table(name: str, found: Iterable[JournalledEstimates]) -> Table:
     return figure_table(f"{name}: what was learned", COLUMNS, map(_row, found))
 
 
-def _row(one: Lesson) -> tuple[str, ...]:
+def _row(one: JournalledEstimates) -> tuple[str, ...]:
     rate, means = _rate(one), _means(one)
     return (
         one.tool or "-",
@@ -80,7 +80,7 @@ def _row(one: Lesson) -> tuple[str, ...]:
     )
 
 
-def _parameters(one: Lesson) -> Table:
+def _parameters(one: JournalledEstimates) -> Table:
     """What identification believes, as of its pass (docs/identification.md)."""
     removal = one.believed["removal"]
     sigmas = [row[k] ** 0.5 for k, row in enumerate(removal["covariance"])]
@@ -91,10 +91,10 @@ def _parameters(one: Lesson) -> Table:
     return figure_table(f"{one.tool or 'the tool'}, job {one.job}", PARAMETERS, rows)
 
 
-def _rate(one: Lesson) -> Any:
+def _rate(one: JournalledEstimates) -> Any:
     return one.believed["removal"]["rate"]
 
 
-def _means(one: Lesson) -> dict[str, float]:
+def _means(one: JournalledEstimates) -> dict[str, float]:
     found: dict[str, float] = one.believed["removal"].get("mean", {})
     return found

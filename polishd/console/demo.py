@@ -24,7 +24,7 @@ from polishd.files import require_new, require_writable
 from polishd.model.errors import LinkError, PolishdError
 from polishd.show.tables import outcome_tables, stderr, stdout
 from polishd.show.terminal import say
-from polishd.workbench.maps.commission import Proved, prove_profile
+from polishd.workbench.maps.commission import CommissioningResult, prove_profile
 
 START_S = 60.0
 STOP_S = 30.0
@@ -71,7 +71,7 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     return code
 
 
-def commission_demo(files: DemoFiles) -> Proved:
+def commission_demo(files: DemoFiles) -> CommissioningResult:
     """Have the simulated instrument measure its artefact, and prove its profile with that; errors as of the verb."""
     measure_artefact(files.sim, files.artefact)
     return prove_profile(files.profile, files.artefact)

@@ -11,7 +11,7 @@ from typing import Any
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.hooks.loader import load_own
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.recipe.files import read_map
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.setup.sample import aperture_mm
@@ -78,7 +78,7 @@ def aperture_of(surface: Path) -> float:
     """Diameter, mm, of the round part that a measured map shows, centred in its frame."""
     measured = read_map(surface, load_own().surface_readers().values())
     if measured.pitch_mm is None:
-        raise BadMap(f"{surface}: has no lateral scale; the demo needs one")
+        raise MapError(f"{surface}: has no lateral scale; the demo needs one")
     return aperture_mm(measured, measured.pitch_mm)
 
 

@@ -39,11 +39,11 @@ def hil_verb(
     """
     if importlib.util.find_spec("pytest") is None or importlib.util.find_spec("pytest_asyncio") is None:
         raise ConfigError("polishd hil needs pytest: pip install 'polishd[testing]'; nothing was opened")
-    from polishd.testing.bench import SUITES, Asked, Level, foreseen
+    from polishd.testing.bench import SUITES, HilRequest, Level, foreseen
 
     names = tuple(filter(None, simulate.split(",")))
     of = Level.of(level)
-    asked = Asked(cell=cell, level=of, max_force_n=max_force_n, simulate=names, motion=motion, record=record)
+    asked = HilRequest(cell=cell, level=of, max_force_n=max_force_n, simulate=names, motion=motion, record=record)
     seen = foreseen(asked)
     title, columns = f"{seen.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
     does = list(seen.does())

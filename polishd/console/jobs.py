@@ -10,7 +10,7 @@ from typing import Any
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.who import at_the_terminal
 from polishd.daemon import client
-from polishd.daemon.desk import Desk
+from polishd.daemon.desk import QueueRequests
 from polishd.daemon.queue import Queue
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import NoDaemon, PolishdError
@@ -22,10 +22,10 @@ COLUMNS = ("job", "part", "state", "added", "why")
 
 def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
     """Judge them all, then add them."""
-    from polishd.daemon.checking import judged_jobs
+    from polishd.daemon.checking import check_jobs
 
     config, hooks = load_cell(cell)
-    jobs = judged_jobs(config, hooks, files)
+    jobs = check_jobs(config, hooks, files)
     texts = [{"path": str(job.file.path), "content": job.file.text} for job in jobs]
     _ask(config, "job_add", files=texts, by=at_the_terminal())
     list_verb(cell, as_json=as_json)
@@ -54,7 +54,7 @@ def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
         answer = client.request(config.state_dir, verb, args=arguments)
     except NoDaemon:
         with Queue.at_rest(config.state_dir) as queue:
-            return run_loop(_answered(Desk(config, queue), verb, arguments))
+            return run_loop(_answered(QueueRequests(config, queue), verb, arguments))
     if not answer["ok"]:
         refusal = PolishdError(answer["error"])
         refusal.exit_code = answer.get("exit_code", refusal.exit_code)
@@ -62,7 +62,7 @@ def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
     return answer
 
 
-async def _answered(desk: Desk, verb: str, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+async def _answered(desk: QueueRequests, verb: str, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
     return await desk.handlers[verb](**arguments)
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from polishd.daemon.last_word import for_cell
-from polishd.model.concern import Standing
+from polishd.model.concern import CellSafety
 from polishd.show.terminal import say
 
 
 def last_words(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
     """Names and texts, of a summary, a state event or what ``status`` found; commands name that cell."""
-    standing = Standing.of(facts)
+    standing = CellSafety.of(facts)
     rows = [*standing.rows(), ("run folder", facts.get("run_dir", "")), ("next", standing.next)]
     return [(name, for_cell(text, cell)) for name, text in rows if text]
 

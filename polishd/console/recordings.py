@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.console import Group
 
-from polishd.ports.tap import Passed
+from polishd.ports.tap import WireMessage
 from polishd.ports.wire_file import Recording, read_recording
 from polishd.show.tables import emit, key_table, record_table
 
@@ -29,7 +29,7 @@ def show_verb(file: Path, *, as_json: bool) -> None:
 
 
 def _links(found: Recording) -> list[dict[str, Any]]:
-    by_link: dict[tuple[str, str], list[Passed]] = {}
+    by_link: dict[tuple[str, str], list[WireMessage]] = {}
     for one in found.passed:
         by_link.setdefault((one.role, one.link), []).append(one)
     return [{"device": role, "link": link, **_counts(passed)} for (role, link), passed in by_link.items()]
@@ -42,7 +42,7 @@ def _row(link: dict[str, Any]) -> tuple[object, ...]:
     return (link["device"], link["link"], link["opened"], *ways, *times)
 
 
-def _counts(passed: list[Passed]) -> dict[str, Any]:
+def _counts(passed: list[WireMessage]) -> dict[str, Any]:
     """``longest_silence_s``: of what came, while the link was open."""
     out, came = ([one for one in passed if one.way == way] for way in ("out", "in"))
     heard = [one for one in passed if one.way != "out"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import PolishdError
 from polishd.show.tables import emit, stderr
-from polishd.workbench.setup.steps import CHECK, Step, lines, steps
+from polishd.workbench.setup.steps import CHECK, SetupStep, lines, steps
 
 
 def setup_verb(cell: Path, *, as_json: bool) -> None:
@@ -20,7 +20,7 @@ def setup_verb(cell: Path, *, as_json: bool) -> None:
     emit(answer, as_json=as_json, lines=[f"{cell}: {done} of {len(found)} steps are done", *lines(found)])
 
 
-def _checked(cell: Path, step: Step) -> Step:
+def _checked(cell: Path, step: SetupStep) -> SetupStep:
     """What `polishd check` says of the files as they are now."""
     from polishd.daemon.checking import check_cell
 

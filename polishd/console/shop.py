@@ -12,13 +12,13 @@ from typing import Any
 
 from polishd.config.shop import load_shop
 from polishd.console.who import at_the_terminal
-from polishd.door.users import Role, Users
+from polishd.door.users import Role, UserFile
 from polishd.hooks.cell import load_cell
 from polishd.shop import parts, views
 from polishd.shop.app import cells_of, people_of, serve
-from polishd.shop.database import Database, Transaction
+from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.jobs import digests, read_part
-from polishd.shop.link import Link
+from polishd.shop.link import ShopLink
 from polishd.show.tables import emit, figure_table, record_table
 from polishd.show.terminal import say
 
@@ -63,7 +63,7 @@ def link_verb(path: Path) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     os.nice(NICE)
-    Link(config, hooks, config.shop).run(stop)
+    ShopLink(config, hooks, config.shop).run(stop)
 
 
 def add_verb(path: Path, files: Sequence[Path], by: str, *, as_json: bool) -> None:
@@ -134,13 +134,13 @@ def remove_verb(path: Path, job: str, by: str, why: str, *, as_json: bool) -> No
     emit({"job": job, "removed": True}, as_json=as_json, lines=[f"{job} is out of the shop"])
 
 
-def _in(path: Path, work: Callable[[Transaction], Any]) -> Any:
+def _in(path: Path, work: Callable[[DatabaseTransaction], Any]) -> Any:
     """One whole transaction, beside a server that may be running."""
     with Database.open(load_shop(path).state_dir) as database, database.transaction() as sql:
         return work(sql)
 
 
-def _told(users: Users, name: str, role: Role, what: str) -> None:
+def _told(users: UserFile, name: str, role: Role, what: str) -> None:
     token = users.add(name, role)
     say(f"{name} {what}; the token, which is not shown again:", err=True)
     say(token)

@@ -12,11 +12,11 @@ from typing import Any
 
 import typer
 
-from polishd.config.glance import Glance, glance
+from polishd.config.glance import CellSummary, cell_summary
 from polishd.console.last_words import last_words
 from polishd.console.who import at_the_terminal
 from polishd.daemon import client
-from polishd.daemon.last_word import Cause, for_cell, last_ending
+from polishd.daemon.last_word import EndCause, for_cell, last_ending
 from polishd.model.errors import NoDaemon
 from polishd.model.tolerance import judged_of, worst
 from polishd.show.tables import emit, key_table
@@ -25,7 +25,7 @@ from polishd.show.terminal import say
 
 def status_verb(cell: Path, *, as_json: bool) -> None:
     """Ask the running daemon; where none runs, what the last one left word of."""
-    place = glance(cell)
+    place = cell_summary(cell)
     try:
         answer = client.request(place.state_dir, "status")
     except NoDaemon as absent:
@@ -78,21 +78,21 @@ def _device(facts: Mapping[str, Any]) -> str:
 def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
     """Plain lines, as ``run`` ended with: a table would break commands and paths."""
     rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
-    rows += [("cause", str(Cause(**cause))) for cause in last.get("causes", [])]
+    rows += [("cause", str(EndCause(**cause))) for cause in last.get("causes", [])]
     for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
         say(f"{key}: {text}")
 
 
 def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
-    place = glance(cell)
+    place = cell_summary(cell)
     said = {"reason": reason} if reason else {}
     _told(place, verb, client.request(place.state_dir, verb, args={**said, "by": at_the_terminal()}), cell, as_json)
 
 
 def approve_verb(cell: Path, *, as_json: bool) -> None:
     """Say that the plan that waits now may run."""
-    place = glance(cell)
+    place = cell_summary(cell)
     waits = {"program_sha256": client.request(place.state_dir, "live").get("approval", "")}
     _told(
         place,
@@ -103,7 +103,7 @@ def approve_verb(cell: Path, *, as_json: bool) -> None:
     )
 
 
-def _told(place: Glance, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
+def _told(place: CellSummary, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
     if not answer["ok"]:
         say(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
         raise typer.Exit(answer.get("exit_code", 1))

@@ -20,7 +20,7 @@ from rich.text import Text
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon import client
 from polishd.daemon.last_word import for_cell, last_ending
-from polishd.model.concern import Standing
+from polishd.model.concern import CellSafety
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.model.tolerance import judged_of, worst
 from polishd.show.tables import stdout
@@ -36,7 +36,7 @@ CYCLES_S = 5.0
 
 
 @dataclass(slots=True)
-class Watched:
+class CellView:
     """One cell, and what is known of it."""
 
     config: CellConfig
@@ -66,7 +66,7 @@ class Watched:
 
 def top_verb(cells: Sequence[Path], *, once: bool) -> None:
     """Show the cells until Ctrl-C; once where stdout is no terminal."""
-    seen = [Watched(load_config(cell), cell) for cell in cells]
+    seen = [CellView(load_config(cell), cell) for cell in cells]
     if once or not stdout.is_terminal:
         for one in seen:
             one.look()
@@ -81,16 +81,16 @@ def top_verb(cells: Sequence[Path], *, once: bool) -> None:
             pause.wait(LOOK_S)
 
 
-def picture(seen: Sequence[Watched], now_s: float) -> RenderableType:
+def picture(seen: Sequence[CellView], now_s: float) -> RenderableType:
     """A panel a cell."""
     return Group(*(_panel(one, now_s) for one in seen))
 
 
-def _panel(one: Watched, now_s: float) -> Panel:
+def _panel(one: CellView, now_s: float) -> Panel:
     live, name = one.live, one.config.cell.name
     if one.trouble and not live:
         last = last_ending(one.config.state_dir)
-        ended: list[Row] = [(what, for_cell(text, one.path)) for what, text in Standing.of(last).rows() if text]
+        ended: list[Row] = [(what, for_cell(text, one.path)) for what, text in CellSafety.of(last).rows() if text]
         return Panel(_table(ended), title=Text(f"{name}: {one.trouble}"), border_style="red")
     passed_s = 0.0 if one.heard_s is None else now_s - one.heard_s
     rows = list(_rows(one, passed_s))
@@ -122,7 +122,7 @@ SAID = ("leaving", "reason", "next")
 """In words."""
 
 
-def _rows(one: Watched, passed_s: float) -> Iterator[Row]:
+def _rows(one: CellView, passed_s: float) -> Iterator[Row]:
     live = one.live
     cycle = "" if live.get("cycle") is None else f", cycle {live['cycle']}"
     yield "part", Text(f"{live.get('part')}, job {live.get('job')}{cycle}")

@@ -14,12 +14,12 @@ from polishd.daemon.lock import locked
 from polishd.hooks.cell import load_cell
 from polishd.hooks.loader import Hooks
 from polishd.model.surface import SurfaceMap
-from polishd.process.absolute import Pose
+from polishd.process.absolute import PartPose
 from polishd.show.tables import stderr
 from polishd.workbench.calibration.instrument import instrument_verb
 from polishd.workbench.calibration.options import InstrumentOptions
 
-Ask = Callable[[Pose, int, int], None]
+Ask = Callable[[PartPose, int, int], None]
 """Have somebody lay the part so; returns when it lies: the pose, its number from 1, and how many there are."""
 
 
@@ -29,7 +29,9 @@ def calibrate_verb(cell: Path, files: Sequence[Path], asked: InstrumentOptions, 
     instrument_verb(config, files, asked, lambda poses: asyncio.run(taken(config, hooks, poses)), as_json=as_json)
 
 
-async def taken(config: CellConfig, hooks: Hooks, poses: Sequence[Pose], ask: Ask | None = None) -> list[SurfaceMap]:
+async def taken(
+    config: CellConfig, hooks: Hooks, poses: Sequence[PartPose], ask: Ask | None = None
+) -> list[SurfaceMap]:
     """A map at each pose. Nothing moves: of the cell's devices only the instrument is opened.
 
     Raises:
@@ -50,6 +52,6 @@ async def taken(config: CellConfig, hooks: Hooks, poses: Sequence[Pose], ask: As
     return found
 
 
-def _by_a_person(pose: Pose, number: int, count: int) -> None:
+def _by_a_person(pose: PartPose, number: int, count: int) -> None:
     said = f"map {number} of {count}: lay the part at {pose}, counter-clockwise, right and up as the tool sees it"
     typer.prompt(f"{said}; Enter when it lies so", default="", show_default=False, err=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from polishd.config.cell import load_config
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from polishd.show.terminal import say
 from polishd.web.app import serve
 
@@ -13,7 +13,7 @@ from polishd.web.app import serve
 def web_verb(cell: Path, add_user: str | None, role: Role, remove_user: str | None) -> None:
     """Add or remove a user, or serve."""
     config = load_config(cell)
-    users = Users(users_path(config))
+    users = UserFile(users_path(config))
     if add_user is not None:
         token = users.add(add_user, role)
         say(f"{add_user} may {role.value}; the token, which is not shown again:", err=True)

@@ -17,27 +17,27 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, build_notifiers, require_taken, require_time_limits
+from polishd.daemon.assembly import build_cell, build_notifiers, require_accepted_by_robot, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.courier import Notifier
-from polishd.daemon.daemon import Daemon, to_the_end
+from polishd.daemon.daemon import Daemon, run_until_finished
 from polishd.daemon.damaged import DamagedCell, hold_damaged
-from polishd.daemon.desk import Desk
-from polishd.daemon.endings import keep_ending, keeping, now
+from polishd.daemon.desk import QueueRequests
+from polishd.daemon.endings import record_exit, recording_exit, utc_now
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked, unusable
 from polishd.daemon.log import logging_to
 from polishd.daemon.making import figures, make_job, read_recipes, run_folder
-from polishd.daemon.notifications import told
+from polishd.daemon.notifications import notifying
 from polishd.daemon.priority import loop_first
 from polishd.daemon.queue import Queue
 from polishd.daemon.queue_app import run_queue
 from polishd.daemon.same_job import require_same, terms_of
 from polishd.daemon.service import serving
-from polishd.daemon.standing import require_shallow
-from polishd.daemon.states import State
-from polishd.daemon.supervisor import Supervisor
+from polishd.daemon.standing import require_stall_depth
+from polishd.daemon.states import DaemonState
+from polishd.daemon.supervisor import SystemdNotifier
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, JournalDamage, PolishdError
@@ -70,10 +70,10 @@ class CellRun:
 
 
 @dataclass(slots=True)
-class Stopping:
+class ShutdownRequest:
     """SIGTERM and SIGINT are for all cells of the process, for those too that are not quite there yet."""
 
-    supervisor: Supervisor
+    supervisor: SystemdNotifier
     asked: bool = False
     daemons: list[Daemon | DamagedCell] = field(default_factory=list)
 
@@ -137,7 +137,7 @@ async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dic
         for run in cells:
             context = copy_context()
             ready.append(context.run(_made_ready, run, context, kept.enter_context(ExitStack()), holds=holds))
-        stopping = Stopping(Supervisor(len(ready)))
+        stopping = ShutdownRequest(SystemdNotifier(len(ready)))
         with loop_first(), stopping.signals():
             async with asyncio.TaskGroup() as group:
                 tasks = [group.create_task(_run(one, stopping, holds=holds), context=one.context) for one in ready]
@@ -161,7 +161,7 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool)
     require_time_limits(config, cell)
     if work:
         for tool, recipe in zip(config.turns, work[0], strict=True):
-            require_shallow(tool, cell, recipe)
+            require_stall_depth(tool, cell, recipe)
     notifiers = build_notifiers(config, hooks)
     kept.enter_context(locked(config.state_dir))
     try:
@@ -188,12 +188,12 @@ def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Sequence[Recipe], Seque
     programs = []
     for tool, recipe in zip(config.turns, recipes, strict=True):
         programs.append(read_program(recipe, tool.program_path))
-        require_taken(tool, hooks, programs[-1])
+        require_accepted_by_robot(tool, hooks, programs[-1])
         require_fit(tool, recipe, programs[-1])
     return recipes, programs
 
 
-async def _run(ready: _Ready, stopping: Stopping, *, holds: bool) -> dict[str, Any] | Exception:
+async def _run(ready: _Ready, stopping: ShutdownRequest, *, holds: bool) -> dict[str, Any] | Exception:
     """One cell to its end, which is no other's."""
     try:
         with ready.kept:
@@ -214,7 +214,7 @@ def _name(ready: _Ready) -> str:
     return f"{ready.run.config.cell.name} ({ready.run.config.path.name})"
 
 
-async def _hold(ready: _Ready, stopping: Stopping, damage: JournalDamage) -> JournalDamage:
+async def _hold(ready: _Ready, stopping: ShutdownRequest, damage: JournalDamage) -> JournalDamage:
     """The cell is held over its journal until it is stopped, and ends with that error."""
     log.error("%s", damage)
     cell = DamagedCell(ready.run.config, damage)
@@ -225,7 +225,7 @@ async def _hold(ready: _Ready, stopping: Stopping, damage: JournalDamage) -> Jou
     return damage
 
 
-async def _run_job(ready: _Ready, journal: Journal, stopping: Stopping, *, holds: bool) -> dict[str, Any]:
+async def _run_job(ready: _Ready, journal: Journal, stopping: ShutdownRequest, *, holds: bool) -> dict[str, Any]:
     config, hooks = ready.run.config, ready.run.hooks
     if ready.work is None:
         return await run_queue(
@@ -241,11 +241,11 @@ async def _run_job(ready: _Ready, journal: Journal, stopping: Stopping, *, holds
             until_empty=ready.run.until_empty,
         )
     folder = run_folder(config, journal)
-    kept = keeping(config.state_dir, lambda: folder.path), stopping.supervisor.hears(_name(ready))
+    kept = recording_exit(config.state_dir, lambda: folder.path), stopping.supervisor.hears(_name(ready))
     sinks = (journal.record_event, *kept)
     known = {"job": config.job.id, "part": config.part.id, "run_dir": str(folder.path)}
     listeners = (hooks.on_event, ready.run.show)
-    async with told(config, ready.notifiers, known, listeners, sinks) as bus, Compute() as compute:
+    async with notifying(config, ready.notifiers, known, listeners, sinks) as bus, Compute() as compute:
         job = make_job(config, hooks, *ready.work, journal=journal, folder=folder, compute=compute, publish=bus.publish)
         await job.load()
         daemon = Daemon(ready.cell, job, bus, holds=holds)
@@ -255,19 +255,19 @@ async def _run_job(ready: _Ready, journal: Journal, stopping: Stopping, *, holds
 
 async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
     """Answer the socket until the job ends; leave the cell safe, and a summary in the run folder."""
-    started = now()
-    desk = Desk(config, Queue(daemon.job.journal.store), tell=daemon.bus.publish)  # the queue waits meanwhile
+    started = utc_now()
+    desk = QueueRequests(config, Queue(daemon.job.journal.store), tell=daemon.bus.publish)  # the queue waits meanwhile
     async with serving(config.state_dir, {**desk.handlers, **daemon.handlers}, daemon.bus):
-        outcome, failure = await to_the_end(daemon)
+        outcome, failure = await run_until_finished(daemon)
         last = daemon.last_words(outcome, failure)
-        keep_ending(config.state_dir, {**last, "run_dir": str(folder.path)})
+        record_exit(config.state_dir, {**last, "run_dir": str(folder.path)})
         summary = {
             "outcome": last.pop("state"),
             "job": config.job.id,
             **figures(daemon.job),
             "run_dir": str(folder.path),
             "started": started,
-            "ended": now(),
+            "ended": utc_now(),
             **last,
         }
         try:
@@ -277,7 +277,7 @@ async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[
             summary["notes"] = [*summary["notes"], f"{folder.path} is not whole: {error}"]
             summary["exit_code"] = summary["exit_code"] or getattr(error, "exit_code", 1)
         with suppress(PolishdError):  # of a lost journal, which has been told
-            await daemon.become(State.FINISHED, summary["outcome"])
+            await daemon.become(DaemonState.FINISHED, summary["outcome"])
             daemon.job.journal.flush()
     return summary
 

@@ -13,10 +13,10 @@ from polishd.config.cell import PORTS, CellConfig, device_options, notifier_opti
 from polishd.config.sections import ForceSensorSection, RobotSection
 from polishd.daemon.cell import Cell, MonotonicClock
 from polishd.daemon.courier import Notifier
-from polishd.daemon.port_checks import lacking
+from polishd.daemon.port_checks import missing_members
 from polishd.daemon.safety import ContactLimits
 from polishd.daemon.signals import Signals
-from polishd.daemon.time_limits import Limit, stays_on, too_short
+from polishd.daemon.time_limits import ActionTimeLimit, stays_on, too_short
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import DeviceContext
 from polishd.model.concern import Severity
@@ -47,7 +47,7 @@ def _signals(config: CellConfig, devices: Mapping[str, Device]) -> Signals:
     return Signals(limits, {name: device.times.silence_s for name, device in monitors.items()})
 
 
-async def look_for_part(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
+async def bind_part_to_devices(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
     """Devices that look at a part are built anew, for the part and the instrument of that config's job.
 
     Opened where the cell is open. Errors as of ``build_cell``, and DeviceError where one does not answer.
@@ -87,7 +87,7 @@ def _built(config: CellConfig, hooks: Hooks, name: str, context: DeviceContext) 
     with _blaming(config, name, options, who):
         device = kind.build(options, context)
     port = PORTS[port_of(name)].protocol
-    if lacks := lacking(device, port):
+    if lacks := missing_members(device, port):
         raise _broken(config, name, who, f"{type(device).__name__} is no {port.__name__}: {'; '.join(lacks)}")
     return device
 
@@ -117,7 +117,7 @@ def _broken(config: CellConfig, section: str, who: str, what: str) -> PluginErro
     return PluginError(str(config.error(f"{section}.type", problem)))
 
 
-def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
+def require_time_limits(config: CellConfig, cell: Cell) -> tuple[ActionTimeLimit, ...]:
     """The job's chain of time limits; ConfigError with each one that is shorter than what it guards."""
     graces: dict[str, float] = {}
     if cell.force_sensor is not None:
@@ -134,7 +134,7 @@ def require_time_limits(config: CellConfig, cell: Cell) -> tuple[Limit, ...]:
     return chain
 
 
-def require_taken(config: CellConfig, hooks: Hooks, program: Program) -> None:
+def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program) -> None:
     """ConfigError where the job's robot could not run a program like that one, by the word of its type's plugin.
 
     Also where the lines that its driver adds to the program mean something else in the program's format.

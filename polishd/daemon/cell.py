@@ -12,17 +12,17 @@ from typing import NoReturn, cast
 
 from polishd.config.cell import PORTS
 from polishd.daemon.approval import Approval
-from polishd.daemon.listening import LET_GO_S, within
-from polishd.daemon.live import Live
+from polishd.daemon.listening import LET_GO_S, with_deadline
+from polishd.daemon.live import LiveValues
 from polishd.daemon.memory import named
 from polishd.daemon.signals import Signals
 from polishd.daemon.time_limits import TimeLimits, released_within_s, safe_within_s
-from polishd.model.devices import DeviceStatus, Identity, MapRefusal, RobotProgress, port_of
+from polishd.model.devices import DeviceIdentity, DeviceStatus, MapRefusal, RobotProgress, port_of
 from polishd.model.errors import DeviceBusy, DeviceClaimed, DeviceFault, LinkError
 from polishd.ports.address_claims import KeptClaims
 from polishd.ports.clock import Clock
 from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Robot, Spindle
-from polishd.ports.tap import talking_to
+from polishd.ports.tap import record_sent
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ class Cell:
     used: Mapping[str, str]
     """The name of the device that the job uses, by port."""
     clock: Clock
-    identities: Mapping[str, Identity] = field(default_factory=dict)
+    identities: Mapping[str, DeviceIdentity] = field(default_factory=dict)
     """Who answered, since the cell was opened."""
     opened: set[str] = field(default_factory=set)
     """Devices that this process has opened and not closed since: only these are made safe."""
@@ -70,7 +70,7 @@ class Cell:
     """When each device last answered, by ``time.monotonic``."""
     signals: Signals = field(default_factory=Signals)
     """What its monitors tell."""
-    live: Live = field(default_factory=Live)
+    live: LiveValues = field(default_factory=LiveValues)
     """What the job's devices told last."""
     approval: Approval = field(default_factory=Approval)
     """What waits for a person's word."""
@@ -176,7 +176,7 @@ class Cell:
             raise
         self.identities = found
 
-    async def open_one(self, name: str, waiting: Waiting | None = None) -> Identity:
+    async def open_one(self, name: str, waiting: Waiting | None = None) -> DeviceIdentity:
         """Open that device, and have it say who it is; as ``open``, but nothing is closed where it fails."""
         device = self.devices[name]
         with self.claims.keeping():
@@ -268,7 +268,7 @@ class Cell:
         errors: list[Exception] = []
         for name, device in self.devices.items():
             try:
-                await within(CLOSE_S, device.close())
+                await with_deadline(CLOSE_S, device.close())
             except TimeoutError:
                 errors.append(LinkError(f"{name}: was not closed within {CLOSE_S:g} s, and is left behind"))
             except Exception as error:  # noqa: BLE001 - the others must be closed too; raised below
@@ -283,7 +283,7 @@ class Cell:
 async def _answering(name: str, within_s: float | None = None) -> AsyncIterator[None]:
     limit_s = OPEN_S if within_s is None else within_s
     try:
-        with talking_to(name):
+        with record_sent(name):
             async with asyncio.timeout(limit_s):
                 yield
     except TimeoutError:

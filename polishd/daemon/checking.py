@@ -13,19 +13,25 @@ import numpy as np
 
 from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
-from polishd.daemon.assembly import build_cell, build_notifiers, contact_limits, require_taken, require_time_limits
+from polishd.daemon.assembly import (
+    build_cell,
+    build_notifiers,
+    contact_limits,
+    require_accepted_by_robot,
+    require_time_limits,
+)
 from polishd.daemon.cell import Cell
 from polishd.daemon.desk import new_job
 from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.daemon.queue import NewJob
 from polishd.daemon.safety import ContactLimits, make_safe
-from polishd.daemon.signal_watch import tell_once
-from polishd.daemon.standing import StallRemoval, blur, require_shallow, stall_removal, tolerance_nm
+from polishd.daemon.signal_watch import report_once
+from polishd.daemon.standing import StallRemoval, require_stall_depth, stall_removal, timing_uncertainty_s, tolerance_nm
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
-from polishd.model.devices import Identity, port_of
+from polishd.model.devices import DeviceIdentity, port_of
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.ports.devices import ForceActuator
 from polishd.process import contact
@@ -81,10 +87,10 @@ def _along(
     config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: Tell
 ) -> tuple[dict[str, Any], StallRemoval]:
     """What can be said of the program that one tool runs along, and the pit where the robot stands on it."""
-    pit = require_shallow(config, cell, recipe)
+    pit = require_stall_depth(config, cell, recipe)
     tell(f"reading {config.program_path.name}")
     program = steps.read_program(recipe, config.program_path)
-    require_taken(config, hooks, program)
+    require_accepted_by_robot(config, hooks, program)
     foresight.check_pass(config, recipe, program)
     tell(f"reach and removal at {program.n} points")
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
@@ -110,12 +116,12 @@ def _along(
             else {"if the actuator misreads its force": _lie(config, recipe, removal_nm)}
         ),
         **({"feed hold at the controller": pit} if pit else {}),
-        **({"end of a block known to": blurred} if (blurred := blur(cell, recipe)) else {}),
+        **({"end of a block known to": blurred} if (blurred := timing_uncertainty_s(cell, recipe)) else {}),
     }
     return facts, stall_removal(cell.limits, recipe, program, contact_limits(config).no_progress_s)
 
 
-def judged_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:
+def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:
     """The jobs of these files, each judged as a whole, as ``polishd check`` does; the first fault of each is raised.
 
     Jobs that differ by name and part alone are judged once; ``judged``: those of earlier calls, kept by the caller.
@@ -189,15 +195,17 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Probed:
+class ProbeResult:
     """Who answered, what is wrong with the others, by the devices' names, and each watched signal as it was told."""
 
-    identities: Mapping[str, Identity]
+    identities: Mapping[str, DeviceIdentity]
     problems: Mapping[str, str]
     signals: Mapping[str, str]
 
 
-async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = (), record: Path | None = None) -> Probed:
+async def probe_cell(
+    config: CellConfig, hooks: Hooks, only: Sequence[str] = (), record: Path | None = None
+) -> ProbeResult:
     """Connect to each device, whatever is wrong with another; identify it, and leave all safe.
 
     With ``only``, these are asked who they are and nothing else: no robot is stopped over a tool that nobody lifts.
@@ -214,7 +222,7 @@ async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = (),
                 try:
                     found[name] = await cell.open_one(name)
                     if port_of(name) == "monitor":
-                        await tell_once(cell, name)
+                        await report_once(cell, name)
                 except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
                     problems[name] = str(error) or type(error).__name__
             if not only:
@@ -223,4 +231,4 @@ async def probe_cell(config: CellConfig, hooks: Hooks, only: Sequence[str] = (),
             await cell.close()
     unsafe = (said.partition(": ") for said in cell.unsafe)
     problems = {name: f"not confirmed safe: {why}" for name, _, why in unsafe} | problems
-    return Probed(found, problems, {name: facts["text"] for name, facts in cell.signals.facts().items()})
+    return ProbeResult(found, problems, {name: facts["text"] for name, facts in cell.signals.facts().items()})

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from polishd.daemon.queue import Entry, Queue
+from polishd.daemon.queue import Queue, QueueEntry
 from polishd.daemon.service import Handler
 from polishd.model.errors import ConfigError
-from polishd.model.events import Event, RateOffered
+from polishd.model.events import Event, ShopRateReceived
 
 BACK = "given back to the shop, where it was released"
 LOST = "the shop gave it away, as somebody said that this cell is gone; polishd shop list says who"
@@ -22,7 +22,7 @@ OFFER = {"recipe": str, "cell": str, "job": str, "of_cycle": int, "at_s": float,
 """What an offer is made of."""
 
 
-class Claims:
+class ShopAssignments:
     """What was heard in this run of the daemon; used on the event loop's thread."""
 
     def __init__(self, queue: Queue, changed: Callable[[], None]) -> None:
@@ -55,11 +55,11 @@ class Claims:
         self._changed()
         return {"waiting": len(self._queue.waiting())}
 
-    def first(self) -> Entry | None:
+    def first(self) -> QueueEntry | None:
         """The first that waits and may begin."""
         return self._queue.next(lambda entry: not entry.claim or entry.claim in self._stands)
 
-    async def settled(self, entry: Entry | None) -> str:
+    async def settled(self, entry: QueueEntry | None) -> str:
         """Why the job under way may not go on, once that is known; empty where it may."""
         claim = "" if entry is None else entry.claim
         while claim and claim not in self._stands | self._lost:
@@ -82,8 +82,8 @@ class Claims:
                 self._queue.remove_waiting(entry.name, why)
 
 
-def _offer(given: Any) -> RateOffered:
+def _offer(given: Any) -> ShopRateReceived:
     """ConfigError where it is none."""
     if not isinstance(given, dict) or {key: type(one) for key, one in given.items()} != OFFER:
         raise ConfigError(f"an offer has {', '.join(OFFER)}, as polishd shop link sends them")
-    return RateOffered(**given)
+    return ShopRateReceived(**given)

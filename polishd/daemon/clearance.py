@@ -10,7 +10,7 @@ from typing import Any
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
 from polishd.model.errors import DeviceRefused, SignalFault
-from polishd.model.events import Approved, Event, PlanWaits
+from polishd.model.events import Event, PlanApproved, PlanAwaitingApproval
 from polishd.model.program import Plan
 
 TOLD_S = 5.0
@@ -26,7 +26,9 @@ async def until_approved(cell: Cell, job: Job, cycle: int, plan: Plan, left_nm: 
     if not job.recipe.job.approve:
         return
     job.publish(
-        PlanWaits(cycle=cycle, program_sha256=plan.program.sha256, predicted_rms_nm=left_nm, dwell_s=plan.total_s)
+        PlanAwaitingApproval(
+            cycle=cycle, program_sha256=plan.program.sha256, predicted_rms_nm=left_nm, dwell_s=plan.total_s
+        )
     )
     await cell.approval.until_given(plan.program.sha256)
 
@@ -38,7 +40,7 @@ async def approve(cell: Cell, publish: Callable[[Event], None], program_sha256: 
     except SignalFault as error:
         raise DeviceRefused(f"approve is refused: {error}") from error
     cell.approval.give(program_sha256)
-    publish(Approved(program_sha256=program_sha256, by=by))
+    publish(PlanApproved(program_sha256=program_sha256, by=by))
     return {"approved": program_sha256}
 
 

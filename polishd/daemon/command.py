@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 from polishd.model.errors import HandlingError
-from polishd.model.handling import Step
+from polishd.model.handling import HandlingStep
 
 MOST_SAID = 400
 """Characters of its last line."""
 
 
-async def run_command(name: str, step: Step, environment: Mapping[str, str]) -> None:
+async def run_command(name: str, step: HandlingStep, environment: Mapping[str, str]) -> None:
     """Run it to its end; HandlingError where it cannot be started, fails, or takes too long.
 
     Whatever ends the wait before its end, the command and all that it started are killed.
@@ -43,7 +43,7 @@ async def run_command(name: str, step: Step, environment: Mapping[str, str]) -> 
         )
 
 
-async def _started(name: str, step: Step, environment: Mapping[str, str]) -> Process:
+async def _started(name: str, step: HandlingStep, environment: Mapping[str, str]) -> Process:
     starting = asyncio.ensure_future(
         asyncio.create_subprocess_exec(
             *step.command,

@@ -13,12 +13,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from polishd.daemon.compute_limit import Watch
+from polishd.daemon.compute_limit import WorkerTimeLimit
 from polishd.daemon.compute_worker import LENGTH, pack, unpack
 from polishd.daemon.installed import installed_at_start, installed_now, require_same
 from polishd.model.errors import ComputeError, HostFault
 from polishd.process.dwell.limit import backstop_s
-from polishd.recipe.limit import Limit
+from polishd.recipe.limit import CpuLimit
 from polishd.secret import environment_without_secrets
 
 T = TypeVar("T")
@@ -54,14 +54,14 @@ class Compute:
         async with self._turn:
             await self._warm()
 
-    async def __call__(self, function: Callable[..., T], *arguments: Any, within_s: Limit | float = 600.0) -> T:
+    async def __call__(self, function: Callable[..., T], *arguments: Any, within_s: CpuLimit | float = 600.0) -> T:
         """Run it in the worker. PolishdErrors come back as themselves, others as ComputeError with a note.
 
         ComputeError also when the worker has used so many CPU seconds (all its threads, since the ready worker has the
         call), or the ``backstop``'s wall seconds for them, or where it dies. The worker is killed then, and when the
         caller is cancelled; the next call has a new one.
         """
-        limit = within_s if isinstance(within_s, Limit) else Limit(within_s)
+        limit = within_s if isinstance(within_s, CpuLimit) else CpuLimit(within_s)
         async with self._turn:
             process = await self._warm()
             name = getattr(function, "__qualname__", repr(function))
@@ -99,7 +99,7 @@ class Compute:
             late, dead = "the worker was not ready in time", "the worker did not start"
             try:
                 _, now = await self._kept(
-                    process, Limit(START_S), _receive(process), late=late, dead=dead, hint="; see stderr"
+                    process, CpuLimit(START_S), _receive(process), late=late, dead=dead, hint="; see stderr"
                 )
             except ComputeError:
                 require_same(self._installed, await asyncio.to_thread(installed_now))  # names what is gone
@@ -113,10 +113,10 @@ class Compute:
         return process
 
     async def _kept(
-        self, process: Process, limit: Limit, work: Coroutine[Any, Any, T], *, late: str, dead: str, hint: str = ""
+        self, process: Process, limit: CpuLimit, work: Coroutine[Any, Any, T], *, late: str, dead: str, hint: str = ""
     ) -> T:
         """What the worker answers in time; else it is killed, and a ComputeError begins with ``late`` or ``dead``."""
-        watch = Watch(process.pid, limit, self._backstop)
+        watch = WorkerTimeLimit(process.pid, limit, self._backstop)
         try:
             async with watch.kept():
                 return await work

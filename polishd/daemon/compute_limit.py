@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from polishd.recipe.limit import Limit
+from polishd.recipe.limit import CpuLimit
 
 LOOK_S = 0.1
 """Time between two looks at what the worker has used."""
@@ -26,13 +26,13 @@ def process_cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-class Watch:
+class WorkerTimeLimit:
     """Sees when a process has used its CPU seconds, counted from now, or when the backstop is over.
 
     A process that a busy machine starves, or that somebody stops, keeps its CPU seconds; one that sleeps uses none.
     """
 
-    def __init__(self, pid: int, limit: Limit, backstop: Callable[[float], float]) -> None:
+    def __init__(self, pid: int, limit: CpuLimit, backstop: Callable[[float], float]) -> None:
         self._pid, self._limit = pid, limit
         self._backstop_s = backstop(limit.within_s)
         self._wall, self._cpu = time.monotonic(), process_cpu_s(pid)

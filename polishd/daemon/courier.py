@@ -12,7 +12,7 @@ from contextvars import copy_context
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.daemon.outbox import Outbox
+from polishd.daemon.outbox import NotificationQueue
 from polishd.files import write_atomic
 from polishd.model.concern import Severity
 from polishd.model.events import NotificationFailed
@@ -77,7 +77,7 @@ class _End:
     until_s: float
 
 
-class Courier:
+class NotificationSender:
     """Takes notifications, sends them or keeps them in ``state_dir/notify/NAME.json``.
 
     ``tell`` is called, in the courier's thread, when nothing can be sent any more, and when some is given up.
@@ -85,10 +85,10 @@ class Courier:
 
     def __init__(self, notifier: Notifier, state_dir: Path, tell: Callable[[NotificationFailed], None]) -> None:
         self.notifier = notifier
-        self._path = kept_in(state_dir, notifier.name)
+        self._path = outbox_path(state_dir, notifier.name)
         self._tell = tell
         self._inbox: queue.SimpleQueue[Notification | Attempt | _End] = queue.SimpleQueue()
-        self._outbox = Outbox(notifier.repeat_s)
+        self._outbox = NotificationQueue(notifier.repeat_s)
         self._attempt: Attempt | None = None
         self._failing = False
         self._end: _End | None = None
@@ -217,18 +217,18 @@ class Courier:
             log.error("%s cannot be written: %s; a killed daemon would forget what waits", self._path, error)
 
 
-def kept_in(state_dir: Path, name: str) -> Path:
+def outbox_path(state_dir: Path, name: str) -> Path:
     """The file of what a notifier has to send."""
     return state_dir / "notify" / f"{name}.json"
 
 
-def read_outbox(path: Path, repeat_s: float) -> tuple[Outbox, bytes]:
+def read_outbox(path: Path, repeat_s: float) -> tuple[NotificationQueue, bytes]:
     """What an earlier run left, and the file's content; an empty one where there is none, or none that can be read."""
     try:
         content = path.read_bytes()
-        return Outbox.of(json.loads(content), repeat_s), content
+        return NotificationQueue.of(json.loads(content), repeat_s), content
     except FileNotFoundError:
-        return Outbox(repeat_s), b""
+        return NotificationQueue(repeat_s), b""
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         log.error("%s cannot be read, and what waited in it is not sent: %s", path, error)
-        return Outbox(repeat_s), b""
+        return NotificationQueue(repeat_s), b""

@@ -9,17 +9,17 @@ from functools import partial
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.clearance import until_approved
-from polishd.daemon.handling import Handling
+from polishd.daemon.handling import PartHandling
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.map_wait import next_map
 from polishd.daemon.progress import ProgressLimits
 from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.recording import recording
-from polishd.daemon.safety import contact, told_first
+from polishd.daemon.safety import contact, reraise_after_safe
 from polishd.daemon.stream import Stream, streaming
-from polishd.daemon.touch import Touch
-from polishd.model.cycle import Outcome, Phase
+from polishd.daemon.touch import ContactRecord
+from polishd.model.cycle import CyclePhase, Outcome
 from polishd.model.errors import ToolStop
 from polishd.model.program import Plan
 from polishd.process.excess import ExcessMap
@@ -33,17 +33,17 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
     Returns with the tool lifted and the robot standing still. Raises PolishdError (the cell is then safe too)
     when a map, a plan, a device or a computation is refused.
     """
-    handling = Handling(cell, job, journal)
+    handling = PartHandling(cell, job, journal)
     for cycle in journal.remaining(job.last_cycle + 1):  # one measurement more than passes
         await handling.clean(cycle)
-        async with journal.phase(cycle, Phase.MEASURE):
+        async with journal.phase(cycle, CyclePhase.MEASURE):
             surface = await job.measured(cycle, await next_map(cell, job.publish, cycle, journal.last_map_id))
         surface = await handling.settled(cycle, surface)
-        async with journal.phase(cycle, Phase.LEARN):
+        async with journal.phase(cycle, CyclePhase.LEARN):
             doubted = await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
         if doubted:  # there are low orders that may be none of the pass
             surface, again = await handling.told_apart(cycle, surface)
-            async with journal.phase(cycle, Phase.LEARN):
+            async with journal.phase(cycle, CyclePhase.LEARN):
                 await job.learn(cycle, surface, again)
         job.tools.take()  # of several tools
         match job.decide(cycle, surface):
@@ -53,10 +53,10 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                 return decision.outcome
             case AnotherPass():
                 pass
-        async with journal.phase(cycle, Phase.SOLVE):
+        async with journal.phase(cycle, CyclePhase.SOLVE):
             solved = await job.solve(cycle, surface)
             require_certificate(solved.dwell.certificate, job.recipe)
-        async with journal.phase(cycle, Phase.PLAN):
+        async with journal.phase(cycle, CyclePhase.PLAN):
             plan = await job.plan(cycle, surface, solved)
             await job.refuse_unsafe(plan)
         if job.worthless(cycle):
@@ -66,11 +66,11 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
         await before_contact(cell, job.publish, cycle)  # which may have taken minutes
         excess = await job.excess(plan)
-        async with journal.phase(cycle, Phase.RUN), _fed(cell, job, plan, excess) as stream:
+        async with journal.phase(cycle, CyclePhase.RUN), _fed(cell, job, plan, excess) as stream:
             await require_robot(cell, job.tools.now.contact.least_override)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
             # what was done, not what was asked, feeds the next cycle
-            touch = Touch(partial(job.executed, cycle), cell.limits.robot.silence_s)
+            touch = ContactRecord(partial(job.executed, cycle), cell.limits.robot.silence_s)
             try:
                 async with recording(cell, journal, cycle, touch) as recorder:
                     await stream.approach()
@@ -79,7 +79,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                             await recorder.follow(stream)
                 await stream.retreat()
             except BaseException as error:
-                with told_first(error):
+                with reraise_after_safe(error):
                     await job.cut_off(cycle)
                 raise
             await job.end_pass(cycle)

@@ -18,22 +18,22 @@ from typing import Any, cast
 from polishd.daemon.cell import Cell
 from polishd.daemon.clearance import require_clear
 from polishd.daemon.cycle import polish
-from polishd.daemon.endings import causes, gone, standing
+from polishd.daemon.endings import causes, killed_safety, safety_of
 from polishd.daemon.events import EventBus
 from polishd.daemon.health import Health
-from polishd.daemon.interruption import settle
+from polishd.daemon.interruption import settle_interrupted_pass
 from polishd.daemon.job import Job
-from polishd.daemon.last_word import to_do
+from polishd.daemon.last_word import next_action
 from polishd.daemon.making import NoJob
 from polishd.daemon.memory import named
-from polishd.daemon.orders import Order, Orders, unless
+from polishd.daemon.orders import OperatorCommand, OperatorCommandQueue, run_unless_commanded
 from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
-from polishd.daemon.signal_watch import watching
-from polishd.daemon.states import ORDERS, State, Trigger, following, obeyed
-from polishd.daemon.watched import seen, watched
+from polishd.daemon.signal_watch import monitoring_signals
+from polishd.daemon.states import ORDERS, DaemonState, StateEvent, following, obeyed
+from polishd.daemon.watched import health_snapshot, status_snapshot
 from polishd.model import events
-from polishd.model.concern import Standing
+from polishd.model.concern import CellSafety
 from polishd.model.cycle import EXIT_CODES, Outcome
 from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError, SafetyStop, SignalFault
 from polishd.model.signal_limits import SignalLimits
@@ -46,10 +46,10 @@ EMERGENCY = "motion was stopped at once, by order"
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class StateResult:
     """What ended a state's work, and what is known of it."""
 
-    trigger: Trigger
+    trigger: StateEvent
     reason: str = ""
     outcome: Outcome = Outcome.STOPPED
     error: Exception | None = None
@@ -68,21 +68,21 @@ class Daemon:
         self._holds = holds
         """Wait for a person where one can mend the cause; else end with it."""
         self._error: Exception | None = None  # what it is held over
-        self._orders = Orders()
-        self._unfit: Order | None = None  # given over the computer or a signal, since polishing began
+        self._orders = OperatorCommandQueue()
+        self._unfit: OperatorCommand | None = None  # given over the computer or a signal, since polishing began
         self._changed = asyncio.Condition()
-        self._does: Mapping[State, Callable[[], Awaitable[Turn]]] = {
-            State.STARTING: self._start,
-            State.POLISHING: self._polish,
-            State.HELD: self._wait,
+        self._does: Mapping[DaemonState, Callable[[], Awaitable[StateResult]]] = {
+            DaemonState.STARTING: self._start,
+            DaemonState.POLISHING: self._polish,
+            DaemonState.HELD: self._wait,
         }
         self._health = Health(cell, lambda: self.job)
-        self.state, self.reason = State.STARTING, ""
+        self.state, self.reason = DaemonState.STARTING, ""
 
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket."""
-        found = watched(self._cell, self._health, self.bus, self._now)
+        found = status_snapshot(self._cell, self._health, self.bus, self._now)
         return {"status": self.status, **found, **{verb.value: partial(self._order, verb) for verb in ORDERS}}
 
     async def status(self) -> Mapping[str, Any]:
@@ -90,18 +90,18 @@ class Daemon:
         return {
             **self._now(),
             "cycles": self.job.cycles(),
-            **seen(self._cell, self._health),
+            **health_snapshot(self._cell, self._health),
             "tasks": len(asyncio.all_tasks()),
             "devices": {name: self._health.device(name) for name in self._cell.devices},
         }
 
     def _now(self) -> dict[str, Any]:
-        state = {"state": self.state, "reason": self.reason, "next": to_do(self.state, queue=self._of_queue)}
+        state = {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self._of_queue)}
         return state | self.job.names() | dict(zip(("cycle", "phase"), self.job.journal.phase_now, strict=True))
 
     def stop(self) -> None:
         """As SIGTERM does."""
-        self._orders.give(Order(Trigger.STOP))
+        self._orders.give(OperatorCommand(StateEvent.STOP))
 
     async def run(self) -> Outcome:
         """From state to state until the job ends, or a person ends it; the cell is safe and closed then.
@@ -109,7 +109,7 @@ class Daemon:
         Raises what ended it otherwise.
         """
         try:
-            async with self._health.watching(self._endangered), watching(self._cell, self._wrong):
+            async with self._health.watching(self._endangered), monitoring_signals(self._cell, self._wrong):
                 outcome = await self._until_finished()
         except BaseException as error:
             try:
@@ -127,13 +127,13 @@ class Daemon:
             except Exception as error:  # noqa: BLE001 - it is raised below, or a person is asked to mend it
                 turn = self._failed(error)
             state = following(self.state, turn.trigger, unattended=not self._holds)
-            if state is State.FINISHED:
+            if state is DaemonState.FINISHED:
                 if turn.error is not None:
                     raise turn.error
                 self.reason = turn.reason or self.reason
                 return turn.outcome
             if turn.error is not None and turn.error is not self._error:
-                self.bus.publish(events.Held(error=str(turn.error), kind=type(turn.error).__name__))
+                self.bus.publish(events.CellHeld(error=str(turn.error), kind=type(turn.error).__name__))
             self._error = turn.error
             await self.become(state, turn.reason)
 
@@ -144,8 +144,8 @@ class Daemon:
 
     def _standing(self, state: str, reason: str, *, killed: bool = False) -> events.StateChanged:
         """By what the devices confirmed; or as it is to be told should the daemon be killed meanwhile."""
-        unsafe = gone(self._cell.acting) if killed else self._cell.unsafe if self._cell.identities else None
-        return standing(state, reason, unsafe, queue=self._of_queue)
+        unsafe = killed_safety(self._cell.acting) if killed else self._cell.unsafe if self._cell.identities else None
+        return safety_of(state, reason, unsafe, queue=self._of_queue)
 
     async def finish(self, outcome: Outcome, folder: RunFolder, summary: Mapping[str, Any]) -> None:
         """Leave journal and summary in the run folder, and tell whoever reports."""
@@ -157,18 +157,18 @@ class Daemon:
             await asyncio.to_thread(copy, folder.path / "journal.sqlite")  # others may be in contact
         finally:
             self.bus.publish(
-                events.JobFinished(
+                events.RunFolderCompleted(
                     run_dir=str(folder.path),
                     outcome=summary["outcome"],
                     reason=summary["reason"],
-                    standing=Standing.of(summary),
+                    standing=CellSafety.of(summary),
                 )
             )
 
-    def failure(self, error: Exception) -> events.Failed:
+    def failure(self, error: Exception) -> events.DaemonFailed:
         """It ends the daemon, which leaves the cell as it stands now."""
         kind = type(error).__name__
-        return events.Failed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
+        return events.DaemonFailed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
 
     def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
         """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
@@ -183,19 +183,19 @@ class Daemon:
 
     # what happens in each state
 
-    async def _start(self) -> Turn:
-        stop = await unless(self._orders.asked_to_stop(), self._cell.open(self._busy))
+    async def _start(self) -> StateResult:
+        stop = await run_unless_commanded(self._orders.asked_to_stop(), self._cell.open(self._busy))
         if stop is not None:
-            return Turn(Trigger.STOP, self._stopped_by(stop))
-        self.bus.publish(events.Opened(devices=self._cell.identities))
+            return StateResult(StateEvent.STOP, self._stopped_by(stop))
+        self.bus.publish(events.CellOpened(devices=self._cell.identities))
         if (found := await self._made_safe()) is not None:
             return found
-        return Turn(Trigger.INTERRUPTED, BEGUN) if self.job.journal.resumed else Turn(Trigger.READY)
+        return StateResult(StateEvent.INTERRUPTED, BEGUN) if self.job.journal.resumed else StateResult(StateEvent.READY)
 
     async def _busy(self, what: str) -> None:
-        await self.become(following(self.state, Trigger.BUSY), what)
+        await self.become(following(self.state, StateEvent.BUSY), what)
 
-    async def _polish(self) -> Turn:
+    async def _polish(self) -> StateResult:
         self._cell.emergency, self._unfit = False, None
         job, journal = cast(Job, self.job), self.job.journal  # between jobs nobody polishes
         done: list[Outcome] = []
@@ -204,121 +204,125 @@ class Daemon:
             done.append(await polish(self._cell, job, journal))
 
         try:
-            order = await unless(self._orders.interrupting(), work(), journal.lost(), late=self._orders.give)
+            order = await run_unless_commanded(
+                self._orders.interrupting(), work(), journal.lost(), late=self._orders.give
+            )
         except PolishdError as error:
             turn = self._failed(error)
-            if turn.trigger is Trigger.MENDABLE:
+            if turn.trigger is StateEvent.MENDABLE:
                 await make_safe(self._cell)
             return turn
         if order is None:
-            return Turn(Trigger.DONE, outcome=done[0])
-        if order.verb is Trigger.STOP:
-            return Turn(Trigger.STOP, self._stopped_by(order))
-        if order.verb is Trigger.UNFIT and not order.error.mendable:
+            return StateResult(StateEvent.DONE, outcome=done[0])
+        if order.verb is StateEvent.STOP:
+            return StateResult(StateEvent.STOP, self._stopped_by(order))
+        if order.verb is StateEvent.UNFIT and not order.error.mendable:
             return self._failed(order.error(order.reason))
         await make_safe(self._cell)
-        settled = "" if self._cell.unsafe else await settle(self._cell, journal)
-        if order.verb is Trigger.UNFIT:
+        settled = "" if self._cell.unsafe else await settle_interrupted_pass(self._cell, journal)
+        if order.verb is StateEvent.UNFIT:
             unfit = order.error("; ".join(filter(None, (order.reason, settled))))
-            return Turn(Trigger.UNFIT, f"{type(unfit).__name__}: {unfit}", error=unfit)
-        return Turn(order.verb, self._held_by(order, settled))
+            return StateResult(StateEvent.UNFIT, f"{type(unfit).__name__}: {unfit}", error=unfit)
+        return StateResult(order.verb, self._held_by(order, settled))
 
-    async def _wait(self) -> Turn:
+    async def _wait(self) -> StateResult:
         """Until an order changes something, or is refused."""
-        order = cast(Order, await unless(self._orders.next(), self._cell.listen()))
-        if order.verb is Trigger.STOP:
-            return Turn(order.verb, self._stopped_by(order), error=self._error)
-        if order.verb is not Trigger.RESUME:
+        order = cast(OperatorCommand, await run_unless_commanded(self._orders.next(), self._cell.listen()))
+        if order.verb is StateEvent.STOP:
+            return StateResult(order.verb, self._stopped_by(order), error=self._error)
+        if order.verb is not StateEvent.RESUME:
             said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
-            return Turn(order.verb, said, error=self._error)
+            return StateResult(order.verb, said, error=self._error)
         try:
-            if (stop := await unless(self._orders.asked_to_stop(), self._cell.restore_links())) is not None:
-                return Turn(Trigger.STOP, self._stopped_by(stop), error=self._error)
+            if (
+                stop := await run_unless_commanded(self._orders.asked_to_stop(), self._cell.restore_links())
+            ) is not None:
+                return StateResult(StateEvent.STOP, self._stopped_by(stop), error=self._error)
             refused = await self._made_safe()
             await require_clear(self._cell)
         except PolishdError:
             order.refused = True
             raise
         order.refused, order.taken = refused is not None, refused is None
-        return refused or Turn(Trigger.RESUME)
+        return refused or StateResult(StateEvent.RESUME)
 
-    async def _made_safe(self) -> Turn | None:
+    async def _made_safe(self) -> StateResult | None:
         """None where every device confirmed, and no pass was left open; nothing is measured or moved before."""
         await make_safe(self._cell)
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
-            return self._failed(error, Trigger.UNSAFE)
-        if settled := await settle(self._cell, self.job.journal):
-            return Turn(Trigger.INTERRUPTED, settled)
+            return self._failed(error, StateEvent.UNSAFE)
+        if settled := await settle_interrupted_pass(self._cell, self.job.journal):
+            return StateResult(StateEvent.INTERRUPTED, settled)
         await self._health.look()
         unfit = self._health.wrong(in_contact=False)
-        return self._failed(HostFault(unfit), Trigger.UNFIT) if unfit else None
+        return self._failed(HostFault(unfit), StateEvent.UNFIT) if unfit else None
 
-    def _failed(self, error: Exception, mended: Trigger = Trigger.MENDABLE) -> Turn:
+    def _failed(self, error: Exception, mended: StateEvent = StateEvent.MENDABLE) -> StateResult:
         """A person is asked to mend what can be while the daemon waits; not where it cut off a pass."""
         error = named(error)
         waits = isinstance(error, PolishdError) and error.mendable and bool(self._cell.identities)
-        if self.state is State.POLISHING:
+        if self.state is DaemonState.POLISHING:
             waits = waits and all(record.ended_s is not None for record in self.job.journal.passes)
-        return Turn(mended if waits else Trigger.ERROR, f"{type(error).__name__}: {error}", error=error)
+        return StateResult(mended if waits else StateEvent.ERROR, f"{type(error).__name__}: {error}", error=error)
 
     # orders
 
     def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
         """Contact is left while it still can be; what nobody should go on from counts more, also if it comes later."""
-        if self.state is State.POLISHING and self._unfit is None:
-            self._unfit = Order(Trigger.UNFIT, what, error)
+        if self.state is DaemonState.POLISHING and self._unfit is None:
+            self._unfit = OperatorCommand(StateEvent.UNFIT, what, error)
             self._orders.give(self._unfit)
-        elif self.state is State.POLISHING and self._unfit is not None:
+        elif self.state is DaemonState.POLISHING and self._unfit is not None:
             self._unfit.worsen(what, error)
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
         """A signal is not as it must be in contact: what follows is what its limits say."""
-        self.bus.publish(events.SignalWrong(signal=limits.name, what=what, leads_to=limits.leads_to))
+        self.bus.publish(events.SignalOutOfRange(signal=limits.name, what=what, leads_to=limits.leads_to))
         if limits.leads_to != "notify":
             self._endangered(what, SafetyStop if limits.leads_to == "lift" else SignalFault)
 
-    def _held_by(self, order: Order, settled: str) -> str:
+    def _held_by(self, order: OperatorCommand, settled: str) -> str:
         """The order, where it says more than what it interrupted."""
         said = [EMERGENCY] if self._cell.emergency else []
         said += [order.said(ORDERED)] if order.reason or not settled else []
         return "; ".join([*said, settled] if settled else said)
 
-    def _stopped_by(self, order: Order) -> str:
+    def _stopped_by(self, order: OperatorCommand) -> str:
         """What was said with the order to stop is told at the end."""
         return f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ") if order.reason else self.reason
 
-    async def become(self, state: State, reason: str) -> None:
+    async def become(self, state: DaemonState, reason: str) -> None:
         """Change state; whoever waits for an order to be obeyed, or refused, is told."""
         async with self._changed:
             self.state, self.reason = state, reason
             self._changed.notify_all()
-        self.bus.publish(self._standing(state, reason, killed=state not in {State.HELD, State.FINISHED}))
+        self.bus.publish(self._standing(state, reason, killed=state not in {DaemonState.HELD, DaemonState.FINISHED}))
 
-    async def _order(self, verb: Trigger, reason: str = "", by: str = "") -> Mapping[str, Any]:
+    async def _order(self, verb: StateEvent, reason: str = "", by: str = "") -> Mapping[str, Any]:
         """Give an order and answer when it is obeyed; DeviceRefused with the reason why the cell stays held."""
-        order = Order(verb, " ".join(reason.split()))
-        self._cell.emergency = self._cell.emergency or verb is Trigger.ESTOP
+        order = OperatorCommand(verb, " ".join(reason.split()))
+        self._cell.emergency = self._cell.emergency or verb is StateEvent.ESTOP
         self._orders.give(order)
         with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
-            self.bus.publish(events.Ordered(order=verb, reason=order.reason, by=by))
+            self.bus.publish(events.CommandReceived(order=verb, reason=order.reason, by=by))
         async with self._changed:
             await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
-        if order.refused and self.state is State.HELD:
+        if order.refused and self.state is DaemonState.HELD:
             raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
-        return {"state": self.state, "reason": self.reason, "next": to_do(self.state, queue=self._of_queue)}
+        return {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self._of_queue)}
 
 
 def _tell_broken(bus: EventBus, error: BaseException) -> None:
     """At once: until every device has confirmed, or is given up, seconds pass."""
     with suppress(PolishdError):  # a lost journal: polishing ends over it
-        bus.publish(events.ContactBroken(error=str(error), kind=type(error).__name__))
+        bus.publish(events.ContactAborted(error=str(error), kind=type(error).__name__))
 
 
-async def to_the_end(daemon: Daemon) -> tuple[Outcome, Exception | None]:
+async def run_until_finished(daemon: Daemon) -> tuple[Outcome, Exception | None]:
     """Run it; what ended it otherwise than by its outcome is logged and told, and not raised."""
     try:
-        await daemon.become(State.STARTING, "")
+        await daemon.become(DaemonState.STARTING, "")
         return await daemon.run(), None
     except Exception as raised:
         error = named(raised)

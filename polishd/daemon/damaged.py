@@ -14,12 +14,12 @@ from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.courier import Notifier
-from polishd.daemon.endings import keep_ending, keeping
+from polishd.daemon.endings import record_exit, recording_exit
 from polishd.daemon.events import EventBus
-from polishd.daemon.last_word import stands
-from polishd.daemon.notifications import told
+from polishd.daemon.last_word import safety_sentence
+from polishd.daemon.notifications import notifying
 from polishd.daemon.service import Handler, serving
-from polishd.daemon.states import State
+from polishd.daemon.states import DaemonState
 from polishd.daemon.verbs import SUBSCRIBE, VERBS
 from polishd.model import events
 from polishd.model.errors import DeviceRefused, JournalDamage
@@ -49,20 +49,20 @@ class DamagedCell:
         """End it, as SIGTERM does."""
         self._stopped.set()
 
-    def state_event(self, state: State | str) -> events.StateChanged:
+    def state_event(self, state: DaemonState | str) -> events.StateChanged:
         """The state as an event: no device was asked."""
-        standing = replace(stands("held", None), next=NEXT)
+        standing = replace(safety_sentence("held", None), next=NEXT)
         return events.StateChanged(state=state, reason=self.reason, standing=standing)
 
     async def until_stopped(self, bus: EventBus, damage: JournalDamage) -> None:
         """Say why the cell is held, and wait."""
-        bus.publish(events.Held(error=str(damage), kind=type(damage).__name__))
-        bus.publish(self.state_event(State.HELD))
+        bus.publish(events.CellHeld(error=str(damage), kind=type(damage).__name__))
+        bus.publish(self.state_event(DaemonState.HELD))
         await self._stopped.wait()
 
     def _facts(self) -> dict[str, Any]:
         return {
-            "state": State.HELD,
+            "state": DaemonState.HELD,
             "reason": self.reason,
             "next": NEXT,
             "job": self._config.job.id,
@@ -83,12 +83,12 @@ class DamagedCell:
 
     async def _stay(self, reason: str = "", by: str = "") -> Mapping[str, Any]:
         log.info("held already, by the damage of the journal; %s says: %s", by or "somebody", reason)
-        return {"state": State.HELD, "reason": self.reason, "next": NEXT}
+        return {"state": DaemonState.HELD, "reason": self.reason, "next": NEXT}
 
     async def _stop(self, reason: str = "", by: str = "") -> Mapping[str, Any]:
         log.info("stopped by %s: %s", by or "order", reason)
         self.stop()
-        return {"state": State.FINISHED, "reason": self.reason, "next": NEXT}
+        return {"state": DaemonState.FINISHED, "reason": self.reason, "next": NEXT}
 
     async def _refuse(self, **_: Any) -> Mapping[str, Any]:
         raise DeviceRefused(f"the cell stays held: {self.reason}")
@@ -105,12 +105,12 @@ async def hold_damaged(
 ) -> None:
     """Serve the socket, held, until the cell is stopped; keep how it ended for ``polishd status``."""
     known = {"job": config.job.id, "part": config.part.id, "run_dir": ""}
-    kept = keeping(config.state_dir, lambda: None)
+    kept = recording_exit(config.state_dir, lambda: None)
     async with (
-        told(config, notifiers, known, listeners, (kept, sink)) as bus,
+        notifying(config, notifiers, known, listeners, (kept, sink)) as bus,
         serving(config.state_dir, cell.handlers, bus),
     ):
         await cell.until_stopped(bus, damage)
         last = {**cell.state_event("failed").data, "exit_code": damage.exit_code, "causes": [], "notes": []}
-        keep_ending(config.state_dir, {**last, "run_dir": ""})
-        bus.publish(cell.state_event(State.FINISHED))
+        record_exit(config.state_dir, {**last, "run_dir": ""})
+        bus.publish(cell.state_event(DaemonState.FINISHED))

@@ -10,24 +10,24 @@ from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
-from polishd.daemon.queue import Entry, NewJob, Queue
+from polishd.daemon.queue import NewJob, Queue, QueueEntry
 from polishd.daemon.same_job import file_terms
 from polishd.daemon.service import Handler
 from polishd.model.errors import ConfigError
-from polishd.model.events import Event, Ordered
+from polishd.model.events import CommandReceived, Event
 
 
 def new_job(cell: CellConfig, file: JobFile) -> NewJob:
     """The job of a file, as the queue takes it; ConfigError where its values, or the files that it names, are wrong.
 
     Reads those files: in a daemon call it in a thread. Whether its program fits is judged by who adds it
-    (``checking.judged_jobs``), and again when it begins.
+    (``checking.check_jobs``), and again when it begins.
     """
     config = file.laid_over(cell)
     return NewJob(config.job.id, config.part.id, file, file_terms(config, file.names()))
 
 
-def require_unchanged(cell: CellConfig, entry: Entry) -> CellConfig:
+def require_unchanged(cell: CellConfig, entry: QueueEntry) -> CellConfig:
     """The cell with that job laid over it; ConfigError where a file that it names is not what it was when it was added.
 
     It was judged with that content. Another one is another job: polishing with it would be nobody's decision.
@@ -49,7 +49,7 @@ def _hash(terms: Any) -> str:
     return f"sha256 {terms['sha256'][:12]}" if terms else "without it"
 
 
-class Desk:
+class QueueRequests:
     """Answers for the queue of one cell, from threads: a tool may be in contact meanwhile, and disks are slow."""
 
     def __init__(
@@ -115,7 +115,7 @@ class Desk:
         return await self.list()
 
     def _told(self, order: str, reason: str, by: str) -> None:
-        self._tell(Ordered(order=order, reason=reason, by=by))
+        self._tell(CommandReceived(order=order, reason=reason, by=by))
 
 
 def _job_file(given: Any) -> JobFile:

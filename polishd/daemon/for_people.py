@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class ForPeople:
+class RunFolderWriter:
     """The run folder of a job. What people cannot be left does not end a job."""
 
     folder: RunFolder

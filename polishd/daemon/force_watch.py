@@ -13,9 +13,9 @@ from typing import TypeVar
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.force_check import ForceCheck, verdict
-from polishd.daemon.listening import heard
+from polishd.daemon.listening import read_samples
 from polishd.daemon.time_limits import ANSWERS_S
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.model.devices import SensedForce
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
 
@@ -45,7 +45,7 @@ async def tare(cell: Cell, band_n: float) -> None:
     cell.tared.add(name)
 
 
-async def watch_sensor(cell: Cell, forces: ForceCheck, touch: Touch, landed: asyncio.Event) -> None:
+async def watch_sensor(cell: Cell, forces: ForceCheck, touch: ContactRecord, landed: asyncio.Event) -> None:
     """Judge each of its readings, until that raises; a silence is a fault."""
     sensor = cell.force_sensor
     if sensor is None:
@@ -59,10 +59,10 @@ async def watch_sensor(cell: Cell, forces: ForceCheck, touch: Touch, landed: asy
         if not touch.left:
             forces.sensor(reading.at_s, reading.force_n, landed=landed.is_set())
 
-    await heard(sensor.samples(), judge, "force sensor", sensor.times.silence_s)
+    await read_samples(sensor.samples(), judge, "force sensor", sensor.times.silence_s)
 
 
-async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: Touch) -> None:
+async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: ContactRecord) -> None:
     """Judge each value of the monitors' signals that measure the force, until that raises."""
     broken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -81,7 +81,7 @@ async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: Touch) -> N
         cell.signals.on_force = lambda _name, _force_n: None
 
 
-async def told_apart(cell: Cell, error: BaseException, band_n: float) -> BaseException:
+async def diagnose_force_disagreement(cell: Cell, error: BaseException, band_n: float) -> BaseException:
     """The error; where two forces disagreed, and the tool is up since, with what both read there."""
     sensor = cell.force_sensor
     if not isinstance(error, ForcesApart) or sensor is None or cell.unsafe:

@@ -24,26 +24,26 @@ from polishd.daemon.map_wait import next_map
 from polishd.daemon.readiness import before_contact, require_robot
 from polishd.daemon.safety import ContactLimits, contact, in_band
 from polishd.daemon.stream import Stream, streaming
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.daemon.turns import mounted
 from polishd.model import events
-from polishd.model.cause import Named
-from polishd.model.cycle import Phase
+from polishd.model.cause import Diagnosis
+from polishd.model.cycle import CyclePhase
 from polishd.model.errors import (
     DeviceError,
     DeviceRefused,
-    GateStop,
     HandlingError,
-    NotSettled,
+    PartNotSettled,
+    RemovalCheckStop,
     SeatNotLeft,
     WrongSeat,
 )
-from polishd.model.handling import Seat, Settle, Step, TouchOff
+from polishd.model.handling import HandlingStep, PartSeat, SettleRule, TouchOff
 from polishd.model.program import Plan
 from polishd.process import naming
 from polishd.process.seat import seat_of
 from polishd.recipe import steps, touch_off
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 
 FORCE_BAND = 0.25
 """Of the touch-off: with 0.8 N no more than 1 N acts."""
@@ -51,7 +51,7 @@ READINGS = 5
 """Of the position, whose mean counts: 0.25 s."""
 
 
-class Handling:
+class PartHandling:
     """What one who polishes does besides. A seat once proved stays so until somebody may have touched the part."""
 
     def __init__(self, cell: Cell, job: Job, journal: Journal) -> None:
@@ -62,17 +62,17 @@ class Handling:
 
     async def clean(self, cycle: int) -> None:
         """What comes between a pass and the next measurement. HandlingError where a person is to do it."""
-        await self._step(cycle, Phase.CLEAN, self._job.recipe.between.clean)
+        await self._step(cycle, CyclePhase.CLEAN, self._job.recipe.between.clean)
 
-    async def settled(self, cycle: int, surface: Measured) -> Measured:
+    async def settled(self, cycle: int, surface: MeasureResult) -> MeasureResult:
         """The measurement that counts: maps are taken until two in a row agree. NotSettled where none do."""
         settle = self._job.recipe.between.settle
         if settle is None:
             return surface
-        async with self._journal.phase(cycle, Phase.SETTLE):
+        async with self._journal.phase(cycle, CyclePhase.SETTLE):
             return await self._repeated(cycle, surface, settle)
 
-    async def told_apart(self, cycle: int, surface: Measured) -> tuple[Measured, tuple[Named, ...]]:
+    async def told_apart(self, cycle: int, surface: MeasureResult) -> tuple[MeasureResult, tuple[Diagnosis, ...]]:
         """Maps until two agree, or do not come nearer: the last one, and what changed, which is none of the pass.
 
         Where that is more than the tolerance bears: GateStop for a mount that prints through otherwise each time,
@@ -80,34 +80,34 @@ class Handling:
         """
         job, settle = self._job, self._job.recipe.between.settle
         wait_s, earlier = (naming.WAIT_S, 0) if settle is None else (settle.wait_s, settle.maps)
-        seen, moves, changes = list[Named](), tuple[Named, ...](), list[float]()
-        async with self._journal.phase(cycle, Phase.SETTLE):
+        seen, moves, changes = list[Diagnosis](), tuple[Diagnosis, ...](), list[float]()
+        async with self._journal.phase(cycle, CyclePhase.SETTLE):
             for maps in range(2, naming.MAPS + 2):
                 later = await self._another(cycle, earlier + maps - 2, wait_s)
-                last, moves = moves, await job.compute(steps.changed, job.recipe, surface, later)
+                last, moves = moves, await job.compute(steps.map_changes, job.recipe, surface, later)
                 seen, surface = [*seen, *moves], later
                 changes.append(max((one.size for one in moves), default=0.0))
                 notes = [one.words for one in moves] or [f"measured again: {maps} maps, and the last two agree"]
                 told = {"change_nm": changes[-1], "limit_nm": naming.LEAST_NM}
-                job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
+                job.publish(events.MapRepeated(cycle=cycle, maps=maps, notes=notes, **told))
                 kept = {"settled": not moves, **told, "change_nm": changes, "notes": notes}
                 await job.people.leave(cycle, "again.json", kept)
-                if not naming.settles(moves, last):
+                if not naming.is_settling(moves, last):
                     break
-            if restless := steps.harmful(job.recipe, moves):
+            if restless := steps.harmful_changes(job.recipe, moves):
                 settling = all(one.cause == "settling" for one in restless)
-                raise (NotSettled if settling else GateStop)("; ".join(one.words for one in restless))
-        return surface, naming.lasting(seen)
+                raise (PartNotSettled if settling else RemovalCheckStop)("; ".join(one.words for one in restless))
+        return surface, naming.persistent(seen)
 
     async def ready(self, cycle: int) -> None:
         """Tool, pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""
         await self._change(cycle)
-        await self._step(cycle, Phase.CONDITION, self._job.recipe.between.condition)
+        await self._step(cycle, CyclePhase.CONDITION, self._job.recipe.between.condition)
         asked = self._job.recipe.touch_off
         if asked is None or (self._seated and not asked.each_pass):
             return
         await before_contact(self._cell, self._job.publish, cycle)  # conditioning may have taken minutes
-        async with self._journal.phase(cycle, Phase.TOUCH_OFF):
+        async with self._journal.phase(cycle, CyclePhase.TOUCH_OFF):
             await self._touch_off(cycle, asked)
         self._seated = True
 
@@ -120,23 +120,25 @@ class Handling:
         if not tool or await asyncio.to_thread(mounted, self._journal) == tool:
             return
         step = job.recipe.between.change
-        async with self._journal.phase(cycle, Phase.CHANGE):
+        async with self._journal.phase(cycle, CyclePhase.CHANGE):
             if step.command:
-                await run_command(Phase.CHANGE.value, step, {**self._names(Phase.CHANGE, cycle), "POLISHD_TOOL": tool})
-            elif (cycle, Phase.CHANGE) not in job.handled:
-                job.handled.add((cycle, Phase.CHANGE))
+                await run_command(
+                    CyclePhase.CHANGE.value, step, {**self._names(CyclePhase.CHANGE, cycle), "POLISHD_TOOL": tool}
+                )
+            elif (cycle, CyclePhase.CHANGE) not in job.handled:
+                job.handled.add((cycle, CyclePhase.CHANGE))
                 asked = f"mount the tool {tool!r}" + (f": {step.person}" if step.person else "")
-                raise HandlingError(f"{Phase.CHANGE}: {asked}; that done: polishd resume")
+                raise HandlingError(f"{CyclePhase.CHANGE}: {asked}; that done: polishd resume")
             job.publish(events.ToolMounted(cycle=cycle, tool=tool, notes=[f"the tool {tool!r} is mounted"]))
             self._journal.flush()
         self._seated = False
 
-    def _names(self, phase: Phase, cycle: int) -> dict[str, str]:
+    def _names(self, phase: CyclePhase, cycle: int) -> dict[str, str]:
         """What a command hears in its environment."""
         part = {"POLISHD_PART": self._job.recipe.part.id, "POLISHD_JOB": self._job.recipe.job.id}
         return {"POLISHD_STEP": phase.value, **part, "POLISHD_CYCLE": str(cycle)}
 
-    async def _step(self, cycle: int, phase: Phase, step: Step | None) -> None:
+    async def _step(self, cycle: int, phase: CyclePhase, step: HandlingStep | None) -> None:
         """Between passes only, and once: a person who resumes has done it, a command that failed is run again."""
         job = self._job
         if step is None or not self._journal.passes or (cycle, phase) in job.handled:
@@ -148,28 +150,28 @@ class Handling:
             await run_command(phase.value, step, self._names(phase, cycle))
             job.handled.add((cycle, phase))
 
-    async def _repeated(self, cycle: int, surface: Measured, settle: Settle) -> Measured:
+    async def _repeated(self, cycle: int, surface: MeasureResult, settle: SettleRule) -> MeasureResult:
         job, limit_nm, changes = self._job, settle.limit_nm, list[float]()
         while len(changes) < settle.maps - 1:
             later = await self._another(cycle, len(changes), settle.wait_s)
-            changes.append(await job.compute(steps.change_nm, job.recipe, surface, later))
+            changes.append(await job.compute(steps.map_change_nm, job.recipe, surface, later))
             maps, agree = len(changes) + 1, changes[-1] <= limit_nm
             notes = [f"{'settled' if agree else 'not settled'}: {maps} maps, the last two {changes[-1]:.2f} nm apart"]
             told = {"change_nm": changes[-1], "limit_nm": limit_nm}
-            job.publish(events.Repeated(cycle=cycle, maps=maps, notes=notes, **told))
+            job.publish(events.MapRepeated(cycle=cycle, maps=maps, notes=notes, **told))
             await job.people.leave(
                 cycle, "settling.json", {"settled": agree, **told, "change_nm": changes, "notes": notes}
             )
             if agree:
                 return later
             surface = later
-        raise NotSettled(
+        raise PartNotSettled(
             f"the part does not settle: from map to map it changed by {', '.join(f'{one:.2f}' for one in changes)} nm; "
             f"{limit_nm:.2f} nm are the instrument's noise. To do: look for what warms or moves it; or give it more "
             "time, between.settle.wait_s or maps"
         )
 
-    async def _another(self, cycle: int, number: int, wait_s: float) -> Measured:
+    async def _another(self, cycle: int, number: int, wait_s: float) -> MeasureResult:
         """A later map of the same cycle; the one before is set aside for people, under that number."""
         await self._cell.clock.sleep(wait_s)
         await self._job.people.set_aside(cycle, number)
@@ -184,7 +186,7 @@ class Handling:
         met_mm = [await self._met(asked, place, plan, meets_mm) for place, plan in enumerate(plans)]
         seat = seat_of(asked, meets_mm - np.array(met_mm))
         facts, notes = facts_of(asked, seat), [] if seat.is_level else [f"the part sits {seat}"]
-        job.publish(events.TouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
+        job.publish(events.PartTouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
         await job.people.leave(cycle, "touch_off.json", {**facts, "notes": notes})
         if seat.worst_mm > asked.most_off_mm:
             raise WrongSeat(_wrong(asked, seat))
@@ -208,7 +210,7 @@ class Handling:
             await require_robot(cell, limits.least_override)
             await stream.approach()
             try:
-                async with contact(cell, limits, Touch(_no_block, cell.limits.robot.silence_s)) as forces:
+                async with contact(cell, limits, ContactRecord(_no_block, cell.limits.robot.silence_s)) as forces:
                     position_mm = await self._position_mm(limits, forces)
             except WrongSeat as nothing:
                 said, stays = _nothing(asked, place, str(nothing)), await self._stays(stream)
@@ -249,7 +251,7 @@ def _no_block(_: Sequence[BlockRecord]) -> None:
     """The robot stands while the tool touches: there is none to record."""
 
 
-def facts_of(asked: TouchOff, seat: Seat) -> dict[str, object]:
+def facts_of(asked: TouchOff, seat: PartSeat) -> dict[str, object]:
     """What the run folder keeps of a touch-off."""
     places = {
         "places_mm": asked.places_mm[:, :2].round(3).tolist(),
@@ -259,7 +261,7 @@ def facts_of(asked: TouchOff, seat: Seat) -> dict[str, object]:
     return {"seat": asdict(seat), **places}
 
 
-def _wrong(asked: TouchOff, seat: Seat) -> str:
+def _wrong(asked: TouchOff, seat: PartSeat) -> str:
     met = "; ".join(
         f"{abs(off):.2f} mm too {'high' if off > 0 else 'low'} at x {x:.1f}, y {y:.1f} mm"
         for off, (x, y, _) in zip(seat.off_mm, asked.places_mm.tolist(), strict=True)

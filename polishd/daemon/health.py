@@ -20,10 +20,10 @@ from typing import Any
 from polishd.daemon.cell import Cell
 from polishd.daemon.job import Job
 from polishd.daemon.journal_store import LATE_S
-from polishd.daemon.listening import most_telling
+from polishd.daemon.listening import root_cause
 from polishd.daemon.making import NoJob
 from polishd.daemon.memory import LEAST_MB, process_memory_mb
-from polishd.recipe.disk import MB, Writes, rooms
+from polishd.recipe.disk import MB, SpaceNeeded, free_space
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ NEAR = 0.75
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class HealthFigure:
     """One of them; the unit is in the name."""
 
     name: str
@@ -75,9 +75,9 @@ class Health:
         self._cell = cell
         self._job = job
         self._lags: deque[tuple[float, float]] = deque()
-        self._left: dict[str, Figure] = {}
+        self._left: dict[str, HealthFigure] = {}
 
-    def figures(self) -> list[Figure]:
+    def figures(self) -> list[HealthFigure]:
         """As of now; those of disks and memory as of the last look."""
         return [*self._of_contact(), *self._left.values()]
 
@@ -103,11 +103,11 @@ class Health:
         journal, begun = job.journal, job.journal.unfinished()
         state_dir = journal.store.path.parent
         if isinstance(job, NoJob):
-            writes, run_dir = Writes.of(0), state_dir
+            writes, run_dir = SpaceNeeded.of(0), state_dir
         else:
             # a program that is rewritten keeps its lines
             blocks, done = (job.program.lines, 0) if begun is None else (begun.blocks, journal.tally(begun.cycle).done)
-            writes, run_dir = Writes.of(blocks, done, journal.done - done), job.folder.path
+            writes, run_dir = SpaceNeeded.of(blocks, done, journal.done - done), job.folder.path
         try:
             self._left = await asyncio.to_thread(_left, state_dir, run_dir, writes)
         except OSError as error:
@@ -125,7 +125,7 @@ class Health:
                     for task in tasks:
                         task.cancel()
         except BaseExceptionGroup as errors:
-            raise most_telling(errors) from errors
+            raise root_cause(errors) from errors
 
     async def _beat(self, danger: Callable[[str], None]) -> None:
         pressed = False
@@ -148,35 +148,35 @@ class Health:
             await self.look()
             await asyncio.sleep(SLOW_S)
 
-    def _of_contact(self) -> list[Figure]:
+    def _of_contact(self) -> list[HealthFigure]:
         limits = self._cell.limits
         fed_s = min(limits.actuator.watchdog_s, limits.spindle.watchdog_s, limits.robot.watchdog_s)
         lags = nlargest(2, (lag for _, lag in self._lags))
         second = lags[1] if len(lags) > 1 else 0.0  # one may be chance
         busy, slow = "too much else runs on this computer", "the disk of cell.state_dir is too slow"
         return [
-            Figure("loop_lag_s", second, SHARE * fed_s, busy),
-            Figure("journal_s", self._job().journal.unsaved_s, NEAR * LATE_S, slow),
+            HealthFigure("loop_lag_s", second, SHARE * fed_s, busy),
+            HealthFigure("journal_s", self._job().journal.unsaved_s, NEAR * LATE_S, slow),
         ]
 
 
-def _left(state_dir: Path, run_dir: Path, writes: Writes) -> dict[str, Figure]:
+def _left(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> dict[str, HealthFigure]:
     """Room for what a pass and its job still write, and memory."""
     found = []
-    for room in rooms(state_dir, run_dir, writes):
+    for room in free_space(state_dir, run_dir, writes):
         advice = f"make room on the disk of {room.folder}"
-        found.append(Figure(room.name, room.left_mb, room.needed_mb, advice, least=True))
+        found.append(HealthFigure(room.name, room.left_mb, room.needed_mb, advice, least=True))
         if room.left_files is not None:
             advice = f"delete files on the disk of {room.folder}, which runs out of inodes (df -i shows them)"
-            found.append(Figure(room.files_name, room.left_files, room.needed_files, advice, least=True))
+            found.append(HealthFigure(room.files_name, room.left_files, room.needed_files, advice, least=True))
     if (memory := _memory_mb()) is not None:
         total_mb, left_mb = memory
         advice = "end other programs on this computer, or give the service more (MemoryMax)"
-        found.append(Figure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
+        found.append(HealthFigure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
     if (own := process_memory_mb()) is not None:
         left_mb, limit = own
         advice = f"raise the limit of the daemon's process ({limit}), or end it and see what in it grows"
-        found.append(Figure("process_memory_mb", left_mb, LEAST_MB, advice, least=True))
+        found.append(HealthFigure("process_memory_mb", left_mb, LEAST_MB, advice, least=True))
     return {figure.name: figure for figure in found}
 
 

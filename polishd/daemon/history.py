@@ -23,7 +23,7 @@ TOLD = ToolStop.__name__
 
 
 @dataclass(frozen=True, slots=True)
-class Measurement:
+class HistoryMeasurement:
     """One map of a part, and the pass before it."""
 
     at_s: float
@@ -40,7 +40,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class FaultEvent:
     """An event that somebody had to see to."""
 
     at_s: float
@@ -63,8 +63,8 @@ class JobHistory:
     """That came to their end."""
     interrupted: int
     contact_s: float
-    measured: tuple[Measurement, ...]
-    faults: tuple[Fault, ...]
+    measured: tuple[HistoryMeasurement, ...]
+    faults: tuple[FaultEvent, ...]
 
     @property
     def rate(self) -> float | None:
@@ -179,12 +179,12 @@ def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -
     return found
 
 
-def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any]) -> Measurement:
+def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any]) -> HistoryMeasurement:
     rate = (before.get("shown") or {}).get("rate") or {}
     judged = judged_of(stats)
     predicted = before.get("predicted_rms_nm")
     rms, rates = stats["rms_nm"], (rate.get("value"), rate.get("sigma"))
-    return Measurement(at_s, rms, judged, *rates, predicted, _as_forecast(before.get("shown") or {}))
+    return HistoryMeasurement(at_s, rms, judged, *rates, predicted, _as_forecast(before.get("shown") or {}))
 
 
 def _as_forecast(shown: Mapping[str, Any]) -> bool | None:
@@ -193,12 +193,12 @@ def _as_forecast(shown: Mapping[str, Any]) -> bool | None:
     return None if expected is None or seen_nm is None else bool(expected[0] <= seen_nm <= expected[1])
 
 
-def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[Fault]:
+def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[FaultEvent]:
     """Each once: an error that held the cell, and ended its daemon as nobody mended it, is one."""
     last = ("", "")
     for at_s, name, data in events:
         said = json.loads(data)
-        fault = Fault(at_s, said["kind"], said["what" if name == "found" else "error"])
+        fault = FaultEvent(at_s, said["kind"], said["what" if name == "found" else "error"])
         again = name == "failed" and last == (fault.kind, fault.what)
         last = (fault.kind, fault.what)
         if fault.kind != TOLD and not again:

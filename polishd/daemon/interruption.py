@@ -11,9 +11,9 @@ import numpy as np
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import BlockRecord, ExecutedBlocks, PassRecord
-from polishd.daemon.touch import Touch
-from polishd.model.devices import Executed, RobotProgress
+from polishd.daemon.journal_records import BlockRecord, JournalBlocks, PassRecord
+from polishd.daemon.touch import ContactRecord
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import DeviceError
 from polishd.model.surface import FloatArray
 from polishd.process.executed import pace, reached
@@ -27,7 +27,7 @@ class _Account:
     """A pass as the journal has it, and how far the tool can have come since."""
 
     record: PassRecord
-    blocks: ExecutedBlocks
+    blocks: JournalBlocks
     least_s: FloatArray
     """(n,) least time of each block; empty where no plan is kept."""
     late_s: float
@@ -88,7 +88,9 @@ class _Account:
         return pace(process_s, float(told_s[-1] - told_s[0]), self.late_s) if told_s.size else None
 
 
-async def mark(cell: Cell, journal: Journal, cycle: int, touch: Touch, robot: RobotProgress | None) -> None:
+async def mark_interrupted(
+    cell: Cell, journal: Journal, cycle: int, touch: ContactRecord, robot: RobotProgress | None
+) -> None:
     """Contact was left before its end: journal what the tool may have touched after the last block that was told.
 
     ``robot`` is its word after that, None where it has none any more.
@@ -106,7 +108,7 @@ async def mark(cell: Cell, journal: Journal, cycle: int, touch: Touch, robot: Ro
         journal.mark_uncertain(cycle, *account.tail(within_s if math.isfinite(within_s) else None))
 
 
-async def settle(cell: Cell, journal: Journal) -> str:
+async def settle_interrupted_pass(cell: Cell, journal: Journal) -> str:
     """Close the pass that was begun and never ended, with the robot's own account where it still has one.
 
     Returns what a person should know, empty where nothing was interrupted. Blocks of which nobody knows whether the
@@ -133,7 +135,7 @@ async def settle(cell: Cell, journal: Journal) -> str:
     return f"pass {cycle} was interrupted: {done}; {uncertain}. None of them is run again"
 
 
-def _take_over(journal: Journal, account: _Account, robot: RobotProgress, told: list[Executed]) -> None:
+def _take_over(journal: Journal, account: _Account, robot: RobotProgress, told: list[ExecutedBlock]) -> None:
     """Journal what the robot remembers; the tool is off once its actuator must have let go."""
     record, unseen_s = account.record, account.unseen_s()
     end = record.contact_to if record.uncertain is None else record.uncertain[1]
@@ -153,7 +155,9 @@ def _take_over(journal: Journal, account: _Account, robot: RobotProgress, told: 
         journal.mark_uncertain(record.cycle, first, max(first, min(end, account.tail(record.reach_s)[1])))
 
 
-async def _remembered(cell: Cell, record: PassRecord, from_seq: int) -> tuple[RobotProgress, list[Executed]] | None:
+async def _remembered(
+    cell: Cell, record: PassRecord, from_seq: int
+) -> tuple[RobotProgress, list[ExecutedBlock]] | None:
     """The robot's word, and the blocks that it executed from there on; None if it is not the same robot run.
 
     Without a ``boot_id`` nobody can tell whether it is: what such a robot ran while no link was up its driver cannot
@@ -166,7 +170,7 @@ async def _remembered(cell: Cell, record: PassRecord, from_seq: int) -> tuple[Ro
             progress = await cell.robot.progress()
             if progress.boot_id != record.boot_id or progress.program_sha256 != record.program_sha256:
                 return None
-            blocks: list[Executed] = []
+            blocks: list[ExecutedBlock] = []
             if progress.executed > from_seq:
                 async with aclosing(cell.robot.executed(from_seq)) as told:  # type: ignore[type-var]
                     async for block in told:

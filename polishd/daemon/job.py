@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 from polishd.daemon import remembering
 from polishd.daemon.compute import Compute
 from polishd.daemon.cycle_entries import cycle_entries
-from polishd.daemon.for_people import ForPeople
+from polishd.daemon.for_people import RunFolderWriter
 from polishd.daemon.installed import installed_at_start, installed_now, require_same
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
-from polishd.daemon.judging import Judging
+from polishd.daemon.judging import StopCriteria
 from polishd.daemon.standing import excess_map
-from polishd.daemon.turns import Tools
+from polishd.daemon.turns import ToolSequence
 from polishd.daemon.watching import watch
 from polishd.model import events
-from polishd.model.cause import Named
+from polishd.model.cause import Diagnosis
 from polishd.model.devices import RobotProgress
-from polishd.model.errors import GateStop, PlanRefused, SafetyStop
+from polishd.model.errors import PlanRefused, RemovalCheckStop, SafetyStop
 from polishd.model.events import Event
 from polishd.model.finding import Finding
 from polishd.model.limits import Envelope
@@ -40,7 +40,7 @@ from polishd.recipe.disk import require_room
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured, Pass, Planned, Solved, Taught
+from polishd.recipe.records import ExecutedPass, LearnResult, MeasureResult, PlanResult, SolveResult
 
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
@@ -48,7 +48,7 @@ PROGRESS_BLOCKS = 50
 log = logging.getLogger(__name__)
 
 
-class Stored(NamedTuple):
+class StoredArrays(NamedTuple):
     """Names in the array store: of a plan's arrays, and of what the next solve can start from."""
 
     plan: str = ""
@@ -59,7 +59,7 @@ class Stored(NamedTuple):
 class Job:
     """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
 
-    tools: Tools
+    tools: ToolSequence
     _: KW_ONLY
     journal: Journal
     folder: RunFolder
@@ -72,9 +72,9 @@ class Job:
     """What was found in the last pass, and not told before."""
     _remembers: tuple[str, ...] = field(init=False, default=())
     """In words, of an earlier job."""
-    _surfaces: dict[int, Measured] = field(init=False, default_factory=dict)
-    _planned: dict[int, Planned] = field(init=False, default_factory=dict)
-    _stored: Stored = field(init=False, default=Stored())
+    _surfaces: dict[int, MeasureResult] = field(init=False, default_factory=dict)
+    _planned: dict[int, PlanResult] = field(init=False, default_factory=dict)
+    _stored: StoredArrays = field(init=False, default=StoredArrays())
     _masks: Masks | None = field(init=False, default=None)
     _lay: Registration | None = field(init=False, default=None)
     """Where the part lay in the last map."""
@@ -82,13 +82,13 @@ class Job:
     handled: set[tuple[int, str]] = field(init=False, default_factory=set)
     """Cycles and steps beside polishing (``Phase``) that were done, or that a person was asked for."""
 
-    people: ForPeople = field(init=False)
+    people: RunFolderWriter = field(init=False)
     """What it leaves in its run folder."""
-    judging: Judging = field(init=False)
+    judging: StopCriteria = field(init=False)
 
     def __post_init__(self) -> None:
-        self.people = ForPeople(self.folder, self.journal)
-        self.judging = Judging(self.recipe, self.journal)
+        self.people = RunFolderWriter(self.folder, self.journal)
+        self.judging = StopCriteria(self.recipe, self.journal)
 
     @property
     def recipe(self) -> Recipe:
@@ -133,7 +133,7 @@ class Job:
 
     # measure
 
-    async def measured(self, cycle: int, surface: SurfaceMap) -> Measured:
+    async def measured(self, cycle: int, surface: SurfaceMap) -> MeasureResult:
         """The map on the process grid; journalled and kept in the run folder."""
         measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
         if not self.journal.passes:
@@ -149,12 +149,12 @@ class Job:
         await self.people.remake()
         stats, notes = measured.stats, list(measured.notes)
         told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
-        self.publish(events.Measured(cycle=cycle, stats=stats, notes=notes, **told))
+        self.publish(events.MapMeasured(cycle=cycle, stats=stats, notes=notes, **told))
         return measured
 
     # learn, solve, plan
 
-    async def learn(self, cycle: int, surface: Measured, again: tuple[Named, ...] | None = None) -> bool:
+    async def learn(self, cycle: int, surface: MeasureResult, again: tuple[Diagnosis, ...] | None = None) -> bool:
         """Compare what the last pass removed with what its executed dwell should have; not after an interruption.
 
         True where nothing was learned, since another map must tell first (`Taught.doubted`); ``again`` is what those
@@ -170,46 +170,46 @@ class Job:
         times = await asyncio.to_thread(self._at_points, cycle - 1)
         planned = self._planned[cycle - 1]
         expected_nm = planned.certificate.predicted_rms_nm
-        last = Pass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
-        taught: Taught = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.believed)
+        last = ExecutedPass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
+        taught: LearnResult = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.believed)
         if taught.doubted:
             return True
         folder = self.folder.cycle(cycle)
         await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
         if taught.verdict.stop:
-            self.publish(events.GateStopped(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
-            raise GateStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
+            self.publish(events.RemovalCheckFailed(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
+            raise RemovalCheckStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
         self.tools.believe(taught.believed)
         self.journal.add_facts(cycle - 1, remembering.facts(self.tools.terms, taught.believed))
-        self.publish(events.Learned(cycle=cycle, notes=taught.notes, beliefs=taught.believed.facts()))
+        self.publish(events.EstimatesUpdated(cycle=cycle, notes=taught.notes, beliefs=taught.believed.facts()))
         if taught.shown is not None:
             self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)
             for found in self.findings:
-                self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+                self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return False
 
-    def decide(self, cycle: int, surface: Measured) -> Decision:
+    def decide(self, cycle: int, surface: MeasureResult) -> Decision:
         """Decide what follows that cycle's measurement, once its pass was learned from."""
         return self.judging.decide(surface, self.findings, self.last_cycle - cycle)
 
-    async def solve(self, cycle: int, surface: Measured) -> Solved:
+    async def solve(self, cycle: int, surface: MeasureResult) -> SolveResult:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
         last = self._planned.get(cycle - 1)
         warm = last.kept if last is not None and last.tool == self.tool else None
         within = {"within_s": dwell_step.limit(self.recipe)}
         solved = await self.compute(dwell_step.solve_first, self.tools.to_solve(), surface, warm, **within)
         await self.people.keep(self.folder.cycle(cycle).write, solved.files())
-        self.publish(events.Solved(cycle=cycle, certificate=solved.dwell.certificate))
+        self.publish(events.DwellSolved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
-    async def plan(self, cycle: int, surface: Measured, solved: Solved) -> Plan:
+    async def plan(self, cycle: int, surface: MeasureResult, solved: SolveResult) -> Plan:
         """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed)
-        planned = Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
+        planned = PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
-        self._stored = Stored(*names)
+        self._stored = StoredArrays(*names)
         self._planned[cycle] = planned
         await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
@@ -222,7 +222,7 @@ class Job:
         if self.tools.left:
             return False
         if found := worthless_pass(self.judging.recipe, self._planned[cycle].forecast):
-            self.publish(events.Found(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+            self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
 
     async def refuse_unsafe(self, plan: Plan) -> None:
@@ -257,14 +257,14 @@ class Job:
             reach_s=reach_s,
         )
         told = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
-        self.publish(events.PassBegun(cycle=cycle, tool=self.tool, **told))
+        self.publish(events.PassStarted(cycle=cycle, tool=self.tool, **told))
 
     def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Blocks were executed while the tool was on the part, or may have been."""
         self.journal.record_executed(cycle, records)
         before, self._blocks = self._blocks, self._blocks + len(records)
         if self._blocks // PROGRESS_BLOCKS > before // PROGRESS_BLOCKS:
-            self.publish(events.Progress(cycle=cycle, block=records[-1].block.seq + 1))
+            self.publish(events.PassProgressed(cycle=cycle, block=records[-1].block.seq + 1))
 
     async def end_pass(self, cycle: int) -> None:
         """The pass is over, tool lifted, robot at rest."""
@@ -301,14 +301,14 @@ class Job:
         """The job's part of ``summary.json``."""
         return {**self.recipe.facts(), "cycles": self.cycles(), "phase_times_s": self.journal.phase_times_s()}
 
-    def _measured(self, record: MapRecord) -> Measured:
+    def _measured(self, record: MapRecord) -> MeasureResult:
         instrument = self.recipe.instrument
         by = "none" if instrument is None else instrument.register_by
-        return Measured.load(self.journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
+        return MeasureResult.load(self.journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
 
-    def _plan_of(self, record: PassRecord) -> Planned:
+    def _plan_of(self, record: PassRecord) -> PlanResult:
         get = self.journal.arrays.get
-        return Planned.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
+        return PlanResult.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
 
 
 def _refuse_unsafe(job: Job, plan: Plan) -> None:

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import look_for_part, require_time_limits
+from polishd.daemon.assembly import bind_part_to_devices, require_time_limits
 from polishd.daemon.cell import Cell
 from polishd.daemon.compute import Compute
 from polishd.daemon.desk import require_unchanged
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.making import make_job, read_recipes, run_folder
-from polishd.daemon.queue import Entry, Queue
+from polishd.daemon.queue import Queue, QueueEntry
 from polishd.daemon.same_job import require_same, terms_of
-from polishd.daemon.standing import require_shallow
+from polishd.daemon.standing import require_stall_depth
 from polishd.hooks.cell import hooks_of_job
 from polishd.hooks.loader import Hooks
 from polishd.model.events import Event
@@ -37,7 +37,7 @@ class JobMaker:
     compute: Compute
 
     async def __call__(
-        self, entry: Entry, queue: Queue, journal: Journal, publish: Callable[[Event], None]
+        self, entry: QueueEntry, queue: Queue, journal: Journal, publish: Callable[[Event], None]
     ) -> tuple[Job, RunFolder]:
         """The job, journalled as under way; where an earlier run began it, with all that is known of it.
 
@@ -54,14 +54,14 @@ class JobMaker:
         for tool, recipe in zip(config.turns, recipes, strict=True):
             programs.append(await self.compute(read_program, recipe, tool.program_path))
             await self.compute(require_fit, tool, recipe, programs[-1])
-            require_shallow(tool, self.cell, recipe)
+            require_stall_depth(tool, self.cell, recipe)
         require_time_limits(config, self.cell)
         terms = await asyncio.to_thread(terms_of, config, programs[0].sha256)
         queue.require_held(entry)  # or the journal would have a job that another cell may be given now
         own = journal.of_job(entry.name, entry.part_id, terms, queue.begin_row(entry))
         require_same(config, terms, own)
         queue.begin(entry, own.number)
-        await look_for_part(self.cell, config, hooks)
+        await bind_part_to_devices(self.cell, config, hooks)
         folder = run_folder(config, own, entry.content)
         job = make_job(
             config, hooks, recipes, programs, journal=own, folder=folder, compute=self.compute, publish=publish
@@ -70,6 +70,6 @@ class JobMaker:
         return job, folder
 
 
-def _laid_over(cell: CellConfig, entry: Entry) -> CellConfig:
+def _laid_over(cell: CellConfig, entry: QueueEntry) -> CellConfig:
     """Of a job that is under way: ``require_same`` says what may have changed since."""
     return entry.file.laid_over(cell)

@@ -14,12 +14,12 @@ from types import MappingProxyType, TracebackType
 from typing import Any, NoReturn, Self
 
 from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.journal_knowledge import JobKnowledge
-from polishd.daemon.journal_memory import Known, nothing_known, read_job, read_tally, read_unknown
+from polishd.daemon.journal_knowledge import JournalView
+from polishd.daemon.journal_memory import JobMemory, empty_job_memory, read_job, read_tally, read_unreported_blocks
 from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.journal_schema import Connect, connect
 from polishd.daemon.journal_store import Row, Store
-from polishd.model.cycle import Outcome, Phase
+from polishd.model.cycle import CyclePhase, Outcome
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event
 from polishd.plain import plain
@@ -37,13 +37,13 @@ _INTENT = (
 _SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
-class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
+class Journal(JournalView, AbstractContextManager["Journal", None]):
     """One job's view of the journal: what is known of it, and what is recorded.
 
     Any error of the disk raises SafetyStop, from then on from every method that goes to it: polishing stops.
     """
 
-    def __init__(self, store: Store, arrays: ArrayStore, job: int, known: Known, *, resumed: bool) -> None:
+    def __init__(self, store: Store, arrays: ArrayStore, job: int, known: JobMemory, *, resumed: bool) -> None:
         super().__init__(store, job, known)
         self.store = store
         """Its file; the queue shares it."""
@@ -78,7 +78,7 @@ class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
     def of_cell(cls, state_dir: Path, connect: Connect = connect) -> Self:
         """The journal of a state folder between jobs: it has events of its own. ConfigError as of ``open``."""
         store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
-        return cls(store, arrays, NO_JOB, nothing_known(store), resumed=False)
+        return cls(store, arrays, NO_JOB, empty_job_memory(store), resumed=False)
 
     def of_job(self, job: str, part_id: str, terms: Mapping[str, Any], *also: Row) -> Self:
         """The same, with its unfinished job of that name, or a new one: ``also`` is written with the latter's row."""
@@ -91,7 +91,7 @@ class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
     # what is recorded; all but record_executed and record_event are durable when they return
 
     @asynccontextmanager
-    async def phase(self, cycle: int, phase: Phase) -> AsyncIterator[None]:
+    async def phase(self, cycle: int, phase: CyclePhase) -> AsyncIterator[None]:
         """Record start, end and error of a phase; what was buffered in it is durable at its end."""
         sql, now = "INSERT INTO phase (job, cycle, phase, started) VALUES (?, ?, ?, ?)", time.time()
         self._store.write((sql, (self._job, cycle, phase.value, now)))
@@ -184,7 +184,7 @@ class Journal(JobKnowledge, AbstractContextManager["Journal", None]):
         """Add blocks that the robot says it executed and the journal does not know."""
         self._store.write(*(self._segment(cycle, record, recovered=True) for record in records))
         self._known.tallies[cycle] = read_tally(self._store, self._job, cycle)
-        self._known.unknown[cycle] = read_unknown(self._store, self._job, cycle)
+        self._known.unknown[cycle] = read_unreported_blocks(self._store, self._job, cycle)
 
     def mark_uncertain(self, cycle: int, first: int, end: int) -> None:
         """After the last record the tool may have touched those blocks (end excluded), and no others."""

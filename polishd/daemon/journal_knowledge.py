@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon.journal_memory import Known
-from polishd.daemon.journal_records import ExecutedBlocks, MapRecord, PassRecord, Tally, joined
+from polishd.daemon.journal_memory import JobMemory
+from polishd.daemon.journal_records import BlockCounts, JournalBlocks, MapRecord, PassRecord, joined
 from polishd.daemon.journal_store import Store
-from polishd.model.cycle import Phase
+from polishd.model.cycle import CyclePhase
 from polishd.model.errors import WrongSeat
 
-NOTHING = Tally()
+NOTHING = BlockCounts()
 
 _EXECUTED = (
     "SELECT seq, start_s, end_s, touched, recovered, force_n, rpm, told_s, sensor_force_n FROM segment "
@@ -22,10 +22,10 @@ _EXECUTED = (
 )
 
 
-class JobKnowledge:
+class JournalView:
     """What is known of one job."""
 
-    def __init__(self, store: Store, job: int, known: Known) -> None:
+    def __init__(self, store: Store, job: int, known: JobMemory) -> None:
         self._store = store
         self._job = self.number = job
         """Of its job's row; ``NO_JOB`` between jobs."""
@@ -75,7 +75,7 @@ class JobKnowledge:
         """The cycle and the phase that began last, in this run of the daemon or an earlier one."""
         return self._known.phase or (None, None)
 
-    def tally(self, cycle: int) -> Tally:
+    def tally(self, cycle: int) -> BlockCounts:
         """How much of that cycle's pass is recorded as executed."""
         return self._known.tallies.get(cycle, NOTHING)
 
@@ -94,17 +94,17 @@ class JobKnowledge:
         tail = () if record is None or record.uncertain is None else (record.uncertain,)
         return joined([*self._known.unknown.get(cycle, ()), *tail])
 
-    def executed(self, cycle: int) -> ExecutedBlocks:
+    def executed(self, cycle: int) -> JournalBlocks:
         """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
         found = self._store.read_columns(_EXECUTED, (self._job, cycle), 9)
         seq, start_s, end_s, touched, recovered, *rest = found
-        return ExecutedBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
+        return JournalBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
 
     def phase_times_s(self) -> dict[str, float]:
         """Seconds that each phase of this job took in all, by the clock on the wall, in the order of a cycle."""
         sql = "SELECT phase, sum(ended - started) FROM phase WHERE job = ? AND ended IS NOT NULL GROUP BY phase"
         found = dict(self._store.read(sql, (self._job,)))
-        return {phase.value: found[phase.value] for phase in Phase if phase.value in found}
+        return {phase.value: found[phase.value] for phase in CyclePhase if phase.value in found}
 
     def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
         """What held or ended this job's daemon, in time order: Unix time, event's name, its data.
@@ -138,7 +138,7 @@ class JobKnowledge:
         None where it did; a wrong seat is an end, once the robot has left it. By its row among the phases.
         """
         sql = "SELECT id, outcome, error FROM phase WHERE phase IN (?, ?) ORDER BY id DESC LIMIT 1"
-        for number, outcome, error in self._store.read(sql, (Phase.RUN.value, Phase.TOUCH_OFF.value)):
+        for number, outcome, error in self._store.read(sql, (CyclePhase.RUN.value, CyclePhase.TOUCH_OFF.value)):
             if outcome != "done" and not (error or "").startswith(f"{WrongSeat.__name__}:"):
                 return int(number)
         return None

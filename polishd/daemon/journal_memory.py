@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from polishd.daemon.journal_records import BlockRecord, MapRecord, PassRecord, Tally
+from polishd.daemon.journal_records import BlockCounts, BlockRecord, MapRecord, PassRecord
 from polishd.daemon.journal_store import Store
 
 
 @dataclass(slots=True)
-class Known:
+class JobMemory:
     """Rows of one job as they were read, and from then on as they are written."""
 
     terms: Mapping[str, Any] | None
@@ -27,7 +27,7 @@ class Known:
     passes: dict[int, PassRecord]
     phase: tuple[int, str] | None
     """The cycle and the phase that began last."""
-    tallies: dict[int, Tally]
+    tallies: dict[int, BlockCounts]
     unknown: dict[int, list[tuple[int, int]]]
     """By cycle, executed blocks of which nobody knows whether the tool touched: ranges, ends excluded."""
     events_before: int = 0
@@ -35,11 +35,11 @@ class Known:
 
     def add(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Blocks were executed; those that were before change nothing."""
-        tally = self.tallies.get(cycle, Tally())
+        tally = self.tallies.get(cycle, BlockCounts())
         new = [record for record in records if record.block.seq > tally.last_seq]
         if new:
             contact_s = sum(record.block.end_s - record.block.start_s for record in new if record.touched)
-            self.tallies[cycle] = Tally(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
+            self.tallies[cycle] = BlockCounts(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
         for record in new:  # at the end of what is there, however much: this is the loop in contact
             if record.touched is None:
                 _append(self.unknown.setdefault(cycle, []), record.block.seq)
@@ -51,13 +51,13 @@ def _append(ranges: list[tuple[int, int]], seq: int) -> None:
     ranges.append((first, seq + 1))
 
 
-def nothing_known(store: Store) -> Known:
+def empty_job_memory(store: Store) -> JobMemory:
     """Between jobs."""
     ((before,),) = store.read("SELECT ifnull(max(id), 0) FROM event")
-    return Known(None, "", _last_map(store), {}, {}, None, {}, {}, before)
+    return JobMemory(None, "", _last_map(store), {}, {}, None, {}, {}, before)
 
 
-def read_job(store: Store, job: int) -> Known:
+def read_job(store: Store, job: int) -> JobMemory:
     """All that is known of a job."""
     ((terms, run_dir),) = store.read("SELECT terms, run_dir FROM job WHERE id = ?", (job,))
     maps = "SELECT cycle, sha256, path, stats, taken, arrays FROM map WHERE job = ? ORDER BY id"
@@ -67,7 +67,7 @@ def read_job(store: Store, job: int) -> Known:
     )
     phases = store.read("SELECT cycle, phase FROM phase WHERE job = ? ORDER BY id DESC LIMIT 1", (job,))
     begun = [_decoded(row, 6) for row in store.read(passes, (job,))]
-    return Known(
+    return JobMemory(
         terms=json.loads(terms),
         run_dir=run_dir,
         last_map_id=_last_map(store),
@@ -75,21 +75,21 @@ def read_job(store: Store, job: int) -> Known:
         passes={row[0]: replace(PassRecord(*row[:-2]), uncertain=_range(*row[-2:])) for row in begun},
         phase=(phases[0][0], phases[0][1]) if phases else None,
         tallies={cycle: read_tally(store, job, cycle) for cycle, *_ in begun},
-        unknown={cycle: read_unknown(store, job, cycle) for cycle, *_ in begun},
+        unknown={cycle: read_unreported_blocks(store, job, cycle) for cycle, *_ in begun},
     )
 
 
-def read_tally(store: Store, job: int, cycle: int) -> Tally:
+def read_tally(store: Store, job: int, cycle: int) -> BlockCounts:
     """How much of that pass the file holds."""
     sql = (
         "SELECT count(*), ifnull(max(seq), -1), total((end_s - start_s) * touched) "
         "FROM segment WHERE job = ? AND cycle = ?"
     )
     ((done, last_seq, contact_s),) = store.read(sql, (job, cycle))
-    return Tally(done, last_seq, contact_s)
+    return BlockCounts(done, last_seq, contact_s)
 
 
-def read_unknown(store: Store, job: int, cycle: int) -> list[tuple[int, int]]:
+def read_unreported_blocks(store: Store, job: int, cycle: int) -> list[tuple[int, int]]:
     """Executed blocks of that pass of which the file does not say whether the tool touched."""
     sql = "SELECT seq FROM segment WHERE job = ? AND cycle = ? AND touched IS NULL ORDER BY seq"
     seq = store.read_columns(sql, (job, cycle), 1)[0].astype(np.int64)

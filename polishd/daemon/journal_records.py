@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.model.devices import Executed
+from polishd.model.devices import ExecutedBlock
 from polishd.model.program import IntArray
 from polishd.model.surface import BoolArray, FloatArray
 
@@ -54,7 +54,7 @@ class PassRecord:
 class BlockRecord:
     """A block that was executed, and what is known of the tool meanwhile."""
 
-    block: Executed
+    block: ExecutedBlock
     touched: bool | None
     """The tool was on the part for all of it, or for none of it; None: nobody knows."""
     force_n: float | None = None
@@ -67,7 +67,7 @@ class BlockRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class BlockCounts:
     """How much of one pass is recorded as executed."""
 
     done: int = 0
@@ -79,7 +79,7 @@ class Tally:
 
 
 @dataclass(frozen=True, slots=True)
-class ExecutedBlocks:
+class JournalBlocks:
     """Blocks of one pass that were executed, by sequence number; (n,) each."""
 
     seq: IntArray

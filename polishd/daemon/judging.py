@@ -9,17 +9,17 @@ from polishd.daemon.journal import Journal
 from polishd.model.finding import Finding
 from polishd.recipe.decisions import Decision, decide
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured, tolerated_nm
+from polishd.recipe.records import MeasureResult, tolerated_nm
 
 
 @dataclass(frozen=True, slots=True)
-class Judging:
+class StopCriteria:
     """Decisions of one job."""
 
     recipe: Recipe
     journal: Journal
 
-    def decide(self, surface: Measured, findings: Sequence[Finding], passes_left: int) -> Decision:
+    def decide(self, surface: MeasureResult, findings: Sequence[Finding], passes_left: int) -> Decision:
         """Decide what follows the last measurement of the journal."""
         torn = [record.cycle for record in self.journal.passes if record.how != "done"]
         since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.states import State
-from polishd.model.concern import Standing
+from polishd.daemon.states import DaemonState
+from polishd.model.concern import CellSafety
 from polishd.model.devices import port_of
 
 RECORD_NAME = "ending.json"
@@ -38,13 +38,13 @@ NEXT: Mapping[str, str] = {
 """What to do, by state or outcome: nobody is told to resume where no daemon runs, nor to run where one is held."""
 
 
-def to_do(state: str, *, queue: bool) -> str:
+def next_action(state: str, *, queue: bool) -> str:
     """What to do, by state or outcome, where a queue is worked or one job."""
     text = NEXT.get(state, "")
     return text.replace("polishd run CELL.toml", "polishd run CELL.toml --queue") if queue else text
 
 
-def stands(state: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> Standing:
+def safety_sentence(state: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> CellSafety:
     """How a cell stands: ``state`` is the daemon's, or ``killed``, ``failed`` or the job's outcome where it has ended.
 
     ``unsafe`` is ``Cell.unsafe``; None: the cell was not opened, and no device was asked.
@@ -56,11 +56,11 @@ def stands(state: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> 
             return "not asked"
         return "not confirmed" if any(port_of(entry.partition(":")[0]) == port for entry in unsafe) else "yes"
 
-    return Standing(
+    return CellSafety(
         tool_off=confirmed("actuator"),
         robot_at_rest=confirmed("robot"),
         unsafe=list(unsafe or ()),
-        next=to_do(state, queue=queue),
+        next=next_action(state, queue=queue),
     )
 
 
@@ -70,7 +70,7 @@ def for_cell(text: str, cell: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
+class EndCause:
     """An error that held or ended a job's daemon."""
 
     at: str
@@ -91,7 +91,7 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         state, reason = facts["state"], facts["reason"]
-        if state not in set(State) - {State.FINISHED}:
+        if state not in set(DaemonState) - {DaemonState.FINISHED}:
             return facts
         was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
         return {**facts, **_found("killed", was, tuple(facts["unsafe"]), queue=bool(facts.get("queue")))}
@@ -103,4 +103,4 @@ def last_ending(state_dir: Path) -> Mapping[str, Any]:
 
 def _found(state: str, reason: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> dict[str, Any]:
     """With the names that the event of a changed state has."""
-    return {"state": state, "reason": reason, **asdict(stands(state, unsafe, queue=queue))}
+    return {"state": state, "reason": reason, **asdict(safety_sentence(state, unsafe, queue=queue))}

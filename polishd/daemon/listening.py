@@ -25,7 +25,7 @@ LOOK_S = 0.05
 """Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
 
 
-async def within(seconds: float, work: Coroutine[Any, Any, T]) -> T:
+async def with_deadline(seconds: float, work: Coroutine[Any, Any, T]) -> T:
     """What the work returns or raises; TimeoutError where that takes longer.
 
     It is cancelled then, and left behind where it does not end over that: whoever waits is never held up for more than
@@ -43,7 +43,7 @@ async def within(seconds: float, work: Coroutine[Any, Any, T]) -> T:
                 log.error("%s does not end though it was cancelled, and is left behind", work)
 
 
-async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:
+async def read_samples(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:
     """Have each sample judged as it comes, until that raises; LinkError after that much silence, or at their end.
 
     Time in which this process itself did not run is no silence of the device: it is counted in small steps.
@@ -72,10 +72,10 @@ async def heard(samples: AsyncIterator[T], judge: Callable[[T], None], name: str
             group.create_task(listen(), name=f"listen to {name}")
             group.create_task(count_silence(), name=f"count silence of {name}")
     except BaseExceptionGroup as errors:
-        raise most_telling(errors) from errors
+        raise root_cause(errors) from errors
 
 
-def most_telling(errors: BaseExceptionGroup[BaseException]) -> BaseException:
+def root_cause(errors: BaseExceptionGroup[BaseException]) -> BaseException:
     """The one error of a group that says what to do: ours before others, others before cancellation.
 
     Before all of them that memory is out, in words: the others follow from it.

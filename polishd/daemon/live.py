@@ -14,7 +14,7 @@ from polishd.model.devices import ForceSample, RobotProgress, SensedForce, Speed
 
 
 @dataclass(slots=True)
-class Live:
+class LiveValues:
     """Of one cell's job; None: nothing was told yet. Times are of ``time.monotonic``."""
 
     force: ForceSample | None = None

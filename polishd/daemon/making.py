@@ -17,7 +17,7 @@ from polishd.daemon.compute import Compute
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.same_job import terms_of
-from polishd.daemon.turns import Tools, ToolTurn
+from polishd.daemon.turns import ToolSequence, ToolStepState
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.events import Event
@@ -59,10 +59,10 @@ def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
     return make_recipes(config, hooks)
 
 
-def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolTurn, ...]:
+def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolStepState, ...]:
     """The turn of each tool. Reads the files that the keys of several name."""
     return tuple(
-        ToolTurn(recipe, program, contact_limits(own), terms_of(own, program.sha256) if config.tools else None)
+        ToolStepState(recipe, program, contact_limits(own), terms_of(own, program.sha256) if config.tools else None)
         for own, recipe, program in zip(config.turns, recipes, programs, strict=True)
     )
 
@@ -80,7 +80,7 @@ def make_job(
 ) -> Job:
     """The job of that config; ``Job.load`` takes up what an earlier run knew."""
     return Job(
-        Tools(turns_of(config, recipes, programs), journal),
+        ToolSequence(turns_of(config, recipes, programs), journal),
         journal=journal,
         folder=folder,
         compute=compute,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from polishd.daemon.cell import Cell
-from polishd.daemon.listening import most_telling
+from polishd.daemon.listening import root_cause
 from polishd.model.devices import MapRefusal
 from polishd.model.events import Event, MapRefused
 from polishd.model.surface import SurfaceMap
@@ -43,7 +43,7 @@ async def next_map(cell: Cell, publish: Callable[[Event], None], cycle: int, aft
                 if reminder is not None:
                     reminder.cancel()
     except BaseExceptionGroup as errors:
-        raise most_telling(errors) from errors
+        raise root_cause(errors) from errors
 
 
 async def _remind(publish: Callable[[Event], None], cycle: int, refusal: MapRefusal) -> None:

@@ -11,11 +11,11 @@ from typing import Any
 from uuid import uuid4
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.courier import Attempt, Courier, Notifier, kept_in, read_outbox
-from polishd.daemon.endings import now
+from polishd.daemon.courier import Attempt, NotificationSender, Notifier, outbox_path, read_outbox
+from polishd.daemon.endings import utc_now
 from polishd.daemon.events import EventBus, Sink
 from polishd.daemon.last_word import for_cell
-from polishd.model.concern import Concern, Severity
+from polishd.model.concern import OperatorNotice, Severity
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event, NotificationFailed
 from polishd.model.notification import Notification
@@ -37,7 +37,7 @@ class Notifications:
         self._config = config
         self._known = dict(known)
         """Of the job under way: ``job``, ``part`` and ``run_dir``. Events that say one of them say it anew."""
-        self._couriers: tuple[Courier, ...] = ()
+        self._couriers: tuple[NotificationSender, ...] = ()
 
     def start(self, notifiers: Sequence[Notifier], tell: Callable[[Event], None]) -> None:
         """Begin to send, what an earlier run left first; ``tell`` is called by other threads when that fails."""
@@ -46,11 +46,11 @@ class Notifications:
             self._hand(event)  # and not by way of the bus, which may be closed already
             tell(event)
 
-        self._couriers = tuple(Courier(notifier, self._config.state_dir, failed) for notifier in notifiers)
+        self._couriers = tuple(NotificationSender(notifier, self._config.state_dir, failed) for notifier in notifiers)
         for courier in self._couriers:
             courier.start()
-        ours = {kept_in(self._config.state_dir, notifier.name) for notifier in notifiers}
-        for path in sorted(set(kept_in(self._config.state_dir, "").parent.glob("*.json")) - ours):
+        ours = {outbox_path(self._config.state_dir, notifier.name) for notifier in notifiers}
+        for path in sorted(set(outbox_path(self._config.state_dir, "").parent.glob("*.json")) - ours):
             if left := len(read_outbox(path, 0.0)[0].waiting):
                 log.warning("%s: %d wait in it for a notifier that the config does not name any more", path, left)
 
@@ -80,7 +80,7 @@ class Notifications:
 
 
 @asynccontextmanager
-async def told(
+async def notifying(
     config: CellConfig,
     notifiers: Sequence[Notifier],
     known: Mapping[str, str],
@@ -117,7 +117,7 @@ def _publishing(bus: EventBus) -> Sink:
 
 def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str, Any]]:
     """Send a test through each notifier, side by side; how it went: ``notifier``, ``type``, ``error``, ``waiting``."""
-    concern = Concern(Severity.INFO, "this is a test: somebody called polishd notify", "as it was", "nothing")
+    concern = OperatorNotice(Severity.INFO, "this is a test: somebody called polishd notify", "as it was", "nothing")
     known = {"job": config.job.id, "part": config.part.id, "run_dir": ""}
     test = _notification("test", None, concern, config, known)
     attempts = [Attempt(notifier, test, lambda _: None) for notifier in notifiers]
@@ -127,14 +127,14 @@ def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str,
             "type": notifier.type,
             "severity": notifier.least.value,
             "error": attempt.wait(),
-            "waiting": len(read_outbox(kept_in(config.state_dir, notifier.name), notifier.repeat_s)[0].waiting),
+            "waiting": len(read_outbox(outbox_path(config.state_dir, notifier.name), notifier.repeat_s)[0].waiting),
         }
         for notifier, attempt in zip(notifiers, attempts, strict=True)
     ]
 
 
 def _notification(
-    event: str, cycle: int | None, concern: Concern, config: CellConfig, known: Mapping[str, Any]
+    event: str, cycle: int | None, concern: OperatorNotice, config: CellConfig, known: Mapping[str, Any]
 ) -> Notification:
     """A concern in the words of a person who is not there; ``known`` has ``job``, ``part`` and ``run_dir``."""
     return Notification(
@@ -146,6 +146,6 @@ def _notification(
         todo=for_cell(concern.todo, config.path),
         cell=config.cell.name,
         cycle=cycle,
-        at=now(),
+        at=utc_now(),
         **known,
     )

@@ -11,8 +11,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from polishd.config.process import LIMITS_OF_PROCESS
-from polishd.model.beliefs import Belief
-from polishd.model.events import RateOffered
+from polishd.model.beliefs import Estimate
+from polishd.model.events import ShopRateReceived
 
 RECIPE = ("process.",)
 TOOL = "memory.tool"
@@ -23,7 +23,7 @@ UNKNOWN_SHARE, ANOTHER_SHARE = 3.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class ShopRate:
     """Another cell's removal rate."""
 
     cell: str
@@ -35,10 +35,10 @@ class Offer:
     sigma: float
     """Its standard error on that cell's machine."""
 
-    def on_another_machine(self, max_rate_change: float) -> Belief:
+    def on_another_machine(self, max_rate_change: float) -> Estimate:
         """What it says of this one's rate: less sure, and never less than of a machine of which nothing is known."""
         sigma = math.hypot(self.sigma, max_rate_change / ANOTHER_SHARE)
-        return Belief(self.rate, min(sigma, max_rate_change / UNKNOWN_SHARE))
+        return Estimate(self.rate, min(sigma, max_rate_change / UNKNOWN_SHARE))
 
     def told(self) -> str:
         """Whose it is, for people."""
@@ -59,17 +59,17 @@ def recipe_of(terms: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def latest_offer(read: Callable[[str, Sequence[Any]], list[tuple[Any, ...]]], recipe: str) -> Offer | None:
+def latest_offer(read: Callable[[str, Sequence[Any]], list[tuple[Any, ...]]], recipe: str) -> ShopRate | None:
     """The last one of that recipe since anything was forgotten; ``read`` gives all rows of a query of the journal."""
     sql = (
         "SELECT data FROM event WHERE name = ? AND json_extract(data, '$.recipe') = ? "
         "AND id > ifnull((SELECT max(id) FROM event WHERE name = ?), 0) ORDER BY id DESC LIMIT 1"
     )
-    found = read(sql, (RateOffered.name, recipe, FORGOTTEN)) if recipe else []
+    found = read(sql, (ShopRateReceived.name, recipe, FORGOTTEN)) if recipe else []
     if not found:
         return None
     said = json.loads(found[0][0])
-    return Offer(**{key: said[key] for key in Offer.__slots__})
+    return ShopRate(**{key: said[key] for key in ShopRate.__slots__})
 
 
 def _content(value: Any) -> Any:

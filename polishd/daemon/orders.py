@@ -7,16 +7,16 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
-from polishd.daemon.listening import most_telling
-from polishd.daemon.states import Trigger
+from polishd.daemon.listening import root_cause
+from polishd.daemon.states import StateEvent
 from polishd.model.errors import HostFault, PolishdError
 
 
 @dataclass(slots=True)
-class Order:
+class OperatorCommand:
     """One of ``states.ORDERS``, and why; or ``UNFIT``, which the computer or a signal gives."""
 
-    verb: Trigger
+    verb: StateEvent
     reason: str = ""
     error: type[PolishdError] = HostFault
     """Of ``UNFIT``: what the cell is held over, or its daemon ends with."""
@@ -35,34 +35,34 @@ class Order:
         return f"{word}: {self.reason}" if self.reason else word
 
 
-class Orders:
+class OperatorCommandQueue:
     """In the order in which they came."""
 
     def __init__(self) -> None:
-        self._waiting: asyncio.Queue[Order] = asyncio.Queue()
+        self._waiting: asyncio.Queue[OperatorCommand] = asyncio.Queue()
 
-    def give(self, order: Order) -> None:
+    def give(self, order: OperatorCommand) -> None:
         """It is taken as soon as what happens now can be ended."""
         self._waiting.put_nowait(order)
 
-    async def next(self) -> Order:
+    async def next(self) -> OperatorCommand:
         """Any of a person's."""
-        return await self._but(Trigger.UNFIT)
+        return await self._but(StateEvent.UNFIT)
 
-    async def interrupting(self) -> Order:
+    async def interrupting(self) -> OperatorCommand:
         """The next one that ends work: any but to go on."""
-        return await self._but(Trigger.RESUME)
+        return await self._but(StateEvent.RESUME)
 
-    async def _but(self, passed: Trigger) -> Order:
+    async def _but(self, passed: StateEvent) -> OperatorCommand:
         while (order := await self._waiting.get()).verb is passed:
             pass
         return order
 
-    async def asked_to_stop(self) -> Order:
+    async def asked_to_stop(self) -> OperatorCommand:
         """While the cell is opened. All orders stay where they are: should it be open just now, they come next."""
-        seen: list[Order] = []
+        seen: list[OperatorCommand] = []
         try:
-            while not seen or seen[-1].verb is not Trigger.STOP:
+            while not seen or seen[-1].verb is not StateEvent.STOP:
                 seen.append(await self._waiting.get())
             return seen[-1]
         finally:
@@ -70,14 +70,16 @@ class Orders:
                 self._waiting.put_nowait(order)
 
 
-async def unless(
-    order: Coroutine[Any, Any, Order], *work: Coroutine[Any, Any, None], late: Callable[[Order], None] = lambda _: None
-) -> Order | None:
+async def run_unless_commanded(
+    order: Coroutine[Any, Any, OperatorCommand],
+    *work: Coroutine[Any, Any, None],
+    late: Callable[[OperatorCommand], None] = lambda _: None,
+) -> OperatorCommand | None:
     """The order that ended the work, or None where the work, the first of them, came to its end.
 
     An order that comes just then, or over which the work fails, is given to ``late``: it is for whatever comes next.
     """
-    ordered: asyncio.Task[Order] | None = None
+    ordered: asyncio.Task[OperatorCommand] | None = None
     try:
         async with asyncio.TaskGroup() as group:
             ordered = group.create_task(order, name="orders")
@@ -88,7 +90,7 @@ async def unless(
     except BaseExceptionGroup as errors:
         if ordered is not None and not ordered.cancelled() and ordered.exception() is None:
             late(ordered.result())
-        raise most_telling(errors) from errors
+        raise root_cause(errors) from errors
     if tasks[0].cancelled():
         return ordered.result()
     if not ordered.cancelled():

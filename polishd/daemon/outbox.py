@@ -34,7 +34,7 @@ class _Told:
 
 
 @dataclass(slots=True)
-class Outbox:
+class NotificationQueue:
     """All that one notifier has to do."""
 
     repeat_s: float

@@ -14,7 +14,7 @@ from typing import Any
 MISSING = object()
 
 
-def lacking(device: object, port: type) -> list[str]:
+def missing_members(device: object, port: type) -> list[str]:
     """Each member of the port that the device has not, or has as something else; nothing of it is called."""
     asked = members(port)
     missing = [name for name in asked if _found(device, name) is MISSING]
@@ -61,11 +61,11 @@ def _wrong_kind(name: str, method: Callable[..., Any], asked: Callable[..., Any]
 def _wrong_arguments(name: str, method: Callable[..., Any], asked: Callable[..., Any]) -> str | None:
     """The calls that the port allows must bind."""
     signature = inspect.signature(method)
-    for positional, named in _calls(list(inspect.signature(asked).parameters.values())[1:]):
+    for positional, keywords in _calls(list(inspect.signature(asked).parameters.values())[1:]):
         try:
-            signature.bind(*positional, **named)
+            signature.bind(*positional, **keywords)
         except TypeError as error:
-            call = ", ".join([*positional, *(f"{key}=..." for key in named)])
+            call = ", ".join([*positional, *(f"{key}=..." for key in keywords)])
             return f"its {name!r} cannot be called as {name}({call}): {error}"
     return None
 

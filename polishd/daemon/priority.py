@@ -23,7 +23,7 @@ _CAP_IPC_LOCK = 14
 
 
 @dataclass(frozen=True, slots=True)
-class Granted:
+class PriorityResult:
     """What this computer lets the contact loop have."""
 
     first: bool
@@ -42,16 +42,16 @@ class Granted:
 
 
 @contextmanager
-def loop_first() -> Iterator[Granted]:
+def loop_first() -> Iterator[PriorityResult]:
     """The calling thread runs before others, in memory that stays, as far as this computer allows; until the end.
 
     Threads and processes that it starts do not inherit the priority.
     """
     if sys.platform != "linux":
-        yield Granted(first=False, locked=False, cores=os.cpu_count() or 1)
+        yield PriorityResult(first=False, locked=False, cores=os.cpu_count() or 1)
         return
     nice, policy = os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0)
-    granted = Granted(_raised(nice, policy), _locked(), len(os.sched_getaffinity(0)))
+    granted = PriorityResult(_raised(nice, policy), _locked(), len(os.sched_getaffinity(0)))
     log.info("host: %s", granted)
     try:
         yield granted

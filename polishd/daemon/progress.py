@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.daemon.time_limits import LOOK_S, TimeLimits, late_s
-from polishd.model.devices import Executed, RobotProgress
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import SafetyStop
 from polishd.model.program import Plan
 from polishd.model.surface import FloatArray
@@ -124,7 +124,7 @@ class Progress:
         if executed > self._executed:
             self._executed, self._since_s, self._starting = executed, self._clock_s, False
 
-    def record(self, block: Executed, now_s: float, *, in_contact: bool) -> None:
+    def record(self, block: ExecutedBlock, now_s: float, *, in_contact: bool) -> None:
         """The robot reports a block with its times."""
         self.reported(block.seq + 1, now_s)
         if not in_contact or self._reported is None or self._seen is None:

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.job_file import JobFile
-from polishd.config.places import did_you_mean, listed
+from polishd.config.places import did_you_mean, join_words
 from polishd.daemon.journal import JOURNAL_NAME, over_row
 from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.lock import locked
-from polishd.daemon.verdicts import Verdict
+from polishd.daemon.verdicts import JobResult
 from polishd.model.errors import ConfigError
 
 REMOVED = "removed"
@@ -43,7 +43,7 @@ class NewJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class QueueEntry:
     """A job of the queue. Times are Unix times."""
 
     id: int
@@ -86,8 +86,8 @@ class Queue:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._to_do: list[Entry] | None = None
-        """What ``to_do`` answers: ``status`` does not go to the disk. None: nobody has asked yet."""
+        self._to_do: list[QueueEntry] | None = None
+        """What ``next_action`` answers: ``status`` does not go to the disk. None: nobody has asked yet."""
 
     @classmethod
     @contextmanager
@@ -100,42 +100,42 @@ class Queue:
             finally:
                 store.close()
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[QueueEntry]:
         """All there ever were: those that ended, as they ended; the one under way; those that wait, in their order."""
         return self._where("1 ORDER BY ended IS NULL, ended, begun IS NULL, place")
 
-    def to_do(self) -> list[Entry]:
+    def to_do(self) -> list[QueueEntry]:
         """The one under way, and those that wait, in their order."""
         if self._to_do is None:
             self._to_do = self._where(TO_DO)
         return self._to_do
 
-    def under_way(self) -> Entry | None:
+    def under_way(self) -> QueueEntry | None:
         """The job that was begun and has not ended."""
         return next((entry for entry in self.to_do() if entry.begun_s is not None), None)
 
-    def next(self, may: Callable[[Entry], bool] = lambda _: True) -> Entry | None:
+    def next(self, may: Callable[[QueueEntry], bool] = lambda _: True) -> QueueEntry | None:
         """The first of those that wait, and may begin."""
         return next(filter(may, self.waiting()), None)
 
-    def waiting(self) -> list[Entry]:
+    def waiting(self) -> list[QueueEntry]:
         """Those that wait, in their order."""
         return [entry for entry in self.to_do() if entry.begun_s is None]
 
-    def of_claim(self, claim: str) -> Entry | None:
+    def of_claim(self, claim: str) -> QueueEntry | None:
         """The job that came by that claim of a shop; None where none did."""
         return next(iter(self._where("claim = ?", (claim,))), None)
 
-    def holds(self, entry: Entry) -> bool:
+    def holds(self, entry: QueueEntry) -> bool:
         """Whether it waits, or is under way."""
         return any(one.id == entry.id for one in self.to_do())
 
-    def require_held(self, entry: Entry) -> None:
+    def require_held(self, entry: QueueEntry) -> None:
         """ConfigError where it was taken out meanwhile."""
         if not self.holds(entry):
             raise ConfigError(f"the job {entry.name!r} was taken out of the queue")
 
-    def last_ended(self) -> Entry | None:
+    def last_ended(self) -> QueueEntry | None:
         """The job that was worked last."""
         return next(
             iter(self._where("begun IS NOT NULL AND ended IS NOT NULL ORDER BY ended DESC, id DESC LIMIT 1")), None
@@ -183,7 +183,7 @@ class Queue:
             self.remove_waiting(name, reason)
             return
         over = [over_row(entry.job, "put aside", reason)] if entry.job else []
-        self.end(entry, Verdict("put aside", reason or BY_A_PERSON, ""), *over)
+        self.end(entry, JobResult("put aside", reason or BY_A_PERSON, ""), *over)
 
     def remove_waiting(self, name: str, reason: str = "") -> None:
         """Take a job out that waits; its row stays, with its end. ConfigError where it begins in the same moment."""
@@ -193,7 +193,7 @@ class Queue:
         if self.holds(entry):
             raise ConfigError(f"the job {name!r} has just begun: hold the cell first (polishd hold)")
 
-    def begin_row(self, entry: Entry) -> Row:
+    def begin_row(self, entry: QueueEntry) -> Row:
         """It is under way as the newest of the journal's jobs: to be written together with that job's row.
 
         Between the two a kill would leave a job in the journal of which the queue knows nothing, and whose part another
@@ -202,18 +202,18 @@ class Queue:
         sql = "UPDATE queue SET begun = ?, job = (SELECT max(id) FROM job) WHERE id = ? AND ended IS NULL"
         return sql, (time.time(), entry.id)
 
-    def begin(self, entry: Entry, job: int) -> None:
+    def begin(self, entry: QueueEntry, job: int) -> None:
         """It is under way, as that row of the journal's jobs; ConfigError where it was taken out meanwhile."""
         sql = "UPDATE queue SET begun = ?, job = ? WHERE id = ? AND ended IS NULL"
         self._write((sql, (time.time(), job, entry.id)))
         self.require_held(entry)
 
-    def end(self, entry: Entry, verdict: Verdict, *also: Row) -> None:
+    def end(self, entry: QueueEntry, verdict: JobResult, *also: Row) -> None:
         """It is over, durably, together with other rows; one that never came to its begin has begun and ended now."""
         begun = ("UPDATE queue SET begun = ifnull(begun, ?) WHERE id = ?", (time.time(), entry.id))
         self._write(begun, self._end_row(entry, verdict.how, verdict.reason, verdict.fault), *also)
 
-    def _end_row(self, entry: Entry, verdict: str, reason: str, fault: str) -> Row:
+    def _end_row(self, entry: QueueEntry, verdict: str, reason: str, fault: str) -> Row:
         sql = "UPDATE queue SET ended = ?, verdict = ?, reason = ?, fault = ? WHERE id = ?"
         return sql, (time.time(), verdict, reason, fault, entry.id)
 
@@ -236,14 +236,14 @@ class Queue:
         how = "named twice" if twice else found[0][0]
         return f"{job.file.path}: job.id: {job.name!r} is {how} already; give this job a name of its own"
 
-    def _where(self, condition: str, values: Sequence[Any] = ()) -> list[Entry]:
+    def _where(self, condition: str, values: Sequence[Any] = ()) -> list[QueueEntry]:
         rows = self._store.read(f"SELECT {_COLUMNS} FROM queue WHERE {condition}", values)  # noqa: S608 - our own words
-        return [Entry(*row[:5], json.loads(row[5]), *row[6:]) for row in rows]  # type: ignore[call-arg]
+        return [QueueEntry(*row[:5], json.loads(row[5]), *row[6:]) for row in rows]  # type: ignore[call-arg]
 
 
-def _named(entries: Sequence[Entry], name: str) -> Entry:
+def _named(entries: Sequence[QueueEntry], name: str) -> QueueEntry:
     for entry in entries:
         if entry.name == name:
             return entry
     names = [entry.name for entry in entries]
-    raise ConfigError(f"no job {name!r} waits in the queue{did_you_mean(name, names)} There wait: {listed(names)}")
+    raise ConfigError(f"no job {name!r} waits in the queue{did_you_mean(name, names)} There wait: {join_words(names)}")

@@ -10,42 +10,49 @@ from typing import Any
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.clearance import require_clear
-from polishd.daemon.daemon import Daemon, Turn
-from polishd.daemon.desk import Desk
+from polishd.daemon.daemon import Daemon, StateResult
+from polishd.daemon.desk import QueueRequests
 from polishd.daemon.events import EventBus
-from polishd.daemon.interruption import settle
+from polishd.daemon.interruption import settle_interrupted_pass
 from polishd.daemon.job import Job
 from polishd.daemon.making import figures
-from polishd.daemon.orders import Order, unless
-from polishd.daemon.queue import BY_A_PERSON, Entry
+from polishd.daemon.orders import OperatorCommand, run_unless_commanded
+from polishd.daemon.queue import BY_A_PERSON, QueueEntry
 from polishd.daemon.safety import make_safe
 from polishd.daemon.service import Handler
-from polishd.daemon.shift import Shift
-from polishd.daemon.states import State, Trigger
-from polishd.daemon.verdicts import Verdict, judge
+from polishd.daemon.shift import QueueRunner
+from polishd.daemon.states import DaemonState, StateEvent
+from polishd.daemon.verdicts import JobResult, judge
 from polishd.model import events
 from polishd.model.cycle import Outcome
 from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, SignalFault, ToolStop, WrongPart
-from polishd.ports.devices import Loader
+from polishd.ports.devices import PartLoader
 
 IN_THE_WAY = (
     "the robot stands where its last pass or touch-off was cut off, and the loader must not move under it; drive the "
     "robot away at its own controller, then resume"
 )
-ENDED = Turn(Trigger.ENDED)
+ENDED = StateResult(StateEvent.ENDED)
 
 
 class QueueDaemon(Daemon):
     """Works the queue until it is stopped, or until it is empty."""
 
     def __init__(
-        self, cell: Cell, shift: Shift, desk: Desk, bus: EventBus, *, holds: bool = True, until_empty: bool = False
+        self,
+        cell: Cell,
+        shift: QueueRunner,
+        desk: QueueRequests,
+        bus: EventBus,
+        *,
+        holds: bool = True,
+        until_empty: bool = False,
     ) -> None:
         super().__init__(cell, shift.job, bus, holds=holds)
         self._of_queue = True
         self._shift, self._desk, self._until_empty = shift, desk, until_empty
-        self._does = {**self._does, State.IDLE: self._next, State.CHANGING: self._change}
-        self._asides: asyncio.Queue[tuple[Entry, Order]] = asyncio.Queue()
+        self._does = {**self._does, DaemonState.IDLE: self._next, DaemonState.CHANGING: self._change}
+        self._asides: asyncio.Queue[tuple[QueueEntry, OperatorCommand]] = asyncio.Queue()
         begun = shift.entry is not None and shift.job.journal.begun
         self._part_in = shift.entry.part_id if begun and shift.entry else ""
         """The part in the cell, as far as is known; a map proves it."""
@@ -67,67 +74,73 @@ class QueueDaemon(Daemon):
 
     # what happens in each state
 
-    async def _start(self) -> Turn:
+    async def _start(self) -> StateResult:
         before = self.job.journal.held_last()
         turn = await super()._start()
-        if turn.trigger is Trigger.READY and before:
-            return Turn(Trigger.INTERRUPTED, before)  # nobody has said since that it may go on
-        return _between(turn, Trigger.READY)
+        if turn.trigger is StateEvent.READY and before:
+            return StateResult(StateEvent.INTERRUPTED, before)  # nobody has said since that it may go on
+        return _between(turn, StateEvent.READY)
 
-    async def _wait(self) -> Turn:
-        turns: list[Turn] = []
+    async def _wait(self) -> StateResult:
+        turns: list[StateResult] = []
 
         async def work() -> None:
             turns.append(await Daemon._wait(self))
 
-        aside = await unless(self._asked_aside(), work())
+        aside = await run_unless_commanded(self._asked_aside(), work())
         if aside is not None:
             kind = type(self._error).__name__ if self._error else ""
             reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
-            verdict = Verdict("put aside", reason, kind)
+            verdict = JobResult("put aside", reason, kind)
             if self._shift.entry is None and (begun := self._shift.queue.under_way()) is not None:
                 return self._refused(begun, verdict)
             return await self._ended(verdict)
-        if turns[0].trigger is Trigger.RESUME:
+        if turns[0].trigger is StateEvent.RESUME:
             self._seen = self.job.journal.cut_off()  # a person has looked, and was told what at
-        return _between(turns[0], Trigger.RESUME)
+        return _between(turns[0], StateEvent.RESUME)
 
-    async def _next(self) -> Turn:
+    async def _next(self) -> StateResult:
         """Between jobs, or back in one over which the cell was held."""
-        turns: list[Turn] = []
+        turns: list[StateResult] = []
 
         async def work() -> None:
             turns.append(await (self._go_on() if isinstance(self.job, Job) else self._begin()))
 
-        order = await unless(self._orders.interrupting(), work(), self.job.journal.lost(), late=self._orders.give)
+        order = await run_unless_commanded(
+            self._orders.interrupting(), work(), self.job.journal.lost(), late=self._orders.give
+        )
         return turns[0] if order is None else self._interrupted(order)
 
-    async def _go_on(self) -> Turn:
+    async def _go_on(self) -> StateResult:
         """With the job that is under way, once it is sure that no other cell has its part meanwhile."""
         lost = await self._shift.claims.settled(self._shift.entry)
-        return await self._ended(Verdict("put aside", lost, "")) if lost else Turn(Trigger.NEXT, self._to_change())
+        return (
+            await self._ended(JobResult("put aside", lost, ""))
+            if lost
+            else StateResult(StateEvent.NEXT, self._to_change())
+        )
 
-    async def _begin(self) -> Turn:
+    async def _begin(self) -> StateResult:
         entry = await self._shift.next(until_empty=self._until_empty)
         if entry is None:
-            return Turn(Trigger.EMPTY, outcome=Outcome.IN_TOLERANCE)
+            return StateResult(StateEvent.EMPTY, outcome=Outcome.IN_TOLERANCE)
         try:
             self.job = await self._shift.begin(entry)
         except PolishdError as error:
             if not self._shift.queue.holds(entry):
-                return Turn(Trigger.ENDED)  # somebody took it out meanwhile
+                return StateResult(StateEvent.ENDED)  # somebody took it out meanwhile
             verdict = self._judged(error)
             if verdict is None:
                 raise
-            return self._refused(entry, verdict, Turn(Trigger.ERROR, error=error))
-        return Turn(Trigger.NEXT, self._to_change())
+            return self._refused(entry, verdict, StateResult(StateEvent.ERROR, error=error))
+        return StateResult(StateEvent.NEXT, self._to_change())
 
-    def _refused(self, entry: Entry, verdict: Verdict, turn: Turn = ENDED) -> Turn:
+    def _refused(self, entry: QueueEntry, verdict: JobResult, turn: StateResult = ENDED) -> StateResult:
         """A job that could not begin has its verdict."""
         self._shift.refuse(entry, verdict)
         return _after(verdict, entry.name, turn)
 
-    async def _change(self) -> Turn:
+    async def _change(self) -> StateResult:
         """Put the job's part in. No loader moves before every device has confirmed that it is safe."""
         if self._shift.entry is None:
             raise RuntimeError("a fault of polishd: no job is under way; please report it")
@@ -139,32 +152,32 @@ class QueueDaemon(Daemon):
         await make_safe(self._cell)
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
-            return self._failed(error, Trigger.UNSAFE)
+            return self._failed(error, StateEvent.UNSAFE)
         loader: Any = self._cell.devices[port]
         try:
-            order = await unless(
+            order = await run_unless_commanded(
                 self._orders.interrupting(), self._load(loader, part), self.job.journal.lost(), late=self._orders.give
             )
         except WrongPart as error:
-            return await self._over(error, Turn(Trigger.MENDABLE, error=error))
+            return await self._over(error, StateResult(StateEvent.MENDABLE, error=error))
         except PolishdError:
             await make_safe(self._cell)
             raise
         if order is None:
-            return Turn(Trigger.CHANGED)
+            return StateResult(StateEvent.CHANGED)
         await make_safe(self._cell)
         return self._interrupted(order)
 
-    async def _changed_by_person(self, job: str, part: str) -> Turn:
+    async def _changed_by_person(self, job: str, part: str) -> StateResult:
         if part == self._part_in:
-            return Turn(Trigger.CHANGED)
+            return StateResult(StateEvent.CHANGED)
         if not self._holds:
             raise DeviceRefused(f"a person is to put part {part!r} in, and --no-hold waits for none; see docs/queue.md")
         self._part_in = ""
-        standing = self._standing(State.CHANGING, "").standing
-        self.bus.publish(events.PartWanted(job=job, part_id=part, standing=standing))
+        standing = self._standing(DaemonState.CHANGING, "").standing
+        self.bus.publish(events.PartRequested(job=job, part_id=part, standing=standing))
         order = await self._orders.next()
-        if order.verb is not Trigger.RESUME:
+        if order.verb is not StateEvent.RESUME:
             return self._interrupted(order)
         try:
             await require_clear(self._cell)
@@ -172,9 +185,9 @@ class QueueDaemon(Daemon):
             order.refused = True
             raise
         self._is_in(part, "a person")
-        return Turn(Trigger.RESUME)
+        return StateResult(StateEvent.RESUME)
 
-    async def _load(self, loader: Loader, part: str) -> None:
+    async def _load(self, loader: PartLoader, part: str) -> None:
         """By the loader's own word; the next map has to prove it, too."""
         if await loader.loaded() not in {None, part}:
             await loader.unload()
@@ -184,34 +197,34 @@ class QueueDaemon(Daemon):
         if part != self._part_in:
             self._is_in(part, "loader")
 
-    async def _polish(self) -> Turn:
+    async def _polish(self) -> StateResult:
         turn = await super()._polish()
-        ended = turn.trigger in {Trigger.DONE, Trigger.MENDABLE, Trigger.ERROR}
-        if not ended or not (turn.trigger is Trigger.DONE or isinstance(turn.error, PolishdError)):
+        ended = turn.trigger in {StateEvent.DONE, StateEvent.MENDABLE, StateEvent.ERROR}
+        if not ended or not (turn.trigger is StateEvent.DONE or isinstance(turn.error, PolishdError)):
             return turn
         torn = self.job.journal.unfinished() is not None
         if torn:
             await make_safe(self._cell)
             if self._cell.unsafe:
                 return turn  # it ends the daemon, and the job stays open: a person has to look first
-            await settle(self._cell, self.job.journal)
+            await settle_interrupted_pass(self._cell, self.job.journal)
         end = turn.error if isinstance(turn.error, PolishdError) else turn.outcome
         return await self._over(end, turn, torn=torn)
 
-    async def _over(self, end: Outcome | PolishdError, turn: Turn, *, torn: bool = False) -> Turn:
+    async def _over(self, end: Outcome | PolishdError, turn: StateResult, *, torn: bool = False) -> StateResult:
         """After the verdict on that end; the turn itself where the job is not over."""
         verdict = self._judged(end, torn=torn)
         return turn if verdict is None else await self._ended(verdict, turn)
 
-    def _judged(self, end: Outcome | PolishdError, *, torn: bool = False) -> Verdict | None:
+    def _judged(self, end: Outcome | PolishdError, *, torn: bool = False) -> JobResult | None:
         before = self._shift.queue.last_ended()
         tool = "; ".join(found.what for found in self.job.findings if found.stops == "cell")
         return judge(end, torn=torn, previous=before.fault if before else "", tool=tool)
 
-    async def _ended(self, verdict: Verdict, turn: Turn = ENDED) -> Turn:
+    async def _ended(self, verdict: JobResult, turn: StateResult = ENDED) -> StateResult:
         entry, failure = self._shift.entry, turn.error
         if failure is not None:
-            self.bus.publish(events.Held(error=str(failure), kind=type(failure).__name__))
+            self.bus.publish(events.CellHeld(error=str(failure), kind=type(failure).__name__))
             self._error = failure  # it is told: with the job, while that is still under way
         if verdict.how == "put aside":
             self._part_in = ""  # it may be another part, or sit wrong: a person is asked for it again
@@ -232,46 +245,48 @@ class QueueDaemon(Daemon):
         entry = self._under_way()
         if entry is None or entry.name != job:
             return await self._desk.remove_waiting(job, reason, by)
-        if self.state is not State.HELD or self._cell.unsafe:
+        if self.state is not DaemonState.HELD or self._cell.unsafe:
             why = "a device is not confirmed to be safe" if self._cell.unsafe else f"the cell is {self.state}"
             raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
-        aside = Order(Trigger.ENDED, " ".join(reason.split()))
-        self.bus.publish(events.Ordered(order="job_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by))
+        aside = OperatorCommand(StateEvent.ENDED, " ".join(reason.split()))
+        self.bus.publish(
+            events.CommandReceived(order="job_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by)
+        )
         self._asides.put_nowait((entry, aside))
         async with self._changed:
-            await self._changed.wait_for(lambda: not self._goes_on(entry) or self.state is not State.HELD)
+            await self._changed.wait_for(lambda: not self._goes_on(entry) or self.state is not DaemonState.HELD)
         if self._goes_on(entry):
             raise DeviceRefused(f"{job!r} goes on: somebody was faster")
         return await self._desk.list()
 
-    async def _asked_aside(self) -> Order:
+    async def _asked_aside(self) -> OperatorCommand:
         while not self._goes_on((asked := await self._asides.get())[0]):
             pass
         return asked[1]
 
-    def _under_way(self) -> Entry | None:
+    def _under_way(self) -> QueueEntry | None:
         """The job that is under way, or being made ready."""
         return self._shift.entry or self._shift.queue.under_way()
 
-    def _goes_on(self, entry: Entry) -> bool:
+    def _goes_on(self, entry: QueueEntry) -> bool:
         now = self._under_way()
         return now is not None and now.id == entry.id
 
-    def _interrupted(self, order: Order) -> Turn:
-        if order.verb is Trigger.UNFIT:  # said while the last job's end was written, say
+    def _interrupted(self, order: OperatorCommand) -> StateResult:
+        if order.verb is StateEvent.UNFIT:  # said while the last job's end was written, say
             return self._failed(order.error(order.reason))
-        if order.verb is Trigger.STOP:
-            return Turn(Trigger.STOP, self._stopped_by(order))
-        return Turn(order.verb, self._held_by(order, ""))
+        if order.verb is StateEvent.STOP:
+            return StateResult(StateEvent.STOP, self._stopped_by(order))
+        return StateResult(order.verb, self._held_by(order, ""))
 
     def _in_the_way(self) -> bool:
         """The robot may stand over the part, and a loader is to move there."""
         left = self.job.journal.cut_off() if "loader" in self._cell.used else None
         return left is not None and left != self._seen
 
-    async def become(self, state: State, reason: str) -> None:
+    async def become(self, state: DaemonState, reason: str) -> None:
         """Whoever is to resume is told that a loader moves then."""
-        if state is State.HELD and IN_THE_WAY not in reason and self._in_the_way():
+        if state is DaemonState.HELD and IN_THE_WAY not in reason and self._in_the_way():
             reason = f"{reason}; {IN_THE_WAY}"
         await super().become(state, reason)
 
@@ -288,14 +303,14 @@ class QueueDaemon(Daemon):
         return f"{entry.name}: {who} part {entry.part_id!r} in"
 
 
-def _between(turn: Turn, trigger: Trigger) -> Turn:
+def _between(turn: StateResult, trigger: StateEvent) -> StateResult:
     """Where one job would be polished, a queue is looked at."""
-    return replace(turn, trigger=Trigger.BETWEEN) if turn.trigger is trigger else turn
+    return replace(turn, trigger=StateEvent.BETWEEN) if turn.trigger is trigger else turn
 
 
-def _after(verdict: Verdict, name: str, turn: Turn) -> Turn:
+def _after(verdict: JobResult, name: str, turn: StateResult) -> StateResult:
     if not verdict.stops:
-        return Turn(Trigger.ENDED)
+        return StateResult(StateEvent.ENDED)
     reason = f"the queue stopped: {verdict.stops}; {name} was {verdict.how}: {verdict.reason}"
     error = turn.error or (ToolStop(reason) if verdict.how == "accepted" else None)
-    return replace(turn, trigger=Trigger.STOPS, reason=reason, error=error)
+    return replace(turn, trigger=StateEvent.STOPS, reason=reason, error=error)

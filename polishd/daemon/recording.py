@@ -9,14 +9,14 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from polishd.daemon.cell import Cell
-from polishd.daemon.interruption import ASK_S, mark
+from polishd.daemon.interruption import ASK_S, mark_interrupted
 from polishd.daemon.journal import Journal
-from polishd.daemon.listening import most_telling
-from polishd.daemon.safety import to_its_end, told_first
+from polishd.daemon.listening import root_cause
+from polishd.daemon.safety import reraise_after_safe, run_to_completion
 from polishd.daemon.stream import Stream
 from polishd.daemon.time_limits import LOOK_S
-from polishd.daemon.touch import Touch
-from polishd.model.devices import Executed, RobotProgress
+from polishd.daemon.touch import ContactRecord
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import DeviceError, PolishdError
 
 TURN_BLOCKS = 50
@@ -28,7 +28,9 @@ log = logging.getLogger(__name__)
 class Recorder:
     """Follows the robot of one pass in contact."""
 
-    def __init__(self, cell: Cell, journal: Journal, cycle: int, touch: Touch, group: asyncio.TaskGroup) -> None:
+    def __init__(
+        self, cell: Cell, journal: Journal, cycle: int, touch: ContactRecord, group: asyncio.TaskGroup
+    ) -> None:
         self._cell = cell
         self._journal = journal
         self._cycle = cycle
@@ -60,11 +62,11 @@ class Recorder:
                 async with asyncio.timeout(ASK_S):
                     robot = await self._caught_up()
             self._touch.flush()
-            await mark(self._cell, self._journal, self._cycle, self._touch, robot)
+            await mark_interrupted(self._cell, self._journal, self._cycle, self._touch, robot)
         except PolishdError as error:
             log.error("what the tool may have touched is not recorded (%s): the next start asks the robot", error)
 
-    async def _take(self, blocks: AsyncIterator[Executed]) -> None:
+    async def _take(self, blocks: AsyncIterator[ExecutedBlock]) -> None:
         turn = 0
         try:
             async for block in blocks:
@@ -90,7 +92,7 @@ class Recorder:
 
 
 @asynccontextmanager
-async def recording(cell: Cell, journal: Journal, cycle: int, touch: Touch) -> AsyncIterator[Recorder]:
+async def recording(cell: Cell, journal: Journal, cycle: int, touch: ContactRecord) -> AsyncIterator[Recorder]:
     """From before contact until it is left: what runs while the tool is lifted is recorded, too."""
     try:
         async with asyncio.TaskGroup() as group:
@@ -98,9 +100,9 @@ async def recording(cell: Cell, journal: Journal, cycle: int, touch: Touch) -> A
             try:
                 yield recorder
             except BaseException as error:
-                with told_first(error):
-                    await to_its_end(recorder.close())
+                with reraise_after_safe(error):
+                    await run_to_completion(recorder.close())
                 raise
             touch.flush()
     except BaseExceptionGroup as errors:
-        raise most_telling(errors) from errors
+        raise root_cause(errors) from errors

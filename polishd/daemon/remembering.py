@@ -21,12 +21,12 @@ from polishd.config.process import LIMITS_OF_PROCESS
 from polishd.daemon.journal import JOURNAL_NAME, NO_JOB, Journal
 from polishd.daemon.journal_store import Row, Store
 from polishd.daemon.lock import locked
-from polishd.daemon.offers import FORGOTTEN, Offer, latest_offer, recipe_of
+from polishd.daemon.offers import FORGOTTEN, ShopRate, latest_offer, recipe_of
 from polishd.model.errors import PolishdError
 from polishd.model.text import with_error
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed
-from polishd.recipe.steps import believed_at_first
+from polishd.recipe.records import EstimatesInUse
+from polishd.recipe.steps import initial_estimates
 
 SERIES = ("process.", "compliance.", "kinematics.", "roles.", "instrument.", "memory.tool")
 """Sections and keys of a job's terms."""
@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class JournalledEstimates:
     """What a whole pass has taught, as its row keeps it."""
 
     job: str
@@ -55,7 +55,7 @@ class Lesson:
     machine: str
     tool: str
     believed: Mapping[str, Any]
-    """As of ``Believed.facts``."""
+    """As of ``EstimatesInUse.facts``."""
     anew: bool
     """The pass showed a tool that a person had to see to: what it taught is of the tool before."""
     recipe: str = ""
@@ -63,14 +63,14 @@ class Lesson:
 
 
 @dataclass(frozen=True, slots=True)
-class Remembered:
+class InitialEstimates:
     """What a job begins with, and why, in words."""
 
-    believed: Believed
+    believed: EstimatesInUse
     note: str
 
 
-def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]:
+def facts(terms: Mapping[str, Any] | None, believed: EstimatesInUse) -> dict[str, Any]:
     """What a pass's row keeps of what it has taught a job that was begun with those terms."""
     own = terms or {}
     return {
@@ -84,7 +84,9 @@ def facts(terms: Mapping[str, Any] | None, believed: Believed) -> dict[str, Any]
     }
 
 
-def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None = None) -> Remembered | None:
+def initial_estimates_of(
+    journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None = None
+) -> InitialEstimates | None:
     """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread.
 
     Where it has none, what another cell of the shop has learned of the recipe, if that was offered.
@@ -94,16 +96,16 @@ def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None
         return None
     terms = terms or journal.terms or {}
     series = series_of(terms)
-    found = lessons(journal.store.read, before=journal.number)
+    found = journalled_estimates(journal.store.read, before=journal.number)
     lesson = next((one for one in found if one.series == series), None)
     if lesson is None and (offer := latest_offer(journal.store.read, recipe_of(terms))) is not None:
         return _of_another_cell(offer, recipe)
     if lesson is None or lesson.anew:
         return None
-    first = believed_at_first(recipe)
+    first = initial_estimates(recipe)
     days = _days_since(lesson.at_s)
     try:
-        taught = Believed.load(lesson.believed, recipe.model.beliefs)
+        taught = EstimatesInUse.load(lesson.believed, recipe.model.beliefs)
         removal = recipe.model.later(taught.removal, days)
     except PolishdError as error:
         log.warning("what the pass %d of the job %r taught is of no use: %s", lesson.cycle, lesson.job, error)
@@ -113,18 +115,18 @@ def remembered(journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None
     same = lesson.machine == _hash({key: terms.get(key) for key in MACHINE})
     overhead_s = taught.block_overhead_s if same else first.block_overhead_s
     believed = replace(taught, removal=removal, block_overhead_s=overhead_s)
-    return Remembered(believed, f"begins with what {_told(lesson)} has taught: {in_words(believed)}")
+    return InitialEstimates(believed, f"begins with what {_told(lesson)} has taught: {describe(believed)}")
 
 
-def _of_another_cell(offer: Offer, recipe: Recipe) -> Remembered | None:
+def _of_another_cell(offer: ShopRate, recipe: Recipe) -> InitialEstimates | None:
     """Its rate, less certain: by the days since, and as this is another machine."""
-    first = believed_at_first(recipe)
+    first = initial_estimates(recipe)
     rate = offer.on_another_machine(recipe.max_rate_change)
     removal = recipe.model.later(replace(first.removal, rate=rate), _days_since(offer.at_s))
     if abs(rate.value - 1) > recipe.max_rate_change:
         return None
     believed = replace(first, removal=removal)
-    return Remembered(believed, f"begins with what {offer.told()} has taught: {in_words(believed)}")
+    return InitialEstimates(believed, f"begins with what {offer.told()} has taught: {describe(believed)}")
 
 
 def _days_since(at_s: float) -> float:
@@ -139,7 +141,7 @@ def series_of(terms: Mapping[str, Any]) -> str:
     return _hash({key: one for key, one in terms.items() if key.startswith(prefixes) and key not in other})
 
 
-def lessons(read: Read, before: int | None = None) -> Iterator[Lesson]:
+def journalled_estimates(read: Read, before: int | None = None) -> Iterator[JournalledEstimates]:
     """The last ones of a cell, the latest first; ``before``: of jobs with a lower number. None that are forgotten."""
     gone = read("SELECT data FROM event WHERE name = ? ORDER BY id DESC LIMIT 1", (FORGOTTEN,))
     behind = json.loads(gone[0][0]) if gone else {"job": NO_JOB, "cycle": -1}
@@ -152,10 +154,10 @@ def lessons(read: Read, before: int | None = None) -> Iterator[Lesson]:
         found = json.loads(text)
         if taught := found.get("taught"):
             anew = any(one["stops"] == "cell" for one in found.get("findings", ()))
-            yield Lesson(job=job, cycle=cycle, at_s=ended, anew=anew, **taught)
+            yield JournalledEstimates(job=job, cycle=cycle, at_s=ended, anew=anew, **taught)
 
 
-def forget(state_dir: Path, reason: str) -> None:
+def forget_estimates(state_dir: Path, reason: str) -> None:
     """From now on nothing is remembered of what passes have taught so far; their rows stay as they are.
 
     ConfigError where a daemon runs the cell: its job goes on with what it knows.
@@ -171,7 +173,7 @@ def forget(state_dir: Path, reason: str) -> None:
         store.write(row)
 
 
-def in_words(believed: Believed) -> str:
+def describe(believed: EstimatesInUse) -> str:
     """For people."""
     rate = believed.removal.rate
     value = f"{rate.value:.3f}" if rate.sigma is None else with_error(rate.value, rate.sigma)
@@ -180,7 +182,7 @@ def in_words(believed: Believed) -> str:
     return f"rate {value}, {1e3 * believed.block_overhead_s:.1f} ms a block{others}"
 
 
-def _told(lesson: Lesson) -> str:
+def _told(lesson: JournalledEstimates) -> str:
     day = datetime.fromtimestamp(lesson.at_s, UTC)
     return f"pass {lesson.cycle + 1} of job {lesson.job!r} ({day:%Y-%m-%d %H:%M} UTC)"
 

@@ -19,15 +19,15 @@ from typing import Any, cast
 
 from polishd.daemon.cell import Cell
 from polishd.daemon.force_check import ForceCheck
-from polishd.daemon.force_watch import tare, told_apart, watch_force_signals, watch_sensor
-from polishd.daemon.listening import heard, most_telling, within
+from polishd.daemon.force_watch import diagnose_force_disagreement, tare, watch_force_signals, watch_sensor
+from polishd.daemon.listening import read_samples, root_cause, with_deadline
 from polishd.daemon.memory import RESERVE
 from polishd.daemon.time_limits import safe_within_s
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.model.devices import ForceSample, SpeedSample
 from polishd.model.errors import DeviceFault, LinkError, SafetyStop, WrongSeat
 from polishd.ports.devices import ForceActuator, Robot
-from polishd.ports.tap import talking_to
+from polishd.ports.tap import record_sent
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ class _Watch:
     """One contact, as its watchers see it."""
 
     limits: ContactLimits
-    touch: Touch
+    touch: ContactRecord
     forces: ForceCheck
     landed: asyncio.Event = field(default_factory=asyncio.Event)
     silent: bool = False
@@ -76,7 +76,7 @@ class _Watch:
 
 
 @asynccontextmanager
-async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncIterator[ForceCheck]:
+async def contact(cell: Cell, limits: ContactLimits, touch: ContactRecord) -> AsyncIterator[ForceCheck]:
     """The tool presses and spins inside this block, watched; whatever ends the block, contact ends first.
 
     Enter it with the robot standing at a landing point off the part, tool retracted. Both are watched from the moment
@@ -109,16 +109,16 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
                 watcher.cancel()
         await cell.spindle.set_speed(0.0)
     except BaseExceptionGroup as errors:
-        error = most_telling(errors)
+        error = root_cause(errors)
         cell.breaks(error)
-        with told_first(errors):
+        with reraise_after_safe(errors):
             await make_safe(cell, touch, silent=watch.silent)
-            error = await told_apart(cell, error, limits.apart_n)
+            error = await diagnose_force_disagreement(cell, error, limits.apart_n)
         raise error from errors
     except BaseException as error:
         if not isinstance(error, asyncio.CancelledError):  # an order, or what has ended beside
             cell.breaks(error)
-        with told_first(error):
+        with reraise_after_safe(error):
             await make_safe(cell, touch, silent=watch.silent)
         raise
     finally:
@@ -126,7 +126,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: Touch) -> AsyncItera
 
 
 @contextlib.contextmanager
-def told_first(error: BaseException) -> Iterator[None]:
+def reraise_after_safe(error: BaseException) -> Iterator[None]:
     """An order that comes while contact is left takes the place of nothing but another order."""
     try:
         yield
@@ -141,7 +141,7 @@ async def leave_contact(cell: Cell) -> None:
     await cell.actuator.retract()
 
 
-async def make_safe(cell: Cell, touch: Touch | None = None, *, silent: bool = False) -> None:
+async def make_safe(cell: Cell, touch: ContactRecord | None = None, *, silent: bool = False) -> None:
     """Tool lifted and spindle off side by side, and the robot stopped once the lift is confirmed; whatever fails.
 
     All devices that this process has opened are asked, and no others: another program may be in contact with those.
@@ -151,10 +151,10 @@ async def make_safe(cell: Cell, touch: Touch | None = None, *, silent: bool = Fa
 
     Runs to its end even if the caller is cancelled meanwhile; failures are logged and kept in ``cell.unsafe``.
     """
-    await to_its_end(_Leaving(cell, touch, silent=silent).run())
+    await run_to_completion(_Leaving(cell, touch, silent=silent).run())
 
 
-async def to_its_end(work: Coroutine[Any, Any, None]) -> None:
+async def run_to_completion(work: Coroutine[Any, Any, None]) -> None:
     """What must not be cut short by an order, or by a second signal: that is told when it is over."""
     task = asyncio.ensure_future(work)
     cancelled: asyncio.CancelledError | None = None
@@ -171,7 +171,7 @@ async def to_its_end(work: Coroutine[Any, Any, None]) -> None:
 class _Leaving:
     """One way to safety: what was asked of the devices, and who did not confirm."""
 
-    def __init__(self, cell: Cell, touch: Touch | None, *, silent: bool) -> None:
+    def __init__(self, cell: Cell, touch: ContactRecord | None, *, silent: bool) -> None:
         self._cell = cell
         self._touch = touch
         self._silent = silent
@@ -208,7 +208,9 @@ class _Leaving:
             lifted.cancel()
         await self._step(robot)
 
-    async def _until_lifted(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], pressing: Touch | None) -> None:
+    async def _until_lifted(
+        self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], pressing: ContactRecord | None
+    ) -> None:
         """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift.
 
         An idle robot may hold a tool whose actuator was not opened: that one counts as not lifted.
@@ -226,12 +228,12 @@ class _Leaving:
             while cell.clock.now_s() < let_go_s and not _all_lifted(tools, lifts):
                 await cell.clock.sleep(LOOK_S)
 
-    async def _lifted_by_robot(self, touch: Touch) -> bool:
+    async def _lifted_by_robot(self, touch: ContactRecord) -> bool:
         """Whether the robot took the tool off the part."""
         limits = self._cell.limits
         touch.lifts(self._cell.clock.now_s())
         try:
-            await within(safe_within_s(limits.robot), self._cell.robot.lift(limits.lift_mm))
+            await with_deadline(safe_within_s(limits.robot), self._cell.robot.lift(limits.lift_mm))
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: then motion goes on
             log.warning(
                 "the robot does not lift the tool off (%s): motion goes on until the actuator has let go", error
@@ -244,7 +246,7 @@ class _Leaving:
     async def _moves(self, name: str) -> bool:
         robot = cast(Robot, self._cell.devices[name])
         try:
-            return (await within(robot.times.silence_s, robot.progress())).state == "running"
+            return (await with_deadline(robot.times.silence_s, robot.progress())).state == "running"
         except Exception as error:  # noqa: BLE001 - as above: it is asked to stop next
             log.warning("%s does not say whether it moves, and counts as moving: %s", name, error)
             return True
@@ -254,8 +256,8 @@ class _Leaving:
         device, begun_s = self._cell.devices[name], self._cell.clock.now_s()
         within_s = safe_within_s(getattr(device, "times", None))
         try:
-            with talking_to(name):
-                await within(within_s, device.make_safe())
+            with record_sent(name):
+                await with_deadline(within_s, device.make_safe())
         except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])
@@ -350,7 +352,7 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
             )
 
     try:
-        await heard(cell.actuator.samples(), judge, "actuator", cell.limits.reading_s)
+        await read_samples(cell.actuator.samples(), judge, "actuator", cell.limits.reading_s)
     except LinkError:
         watch.silent = True
         raise
@@ -379,4 +381,4 @@ async def _watch_speed(cell: Cell, watch: _Watch) -> None:
                 f"spindle at {sample.rpm:.0f} rpm instead of {limits.rpm:g} for more than {limits.grace_s:g} s"
             )
 
-    await heard(cell.spindle.samples(), judge, "spindle", cell.limits.spindle.silence_s)
+    await read_samples(cell.spindle.samples(), judge, "spindle", cell.limits.spindle.silence_s)

@@ -21,7 +21,7 @@ from polishd.model.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class ResumeRule:
     """Dotted keys (``part.*`` is all of a section), whether they may change within a job, and why."""
 
     keys: tuple[str, ...]
@@ -30,40 +30,50 @@ class Rule:
 
 
 RULES = (
-    Rule(("include",), True, "a way to write the same values"),
-    Rule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
-    Rule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
-    Rule(
+    ResumeRule(("include",), True, "a way to write the same values"),
+    ResumeRule(("cell.*",), True, "names and places; the job stays in the run folder in which it began"),
+    ResumeRule(("plugins.*",), True, "what a plugin does for the job is named by other keys"),
+    ResumeRule(
         ("robot.*", "actuator.*", "spindle.*", "metrology.*", "loader*", "force_sensor*", "monitor*", "signals*"),
         True,
         "how a device is reached, its time limits, and what it watches",
     ),
-    Rule(
+    ResumeRule(
         ("notify.*", "web.*", "certificate.*", "shop*", "opcua*"),
         True,
         "who hears of it, watches and orders, who certifies it, and where it came from",
     ),
-    Rule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
-    Rule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
-    Rule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),
-    Rule((*LIMITS_OF_PROCESS, "tools.*.force_max_n"), True, "what ends contact from now on"),
-    Rule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
-    Rule(
+    ResumeRule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
+    ResumeRule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
+    ResumeRule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),
+    ResumeRule((*LIMITS_OF_PROCESS, "tools.*.force_max_n"), True, "what ends contact from now on"),
+    ResumeRule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
+    ResumeRule(
         ("job.tolerance_nm", "tolerance", "job.accept", "job.max_cycles", "job.approve", "job.lookahead_s"),
         True,
         "when the job ends, and how it is streamed",
     ),
-    Rule(("job.id",), False, "another id is another job"),
-    Rule(("part.*",), False, "masks and heights are of this part, and its place says what the robot's compliance does"),
-    Rule(("program.*",), False, "executed times belong to this program's points, and to where they lie on the part"),
-    Rule(("tools.*.change_s", "tools.*.position_mm"), True, "what a change takes, and how a tool is proved"),
-    Rule(("tools.*",), False, "what was learned is of these tools, and passes were theirs in this order"),
-    Rule(("memory.remember",), True, "how the next job begins"),
-    Rule(("memory.tool",), False, "what was learned is of this tool"),
-    Rule(("process.*", "compliance.*", "kinematics.*"), False, "the rate learned is relative to what these predict"),
-    Rule(("machine.*",), False, "the time that a block takes by itself is learned beside these"),
-    Rule(("instrument.*",), False, "maps are read alike before and after a pass, or their difference is no removal"),
-    Rule(("job.tolerance_period_mm", "job.lsf_period_mm"), False, "figures of all measurements count the same periods"),
+    ResumeRule(("job.id",), False, "another id is another job"),
+    ResumeRule(
+        ("part.*",), False, "masks and heights are of this part, and its place says what the robot's compliance does"
+    ),
+    ResumeRule(
+        ("program.*",), False, "executed times belong to this program's points, and to where they lie on the part"
+    ),
+    ResumeRule(("tools.*.change_s", "tools.*.position_mm"), True, "what a change takes, and how a tool is proved"),
+    ResumeRule(("tools.*",), False, "what was learned is of these tools, and passes were theirs in this order"),
+    ResumeRule(("memory.remember",), True, "how the next job begins"),
+    ResumeRule(("memory.tool",), False, "what was learned is of this tool"),
+    ResumeRule(
+        ("process.*", "compliance.*", "kinematics.*"), False, "the rate learned is relative to what these predict"
+    ),
+    ResumeRule(("machine.*",), False, "the time that a block takes by itself is learned beside these"),
+    ResumeRule(
+        ("instrument.*",), False, "maps are read alike before and after a pass, or their difference is no removal"
+    ),
+    ResumeRule(
+        ("job.tolerance_period_mm", "job.lsf_period_mm"), False, "figures of all measurements count the same periods"
+    ),
 )
 """The first rule that fits a key holds for it; one that none fits may not change."""
 

@@ -33,7 +33,7 @@ WRITE_S = 5.0
 """A client that does not read for so long is dropped."""
 
 
-class Service:
+class ControlSocket:
     """Answers by ``handlers``, and ``subscribe``; made by ``serving``."""
 
     def __init__(self, handlers: Mapping[str, Handler], bus: EventBus) -> None:
@@ -113,7 +113,7 @@ class Service:
 async def serving(state_dir: Path, handlers: Mapping[str, Handler], bus: EventBus) -> AsyncIterator[Path]:
     """Serve on ``state_dir/polishd.sock`` inside this block. Needs the folder's lock: a stale socket is removed."""
     path = state_dir / SOCKET_NAME
-    service = Service(handlers, bus)
+    service = ControlSocket(handlers, bus)
     server = await asyncio.start_unix_server(service.session, sock=_bind(path), limit=LINE_BYTES)
     try:
         yield path

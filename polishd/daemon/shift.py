@@ -8,14 +8,14 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from polishd.daemon.claims import Claims
-from polishd.daemon.endings import now
+from polishd.daemon.claims import ShopAssignments
+from polishd.daemon.endings import utc_now
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal, over_row
 from polishd.daemon.making import NoJob
-from polishd.daemon.queue import Entry, Queue
-from polishd.daemon.verdicts import Verdict
+from polishd.daemon.queue import Queue, QueueEntry
+from polishd.daemon.verdicts import JobResult
 from polishd.model import events
 from polishd.model.errors import PolishdError
 from polishd.model.events import Event
@@ -23,21 +23,21 @@ from polishd.recipe.folder import RunFolder
 
 log = logging.getLogger(__name__)
 
-Begin = Callable[[Entry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
+Begin = Callable[[QueueEntry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
 """Makes an entry's job ready, journals it as under way, and makes its run folder; see ``job_maker.JobMaker``."""
 
 
-class Shift:
+class QueueRunner:
     """What the daemon of a queue knows of its jobs; nothing in it grows with their number."""
 
     def __init__(self, journal: Journal, make: Begin) -> None:
         """``journal`` is that of the cell, between jobs."""
         self.queue = Queue(journal.store)
-        self.claims = Claims(self.queue, self.added)
+        self.claims = ShopAssignments(self.queue, self.added)
         """What a shop has said of the parts that it gave to this cell."""
         self.ended: Counter[str] = Counter()
         """How many jobs ended so, in this run of the daemon."""
-        self.entry: Entry | None = None
+        self.entry: QueueEntry | None = None
         """The job that is under way in this run."""
         self.job: Job | NoJob = NoJob(journal)
         self.folder: RunFolder | None = None
@@ -60,7 +60,7 @@ class Shift:
         """Something was added to the queue, or taken out, or may begin now."""
         self._news.set()
 
-    async def next(self, *, until_empty: bool = False) -> Entry | None:
+    async def next(self, *, until_empty: bool = False) -> QueueEntry | None:
         """The job that was begun by an earlier run, or the first that waits and may begin, as soon as there is one.
 
         None with ``until_empty``, where nothing waits at all.
@@ -72,18 +72,18 @@ class Shift:
             await self._news.wait()
         return entry
 
-    def first(self) -> Entry | None:
+    def first(self) -> QueueEntry | None:
         """The one under way, or the first that waits, whether it may begin or not; None where the queue is empty."""
         return next(iter(self.queue.to_do()), None)
 
-    async def begin(self, entry: Entry) -> Job:
+    async def begin(self, entry: QueueEntry) -> Job:
         """Its job is under way; PolishdError where anything of it is wrong: nothing has moved then."""
         job, self.folder = await self._make(entry, self.queue, self._of_cell, self.tell)
-        self.job, self.entry, self._began = job, entry, now()
-        self.tell(events.JobBegun(job=entry.name, part_id=entry.part_id, run_dir=str(self.folder.path)))
+        self.job, self.entry, self._began = job, entry, utc_now()
+        self.tell(events.JobStarted(job=entry.name, part_id=entry.part_id, run_dir=str(self.folder.path)))
         return job
 
-    async def end(self, verdict: Verdict, summary: Mapping[str, Any]) -> None:
+    async def end(self, verdict: JobResult, summary: Mapping[str, Any]) -> None:
         """The job under way is over: first in the journal, then in its run folder, then told."""
         entry, job, folder = self.entry, self.job, self.folder
         if entry is None or folder is None:
@@ -101,34 +101,34 @@ class Shift:
         folder = self.folder
         if folder is None:
             return
-        told = {**summary, "run_dir": str(folder.path), "started": self._began, "ended": now()}
+        told = {**summary, "run_dir": str(folder.path), "started": self._began, "ended": utc_now()}
         try:
             await asyncio.to_thread(folder.json, "summary.json", told)
             await asyncio.to_thread(self.job.journal.copy_to, folder.path / "journal.sqlite")
         except (OSError, PolishdError) as error:
             log.error("%s is not whole: %s; the journal has it all", folder.path, error)
         outcome, reason = str(summary["outcome"]), str(summary["reason"])
-        self.tell(events.JobFinished(run_dir=str(folder.path), outcome=outcome, reason=reason))
+        self.tell(events.RunFolderCompleted(run_dir=str(folder.path), outcome=outcome, reason=reason))
 
-    def refuse(self, entry: Entry, verdict: Verdict) -> None:
+    def refuse(self, entry: QueueEntry, verdict: JobResult) -> None:
         """A job that could not begin is over."""
         entry = next((one for one in self.queue.to_do() if one.id == entry.id), entry)
         also = [over_row(entry.job, _outcome(verdict), verdict.reason)] if entry.job else []
         self.queue.end(entry, verdict, *also)
         self._told_end(entry, verdict, "")
 
-    def _told_end(self, entry: Entry, verdict: Verdict, run_dir: str) -> None:
+    def _told_end(self, entry: QueueEntry, verdict: JobResult, run_dir: str) -> None:
         self.ended[verdict.how] += 1
         said: dict[str, Any] = {"verdict": verdict.how, "reason": verdict.reason, "stops": verdict.stops}
-        self.tell(events.JobEnded(job=entry.name, part_id=entry.part_id, run_dir=run_dir, **said))
+        self.tell(events.QueueJobEnded(job=entry.name, part_id=entry.part_id, run_dir=run_dir, **said))
 
 
-def _outcome(verdict: Verdict) -> str:
+def _outcome(verdict: JobResult) -> str:
     """As the journal's jobs have it."""
     return {"accepted": "in_tolerance", "put aside": "put aside"}.get(verdict.how, verdict.fault)
 
 
-async def taken_up(shift: Shift) -> None:
+async def resume_open_job(shift: QueueRunner) -> None:
     """Make the job ready that an earlier run left under way; before any device is opened.
 
     Raises PolishdError where it cannot go on like this.

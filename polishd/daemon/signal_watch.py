@@ -9,11 +9,11 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing, asynccontextmanager
 from typing import cast
 
-from polishd.config.places import listed
+from polishd.config.places import join_words
 from polishd.daemon.cell import OPEN_S, Cell
-from polishd.daemon.listening import most_telling
+from polishd.daemon.listening import root_cause
 from polishd.model.errors import DeviceFault, LinkError, SignalFault
-from polishd.model.events import Event, SignalWrong
+from polishd.model.events import Event, SignalOutOfRange
 from polishd.model.signal_limits import SignalLimits
 from polishd.ports.devices import Monitor
 
@@ -30,7 +30,7 @@ AGAIN_S = 1.0
 
 
 @asynccontextmanager
-async def watching(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> AsyncIterator[None]:
+async def monitoring_signals(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> AsyncIterator[None]:
     """Hear all monitors inside this block; ``tell`` is told of each signal that is wrong in contact, once a contact."""
     try:
         async with asyncio.TaskGroup() as group:
@@ -42,7 +42,7 @@ async def watching(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> Asy
                 for task in tasks:
                     task.cancel()
     except BaseExceptionGroup as errors:
-        raise most_telling(errors) from errors
+        raise root_cause(errors) from errors
 
 
 async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) -> None:
@@ -56,7 +56,7 @@ async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) 
             if limits.name not in told:
                 told.add(limits.name)
                 what = f"{said} before contact; it is waited for, for up to {limits.wait_s:g} s"
-                publish(SignalWrong(cycle=cycle, signal=limits.name, what=what, leads_to="wait"))
+                publish(SignalOutOfRange(cycle=cycle, signal=limits.name, what=what, leads_to="wait"))
         await cell.clock.sleep(LOOK_S)
 
 
@@ -67,7 +67,7 @@ def _wait_s(cell: Cell, limits: SignalLimits) -> float:
     return max(limits.wait_s, UNKNOWN_S, AGAIN_S + cast(Monitor, cell.devices[limits.monitor]).times.silence_s)
 
 
-async def tell_once(cell: Cell, name: str) -> None:
+async def report_once(cell: Cell, name: str) -> None:
     """Have that monitor tell each of its signals; DeviceFault where it has not all that are watched."""
     monitor = cast(Monitor, cell.devices[name])
     wanted = {limits.signal for limits in cell.signals.limits if limits.monitor == name}
@@ -82,7 +82,7 @@ async def tell_once(cell: Cell, name: str) -> None:
     except TimeoutError:
         raise LinkError(f"{name}: told not all of its signals within {within_s:g} s") from None
     if missing := wanted - told:
-        raise DeviceFault(f"{name}: tells no signal {listed(missing)}; it tells {listed(told)}")
+        raise DeviceFault(f"{name}: tells no signal {join_words(missing)}; it tells {join_words(told)}")
 
 
 async def _hear(cell: Cell, name: str) -> None:

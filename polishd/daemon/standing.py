@@ -7,7 +7,7 @@ from typing import Any
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.cell import Cell
-from polishd.daemon.time_limits import Limit, TimeLimits, late_s
+from polishd.daemon.time_limits import ActionTimeLimit, TimeLimits, late_s
 from polishd.model.program import Plan, Program
 from polishd.process.excess import ExcessMap
 from polishd.process.motion import delivered_time_s
@@ -44,7 +44,7 @@ class StallRemoval:
     def row(self) -> dict[str, Any]:
         """Row of the time-limit table."""
         what = f"robot that stands is noticed; with force off after {self.notice_s + self.release_s:.2f} s "
-        return Limit("", f"{what}it removes {self.removal_nm:.0f} nm at most", round(self.notice_s, 3)).row()
+        return ActionTimeLimit("", f"{what}it removes {self.removal_nm:.0f} nm at most", round(self.notice_s, 3)).row()
 
     def warning(self, tolerance_nm: float | None) -> str:
         """Return the warning of a pit deeper than half of the tolerance; empty where it is not."""
@@ -77,7 +77,7 @@ def tolerance_nm(recipe: Recipe) -> float | None:
     return min((line.limit for line in recipe.lines if line.unit == "nm"), default=None)
 
 
-def require_shallow(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
+def require_stall_depth(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
     """How deep that is; ConfigError where it is deeper than ``limits.pit_nm``. Empty where the robot tells at once."""
     robot, actuator = cell.limits.robot, cell.limits.actuator
     if not robot.unseen_stop_s:
@@ -98,7 +98,7 @@ def require_shallow(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
     return said
 
 
-def blur(cell: Cell, recipe: Recipe) -> str:
+def timing_uncertainty_s(cell: Cell, recipe: Recipe) -> str:
     """How well it is known when a block ended, in time and in removal; empty where the robot tells it exactly."""
     end_s = cell.limits.robot.block_end_s
     return f"{1e3 * end_s:.0f} ms rms, {peak_nm_s(recipe) * end_s:.1f} nm; it does not add up" if end_s else ""

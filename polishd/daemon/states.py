@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class State(StrEnum):
+class DaemonState(StrEnum):
     """What a daemon is doing."""
 
     STARTING = "starting"
@@ -22,18 +22,18 @@ class State(StrEnum):
     FINISHED = "finished"
 
 
-DOES: Mapping[State, str] = {
-    State.STARTING: "all devices are opened and made safe; a pass that an earlier run left open is settled",
-    State.IDLE: "of a queue: the next job is made ready, or waited for",
-    State.CHANGING: "of a queue: the part of the job is put in, by the loader or by a person",
-    State.POLISHING: "the phases of the cycle, one after another",
-    State.HELD: "safe; a person has the word",
-    State.FINISHED: "safe, and all devices are closed",
+DOES: Mapping[DaemonState, str] = {
+    DaemonState.STARTING: "all devices are opened and made safe; a pass that an earlier run left open is settled",
+    DaemonState.IDLE: "of a queue: the next job is made ready, or waited for",
+    DaemonState.CHANGING: "of a queue: the part of the job is put in, by the loader or by a person",
+    DaemonState.POLISHING: "the phases of the cycle, one after another",
+    DaemonState.HELD: "safe; a person has the word",
+    DaemonState.FINISHED: "safe, and all devices are closed",
 }
 """What happens in each state."""
 
 
-class Trigger(StrEnum):
+class StateEvent(StrEnum):
     """What ends a state's work; orders have the names of their verbs."""
 
     HOLD = "hold"
@@ -56,80 +56,80 @@ class Trigger(StrEnum):
     EMPTY = "no job waits, with `--until-empty`"
 
 
-ORDERS = (Trigger.HOLD, Trigger.RESUME, Trigger.STOP, Trigger.ESTOP)
+ORDERS = (StateEvent.HOLD, StateEvent.RESUME, StateEvent.STOP, StateEvent.ESTOP)
 """Verbs of the socket that change something."""
 
 
 @dataclass(frozen=True, slots=True)
-class Transition:
+class StateTransition:
     """One row of the table."""
 
-    source: State
-    trigger: Trigger
-    target: State
+    source: DaemonState
+    trigger: StateEvent
+    target: DaemonState
     note: str
-    unattended: State | None = None
+    unattended: DaemonState | None = None
     """Where ``--no-hold`` leads instead; None: to the same."""
 
 
-_START, _POLISH, _HELD, _END = State.STARTING, State.POLISHING, State.HELD, State.FINISHED
-_IDLE, _CHANGE = State.IDLE, State.CHANGING
+_START, _POLISH, _HELD, _END = DaemonState.STARTING, DaemonState.POLISHING, DaemonState.HELD, DaemonState.FINISHED
+_IDLE, _CHANGE = DaemonState.IDLE, DaemonState.CHANGING
 
-TRANSITIONS: tuple[Transition, ...] = (
-    Transition(_START, Trigger.BUSY, _START, "it is asked again until its own watchdog must have let go"),
-    Transition(_START, Trigger.READY, _POLISH, "the job is a new one"),
-    Transition(_START, Trigger.BETWEEN, _IDLE, "no job of the queue was under way"),
-    Transition(_START, Trigger.INTERRUPTED, _HELD, "nothing moves until `resume`", _END),
-    Transition(_START, Trigger.UNSAFE, _HELD, "nothing is measured or moved before it does", _END),
-    Transition(_START, Trigger.UNFIT, _HELD, "no room on a disk, say", _END),
-    Transition(_START, Trigger.STOP, _END, "also while a device is waited for"),
-    Transition(_START, Trigger.ERROR, _END, "a device that cannot be opened, too"),
-    Transition(_IDLE, Trigger.NEXT, _CHANGE, "also one over which the cell was held"),
-    Transition(_IDLE, Trigger.ENDED, _IDLE, "it could not begin, and nothing moved"),
-    Transition(_IDLE, Trigger.STOPS, _HELD, "`resume` goes on with the next job", _END),
-    Transition(_IDLE, Trigger.EMPTY, _END, "else it waits for `polishd job add`"),
-    Transition(_IDLE, Trigger.HOLD, _HELD, "no job begins until `resume`"),
-    Transition(_IDLE, Trigger.ESTOP, _HELD, "the same"),
-    Transition(_IDLE, Trigger.MENDABLE, _HELD, "the instrument does not answer, say", _END),
-    Transition(_IDLE, Trigger.STOP, _END, ""),
-    Transition(_IDLE, Trigger.ERROR, _END, ""),
-    Transition(_CHANGE, Trigger.CHANGED, _POLISH, "by the loader, or it was in already"),
-    Transition(_CHANGE, Trigger.RESUME, _POLISH, "a person has put it in"),
-    Transition(_CHANGE, Trigger.ENDED, _IDLE, "the loader has no such part, or brought another one"),
-    Transition(_CHANGE, Trigger.STOPS, _HELD, "`resume` goes on with the next job", _END),
-    Transition(_CHANGE, Trigger.HOLD, _HELD, "the loader stops where it is"),
-    Transition(_CHANGE, Trigger.ESTOP, _HELD, "the same"),
-    Transition(_CHANGE, Trigger.MENDABLE, _HELD, "the loader is jammed, say", _END),
-    Transition(_CHANGE, Trigger.UNSAFE, _HELD, "no loader moves before every device is safe", _END),
-    Transition(_CHANGE, Trigger.STOP, _END, "the loader stops where it is; the job stays open"),
-    Transition(_CHANGE, Trigger.ERROR, _END, "the same"),
-    Transition(_POLISH, Trigger.ENDED, _IDLE, "the queue goes on"),
-    Transition(_POLISH, Trigger.STOPS, _HELD, "`resume` goes on with the next job", _END),
-    Transition(_POLISH, Trigger.DONE, _END, "in tolerance, diverged, or all passes used"),
-    Transition(_POLISH, Trigger.HOLD, _HELD, "once contact is left; what it cut off is settled"),
-    Transition(_POLISH, Trigger.ESTOP, _HELD, "as `hold`, and motion stops first"),
-    Transition(_POLISH, Trigger.UNFIT, _HELD, "once contact is left; what it cut off is settled", _END),
-    Transition(_POLISH, Trigger.MENDABLE, _HELD, "only where it cuts off no pass", _END),
-    Transition(_POLISH, Trigger.STOP, _END, "once contact is left; the job stays open"),
-    Transition(_POLISH, Trigger.ERROR, _END, "once contact is left; the job stays open"),
-    Transition(_HELD, Trigger.RESUME, _POLISH, "once lost links are open again and every device is safe"),
-    Transition(_HELD, Trigger.BETWEEN, _IDLE, "`resume`, where a queue is worked"),
-    Transition(_HELD, Trigger.ENDED, _IDLE, "`polishd job remove` puts the job aside over which it is held"),
-    Transition(_HELD, Trigger.STOPS, _HELD, "the same, with a queue that stops over it", _END),
-    Transition(_HELD, Trigger.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
-    Transition(_HELD, Trigger.UNFIT, _HELD, "the same", _END),
-    Transition(_HELD, Trigger.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
-    Transition(_HELD, Trigger.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
-    Transition(_HELD, Trigger.HOLD, _HELD, "its reason is added"),
-    Transition(_HELD, Trigger.ESTOP, _HELD, "its reason is added"),
-    Transition(_HELD, Trigger.STOP, _END, "over an error, the daemon ends with that error"),
-    Transition(_HELD, Trigger.ERROR, _END, "the journal is lost, say"),
+TRANSITIONS: tuple[StateTransition, ...] = (
+    StateTransition(_START, StateEvent.BUSY, _START, "it is asked again until its own watchdog must have let go"),
+    StateTransition(_START, StateEvent.READY, _POLISH, "the job is a new one"),
+    StateTransition(_START, StateEvent.BETWEEN, _IDLE, "no job of the queue was under way"),
+    StateTransition(_START, StateEvent.INTERRUPTED, _HELD, "nothing moves until `resume`", _END),
+    StateTransition(_START, StateEvent.UNSAFE, _HELD, "nothing is measured or moved before it does", _END),
+    StateTransition(_START, StateEvent.UNFIT, _HELD, "no room on a disk, say", _END),
+    StateTransition(_START, StateEvent.STOP, _END, "also while a device is waited for"),
+    StateTransition(_START, StateEvent.ERROR, _END, "a device that cannot be opened, too"),
+    StateTransition(_IDLE, StateEvent.NEXT, _CHANGE, "also one over which the cell was held"),
+    StateTransition(_IDLE, StateEvent.ENDED, _IDLE, "it could not begin, and nothing moved"),
+    StateTransition(_IDLE, StateEvent.STOPS, _HELD, "`resume` goes on with the next job", _END),
+    StateTransition(_IDLE, StateEvent.EMPTY, _END, "else it waits for `polishd job add`"),
+    StateTransition(_IDLE, StateEvent.HOLD, _HELD, "no job begins until `resume`"),
+    StateTransition(_IDLE, StateEvent.ESTOP, _HELD, "the same"),
+    StateTransition(_IDLE, StateEvent.MENDABLE, _HELD, "the instrument does not answer, say", _END),
+    StateTransition(_IDLE, StateEvent.STOP, _END, ""),
+    StateTransition(_IDLE, StateEvent.ERROR, _END, ""),
+    StateTransition(_CHANGE, StateEvent.CHANGED, _POLISH, "by the loader, or it was in already"),
+    StateTransition(_CHANGE, StateEvent.RESUME, _POLISH, "a person has put it in"),
+    StateTransition(_CHANGE, StateEvent.ENDED, _IDLE, "the loader has no such part, or brought another one"),
+    StateTransition(_CHANGE, StateEvent.STOPS, _HELD, "`resume` goes on with the next job", _END),
+    StateTransition(_CHANGE, StateEvent.HOLD, _HELD, "the loader stops where it is"),
+    StateTransition(_CHANGE, StateEvent.ESTOP, _HELD, "the same"),
+    StateTransition(_CHANGE, StateEvent.MENDABLE, _HELD, "the loader is jammed, say", _END),
+    StateTransition(_CHANGE, StateEvent.UNSAFE, _HELD, "no loader moves before every device is safe", _END),
+    StateTransition(_CHANGE, StateEvent.STOP, _END, "the loader stops where it is; the job stays open"),
+    StateTransition(_CHANGE, StateEvent.ERROR, _END, "the same"),
+    StateTransition(_POLISH, StateEvent.ENDED, _IDLE, "the queue goes on"),
+    StateTransition(_POLISH, StateEvent.STOPS, _HELD, "`resume` goes on with the next job", _END),
+    StateTransition(_POLISH, StateEvent.DONE, _END, "in tolerance, diverged, or all passes used"),
+    StateTransition(_POLISH, StateEvent.HOLD, _HELD, "once contact is left; what it cut off is settled"),
+    StateTransition(_POLISH, StateEvent.ESTOP, _HELD, "as `hold`, and motion stops first"),
+    StateTransition(_POLISH, StateEvent.UNFIT, _HELD, "once contact is left; what it cut off is settled", _END),
+    StateTransition(_POLISH, StateEvent.MENDABLE, _HELD, "only where it cuts off no pass", _END),
+    StateTransition(_POLISH, StateEvent.STOP, _END, "once contact is left; the job stays open"),
+    StateTransition(_POLISH, StateEvent.ERROR, _END, "once contact is left; the job stays open"),
+    StateTransition(_HELD, StateEvent.RESUME, _POLISH, "once lost links are open again and every device is safe"),
+    StateTransition(_HELD, StateEvent.BETWEEN, _IDLE, "`resume`, where a queue is worked"),
+    StateTransition(_HELD, StateEvent.ENDED, _IDLE, "`polishd job remove` puts the job aside over which it is held"),
+    StateTransition(_HELD, StateEvent.STOPS, _HELD, "the same, with a queue that stops over it", _END),
+    StateTransition(_HELD, StateEvent.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
+    StateTransition(_HELD, StateEvent.UNFIT, _HELD, "the same", _END),
+    StateTransition(_HELD, StateEvent.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
+    StateTransition(_HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
+    StateTransition(_HELD, StateEvent.HOLD, _HELD, "its reason is added"),
+    StateTransition(_HELD, StateEvent.ESTOP, _HELD, "its reason is added"),
+    StateTransition(_HELD, StateEvent.STOP, _END, "over an error, the daemon ends with that error"),
+    StateTransition(_HELD, StateEvent.ERROR, _END, "the journal is lost, say"),
 )
 
 _TABLE = {(row.source, row.trigger): row for row in TRANSITIONS}
 
 
-def following(state: State, trigger: Trigger, *, unattended: bool = False) -> State:
+def following(state: DaemonState, trigger: StateEvent, *, unattended: bool = False) -> DaemonState:
     """The next state. RuntimeError where the table has no such way: a fault of polishd."""
     row = _TABLE.get((state, trigger))
     if row is None:
@@ -137,7 +137,7 @@ def following(state: State, trigger: Trigger, *, unattended: bool = False) -> St
     return row.unattended if unattended and row.unattended is not None else row.target
 
 
-def obeyed(order: Trigger) -> frozenset[State]:
+def obeyed(order: StateEvent) -> frozenset[DaemonState]:
     """The states in which an order is obeyed: those to which it leads, and the end."""
-    between = {row.target for row in TRANSITIONS if order is Trigger.RESUME and row.trigger is Trigger.BETWEEN}
-    return frozenset({row.target for row in TRANSITIONS if row.trigger is order} | between | {State.FINISHED})
+    between = {row.target for row in TRANSITIONS if order is StateEvent.RESUME and row.trigger is StateEvent.BETWEEN}
+    return frozenset({row.target for row in TRANSITIONS if row.trigger is order} | between | {DaemonState.FINISHED})

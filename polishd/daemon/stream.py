@@ -8,9 +8,9 @@ import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
-from polishd.daemon.listening import most_telling
+from polishd.daemon.listening import root_cause
 from polishd.daemon.progress import STEP_S, Progress, ProgressLimits, low_override
-from polishd.model.devices import Executed, RobotProgress
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import DeviceFault, DeviceRefused, SafetyStop
 from polishd.model.program import Plan
 from polishd.ports.clock import Clock
@@ -136,7 +136,7 @@ class Stream:
             raise DeviceRefused(f"{words}; the tool was not put down")
         self._lands = True
 
-    async def polish(self) -> AsyncIterator[Executed]:
+    async def polish(self) -> AsyncIterator[ExecutedBlock]:
         """Blocks in contact, as they are executed; the robot stands still at the other landing point afterwards."""
         self._in_contact = True
         try:
@@ -160,7 +160,7 @@ class Stream:
             async for _ in self._until(last):
                 pass
 
-    async def _until(self, end: int) -> AsyncIterator[Executed]:
+    async def _until(self, end: int) -> AsyncIterator[ExecutedBlock]:
         self._progress.start(self._clock.now_s())
         self._target = end
         try:
@@ -222,4 +222,4 @@ async def streaming(
             for task in tasks:
                 task.cancel()
     except BaseExceptionGroup as errors:
-        raise most_telling(errors) from errors
+        raise root_cause(errors) from errors

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 SOCKET, WATCHDOG_US, WATCHDOG_PID = "NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"
 
 
-class Supervisor:
+class SystemdNotifier:
     """Of the process in which so many cells run; ``environment`` is what systemd set."""
 
     def __init__(self, cells: int = 1, environment: Mapping[str, str] = os.environ) -> None:

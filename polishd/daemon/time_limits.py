@@ -31,7 +31,7 @@ BEAT_S = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
+class ActionTimeLimit:
     """One link of the chain: how long something takes, and how long it has to be at least."""
 
     key: str
@@ -140,7 +140,9 @@ class TimeLimits:
         lift_s, stop_s, rest_s = map(safe_within_s, (self.actuator, self.robot, self.spindle))
         return max(rest_s, lift_s + max(stop_s, self.buffer_s) + stop_s)
 
-    def chain(self, lookahead_s: float, *, apart_s: float = math.inf, force_s: float = math.inf) -> tuple[Limit, ...]:
+    def chain(
+        self, lookahead_s: float, *, apart_s: float = math.inf, force_s: float = math.inf
+    ) -> tuple[ActionTimeLimit, ...]:
         """Each limit in the order in which they act, with what it must outlast.
 
         Actuator and force sensor may disagree for ``apart_s``, and the force be off its set point for ``force_s``.
@@ -149,39 +151,39 @@ class TimeLimits:
         of_coil, of_robot = partial(_key, "actuator", coil), partial(_key, "robot", robot)
         of_spindle = partial(_key, "spindle", spindle)
         lost_s = robot.silence_s + coil.lifted_s
-        stays = [Limit("", "tool taken off by the robot where the actuator has no power", self.taken_off_s)]
+        stays = [ActionTimeLimit("", "tool taken off by the robot where the actuator has no power", self.taken_off_s)]
         return (
             *self._of_sensor(apart_s, force_s),
-            Limit(
+            ActionTimeLimit(
                 of_coil("silence_s"),
                 "actuator counts as silent",
                 coil.silence_s,
                 BEAT_S,
                 "of three heartbeats",
             ),
-            Limit(
+            ActionTimeLimit(
                 of_coil("watchdog_s"),
                 "actuator lets go by itself",
                 coil.watchdog_s,
                 coil.silence_s + BEAT_S,
                 "of silence and a heartbeat: the daemon leaves contact first",
             ),
-            Limit(of_coil("landing_s"), "landing, at most", coil.landing_s),
-            Limit(of_coil("release_s"), "force off, at most", coil.release_s),
-            Limit(of_coil("retract_s"), "lift, at most", coil.retract_s),
-            Limit("", "tool up after an order", coil.lifted_s),
-            Limit("", "tool up after the last word", coil.alone_s),
+            ActionTimeLimit(of_coil("landing_s"), "landing, at most", coil.landing_s),
+            ActionTimeLimit(of_coil("release_s"), "force off, at most", coil.release_s),
+            ActionTimeLimit(of_coil("retract_s"), "lift, at most", coil.retract_s),
+            ActionTimeLimit("", "tool up after an order", coil.lifted_s),
+            ActionTimeLimit("", "tool up after the last word", coil.alone_s),
             *(stays if coil.unpowered == "stays" else []),
-            Limit(
+            ActionTimeLimit(
                 of_spindle("watchdog_s"),
                 "spindle stops by itself",
                 spindle.watchdog_s,
                 3 * BEAT_S,
                 "of its commands",
             ),
-            Limit(of_spindle("spin_s"), "spindle to speed or to rest, at most", spindle.spin_s),
-            Limit(of_robot("silence_s"), "robot counts as lost", robot.silence_s),
-            Limit(
+            ActionTimeLimit(of_spindle("spin_s"), "spindle to speed or to rest, at most", spindle.spin_s),
+            ActionTimeLimit(of_robot("silence_s"), "robot counts as lost", robot.silence_s),
+            ActionTimeLimit(
                 of_robot("watchdog_s"),
                 "robot stops by itself",
                 robot.watchdog_s,
@@ -189,18 +191,18 @@ class TimeLimits:
                 f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
                 f"robot's silence and lift {lost_s:g} s",
             ),
-            Limit(of_robot("stop_s"), "robot stops or lifts, at most", robot.stop_s),
-            Limit(
+            ActionTimeLimit(of_robot("stop_s"), "robot stops or lifts, at most", robot.stop_s),
+            ActionTimeLimit(
                 "job.lookahead_s",
                 "motion held by the robot",
                 lookahead_s,
                 self.buffer_s,
                 "of motion: contact is left when less is held, and the tool is up when that is used up",
             ),
-            Limit("", "all safe after leaving contact, at most", self.safe_s),
+            ActionTimeLimit("", "all safe after leaving contact, at most", self.safe_s),
         )
 
-    def _of_sensor(self, apart_s: float, force_s: float) -> tuple[Limit, ...]:
+    def _of_sensor(self, apart_s: float, force_s: float) -> tuple[ActionTimeLimit, ...]:
         """What comes first of all where there is one: a force that is wrong is noticed, and a landing is none."""
         if self.sensor is None:
             return ()
@@ -208,15 +210,19 @@ class TimeLimits:
         because = f"of the sensor's delay {self.sensor.delay_s:g} s and two readings: a landing would end contact"
         silence_s, silence_key = self.sensor.silence_s, _key("force_sensor", self.sensor, "silence_s")
         return (
-            Limit(
+            ActionTimeLimit(
                 silence_key,
                 "force sensor counts as silent",
                 silence_s,
                 BEAT_S,
                 "of its readings",
             ),
-            Limit("force_sensor.grace_s", "actuator and force sensor may disagree for", apart_s, late_s, because),
-            Limit("limits.force_grace_s", "force may be off its set point for", force_s, late_s - BEAT_S, because),
+            ActionTimeLimit(
+                "force_sensor.grace_s", "actuator and force sensor may disagree for", apart_s, late_s, because
+            ),
+            ActionTimeLimit(
+                "limits.force_grace_s", "force may be off its set point for", force_s, late_s - BEAT_S, because
+            ),
         )
 
 
@@ -235,7 +241,7 @@ def stays_on(actuator: ActuatorTimes, robot: RobotTimes) -> str:
     return ""
 
 
-def too_short(chain: Sequence[Limit]) -> list[tuple[str, str]]:
+def too_short(chain: Sequence[ActionTimeLimit]) -> list[tuple[str, str]]:
     """(key, what is wrong and what to do) of each limit that does not hold."""
     advice = "lengthen it, or shorten what it guards (polishd check prints the chain)"
     return [

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.devices import Executed, ForceSample, SensedForce, SpeedSample
+from polishd.model.devices import ExecutedBlock, ForceSample, SensedForce, SpeedSample
 
 LUMP_S = 0.02
 """Blocks that are told within so much of each other are one word of the robot's."""
@@ -30,12 +30,12 @@ class _Lump:
     before_s: float
     """When the word before it came."""
     told_s: float
-    blocks: list[Executed] = field(default_factory=list)
+    blocks: list[ExecutedBlock] = field(default_factory=list)
     sampled: bool = False
     """A force sample has come since."""
 
 
-class Touch:
+class ContactRecord:
     """One contact: told of samples, blocks and orders as they come, it writes a record for each block.
 
     A block waits for the second force sample after it: the first may have been read before it ended, and lain on the
@@ -122,7 +122,7 @@ class Touch:
         """A reading of the independent force sensor."""
         self._sensed.append((reading.at_s, reading.force_n))
 
-    def told(self, block: Executed, at_s: float) -> None:
+    def told(self, block: ExecutedBlock, at_s: float) -> None:
         """The robot tells that it has executed a block."""
         self.last_seq = block.seq
         if at_s > self._word.told_s + LUMP_S:

@@ -15,13 +15,13 @@ from polishd.daemon.safety import ContactLimits
 from polishd.model.events import ToolMounted
 from polishd.model.program import Program
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed
-from polishd.recipe.steps import believed_at_first
-from polishd.recipe.turns import Turn
+from polishd.recipe.records import EstimatesInUse
+from polishd.recipe.steps import initial_estimates
+from polishd.recipe.turns import ToolProblem
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ToolTurn:
+class ToolStepState:
     """What a job does with one of its tools."""
 
     recipe: Recipe
@@ -36,27 +36,27 @@ class ToolTurn:
         return "" if self.recipe.turn is None else self.recipe.turn.tool
 
 
-class Tools:
+class ToolSequence:
     """A job's tools, one of which has its turn. Of a cell without ``[tools]`` the only one, without a name."""
 
-    def __init__(self, turns: Sequence[ToolTurn], journal: Journal) -> None:
+    def __init__(self, turns: Sequence[ToolStepState], journal: Journal) -> None:
         self._turns = tuple(turns)
         self._journal = journal
         self.now = self._turns[0]
         """The tool whose turn it is."""
-        self._believed = {turn.tool: believed_at_first(turn.recipe) for turn in turns}
+        self._believed = {turn.tool: initial_estimates(turn.recipe) for turn in turns}
 
     @property
-    def believed(self) -> Believed:
+    def believed(self) -> EstimatesInUse:
         """What the passes have taught of the tool whose turn it is."""
         return self._believed[self.now.tool]
 
-    def believe(self, known: Believed) -> None:
+    def believe(self, known: EstimatesInUse) -> None:
         """That from here on, of the tool whose turn it is."""
         self._believed[self.now.tool] = known
 
     @property
-    def left(self) -> tuple[ToolTurn, ...]:
+    def left(self) -> tuple[ToolStepState, ...]:
         """The turns after this one."""
         return self._turns[self._turns.index(self.now) + 1 :]
 
@@ -65,12 +65,12 @@ class Tools:
         """What the lessons of the tool whose turn it is belong to."""
         return self.now.terms or self._journal.terms
 
-    def to_solve(self) -> list[Turn]:
+    def to_solve(self) -> list[ToolProblem]:
         """This turn and those after it, each as its tool is believed to be."""
         left = (self.now, *self.left)
-        return [Turn(turn.recipe, turn.program, self._believed[turn.tool]) for turn in left]
+        return [ToolProblem(turn.recipe, turn.program, self._believed[turn.tool]) for turn in left]
 
-    def of(self, record: PassRecord) -> ToolTurn:
+    def of(self, record: PassRecord) -> ToolStepState:
         """The turn that a pass belonged to."""
         return next((turn for turn in self._turns if turn.tool == tool_of(record.facts)), self._turns[0])
 
@@ -89,7 +89,7 @@ class Tools:
             known = taught_of(turn, self._journal.passes)
             if known is None:
                 terms = turn.terms or self._journal.terms
-                found = await asyncio.to_thread(remembering.remembered, self._journal, turn.recipe, terms)
+                found = await asyncio.to_thread(remembering.initial_estimates_of, self._journal, turn.recipe, terms)
                 known = None if found is None else found.believed
                 notes += [] if found is None else [f"{turn.tool} {found.note}".lstrip()]
             if known is not None:
@@ -97,7 +97,7 @@ class Tools:
         return tuple(notes)
 
 
-def turn_now(turns: Sequence[ToolTurn], passes: Sequence[PassRecord]) -> int:
+def turn_now(turns: Sequence[ToolStepState], passes: Sequence[PassRecord]) -> int:
     """Number of the turn that the next pass belongs to: a pass that was torn off is made again with its tool."""
     done, upto = sum(record.how == "done" for record in passes), 0
     for number, turn in enumerate(turns):
@@ -112,12 +112,12 @@ def tool_of(facts: Mapping[str, Any]) -> str:
     return str(facts.get("tool", ""))
 
 
-def taught_of(turn: ToolTurn, passes: Sequence[PassRecord]) -> Believed | None:
+def taught_of(turn: ToolStepState, passes: Sequence[PassRecord]) -> EstimatesInUse | None:
     """What the job's passes with that tool have taught of it; None where there was none."""
     for record in reversed(passes):
         if tool_of(record.facts) == turn.tool:
             taught = record.facts.get("taught")
-            return Believed.load(taught["believed"] if taught else record.facts, turn.recipe.model.beliefs)
+            return EstimatesInUse.load(taught["believed"] if taught else record.facts, turn.recipe.model.beliefs)
     return None
 
 

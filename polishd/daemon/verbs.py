@@ -14,7 +14,7 @@ SUBSCRIBE = "subscribe"
 
 
 @dataclass(frozen=True, slots=True)
-class Argument:
+class CommandArgument:
     """One argument."""
 
     name: str
@@ -24,62 +24,68 @@ class Argument:
 
 
 @dataclass(frozen=True, slots=True)
-class Verb:
+class SocketCommand:
     """What is asked, or ordered."""
 
     name: str
     what: str
     changes: Literal["", "an order", "the queue", "the journal", "an approval"] = ""
     """An order: the cell is another one afterwards."""
-    arguments: tuple[Argument, ...] = ()
+    arguments: tuple[CommandArgument, ...] = ()
 
 
-REASON = Argument("reason", str, "why, for whoever reads the journal and `status`")
-BY = Argument("by", str, "who wants it, for the journal; whoever passes an order on says for whom")
+REASON = CommandArgument("reason", str, "why, for whoever reads the journal and `status`")
+BY = CommandArgument("by", str, "who wants it, for the journal; whoever passes an order on says for whom")
 
-FILES = Argument(
+FILES = CommandArgument(
     "files",
     list,
     "of each job's file `path`, absolute, from whose folder paths in it start, and `content`",
     required=True,
 )
 ORDERED = (REASON, BY)
-PROGRAM = Argument("program_sha256", str, "hash of its program, as `live` tells it", required=True)
-ALARMS = Argument("alarms", list, "numbers of events in the journal", required=True)
-CLAIM = Argument("claim", str, "by which a shop gave the part of this one job to the cell")
+PROGRAM = CommandArgument("program_sha256", str, "hash of its program, as `live` tells it", required=True)
+ALARMS = CommandArgument("alarms", list, "numbers of events in the journal", required=True)
+CLAIM = CommandArgument("claim", str, "by which a shop gave the part of this one job to the cell")
 CLAIMS = (
-    Argument("stands", list, "claims: their parts are this cell's, and may begin"),
-    Argument("back", list, "claims that the shop wants back: those that wait are taken out"),
-    Argument("lost", list, "claims that the shop has given up: their parts may not begin, nor go on after a hold"),
+    CommandArgument("stands", list, "claims: their parts are this cell's, and may begin"),
+    CommandArgument("back", list, "claims that the shop wants back: those that wait are taken out"),
+    CommandArgument(
+        "lost", list, "claims that the shop has given up: their parts may not begin, nor go on after a hold"
+    ),
 )
-OFFERS = Argument("offers", list, "of each `recipe`, `cell`, `job`, `of_cycle`, `at_s`, `rate`, `sigma`", required=True)
-JOB = Argument("job", str, "`job.id`", required=True)
-WHERE = Argument("where", str, "`before`, `after`, `first` or `last`", required=True)
-OTHER = Argument("other", str, "the job that waits before or after which")
+OFFERS = CommandArgument(
+    "offers", list, "of each `recipe`, `cell`, `job`, `of_cycle`, `at_s`, `rate`, `sigma`", required=True
+)
+JOB = CommandArgument("job", str, "`job.id`", required=True)
+WHERE = CommandArgument("where", str, "`before`, `after`, `first` or `last`", required=True)
+OTHER = CommandArgument("other", str, "the job that waits before or after which")
 
-VERBS: Mapping[str, Verb] = {
+VERBS: Mapping[str, SocketCommand] = {
     verb.name: verb
     for verb in (
-        Verb("status", "state and why, phase, cycle, devices, health, what was measured so far"),
-        Verb("live", "state, what the devices told last, each with its age, signals and health"),
-        Verb(SUBSCRIBE, "events from now on, one a line, until either side ends"),
-        Verb("hold", "leave contact, stand still, and wait for `resume`", "an order", ORDERED),
-        Verb("resume", "go on, with a new measurement first", "an order", ORDERED),
-        Verb("stop", "leave contact, stand still, and end the daemon", "an order", ORDERED),
-        Verb("estop", "stop motion at once, whatever the part costs; then wait for `resume`", "an order", ORDERED),
-        Verb("approve", "the plan that waits may run (`job.approve`)", "an approval", (PROGRAM, BY)),
-        Verb("acknowledge", "a person has seen these alarms", "the journal", (ALARMS, BY)),
-        Verb("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
-        Verb("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY, CLAIM)),
-        Verb("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER, BY)),
-        Verb(
+        SocketCommand("status", "state and why, phase, cycle, devices, health, what was measured so far"),
+        SocketCommand("live", "state, what the devices told last, each with its age, signals and health"),
+        SocketCommand(SUBSCRIBE, "events from now on, one a line, until either side ends"),
+        SocketCommand("hold", "leave contact, stand still, and wait for `resume`", "an order", ORDERED),
+        SocketCommand("resume", "go on, with a new measurement first", "an order", ORDERED),
+        SocketCommand("stop", "leave contact, stand still, and end the daemon", "an order", ORDERED),
+        SocketCommand(
+            "estop", "stop motion at once, whatever the part costs; then wait for `resume`", "an order", ORDERED
+        ),
+        SocketCommand("approve", "the plan that waits may run (`job.approve`)", "an approval", (PROGRAM, BY)),
+        SocketCommand("acknowledge", "a person has seen these alarms", "the journal", (ALARMS, BY)),
+        SocketCommand("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
+        SocketCommand("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY, CLAIM)),
+        SocketCommand("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER, BY)),
+        SocketCommand(
             "job_remove",
             "take a job out that waits, or put the one aside over which the cell is held",
             "the queue",
             (JOB, REASON, BY),
         ),
-        Verb("shop_word", "what the shop says of the parts that it gave to this cell", "the queue", CLAIMS),
-        Verb("shop_offer", "what other cells of the shop have learned", "the journal", (OFFERS,)),
+        SocketCommand("shop_word", "what the shop says of the parts that it gave to this cell", "the queue", CLAIMS),
+        SocketCommand("shop_offer", "what other cells of the shop have learned", "the journal", (OFFERS,)),
     )
 }
 """An order is answered when it is obeyed."""
@@ -89,7 +95,7 @@ _WORDS = {str: "a string", int: "a whole number", float: "a number", bool: "true
 
 def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, Any]]:
     """The verb of a request, one of those offered, and its arguments; ValueError says what is wrong with it."""
-    from polishd.config.places import did_you_mean, listed  # the daemon's: who asks has no need of the models
+    from polishd.config.places import did_you_mean, join_words  # the daemon's: who asks has no need of the models
 
     known = list(offered)
     try:
@@ -100,17 +106,17 @@ def read_request(line: bytes, offered: Iterable[str]) -> tuple[str, dict[str, An
     if not isinstance(verb, str) or not isinstance(given, dict) or set(request) - {"verb", "args"}:
         raise ValueError(
             'a request is one JSON object a line, {"verb": ..., "args": {...}} (args may be left away); '
-            f"verbs: {listed(known)}"
+            f"verbs: {join_words(known)}"
         )
     if verb not in known:
-        raise ValueError(f"unknown verb {verb!r}{did_you_mean(verb, known)} Known: {listed(known)}")
+        raise ValueError(f"unknown verb {verb!r}{did_you_mean(verb, known)} Known: {join_words(known)}")
     arguments = VERBS[verb].arguments
     kinds = {argument.name: argument.kind for argument in arguments}
     if missing := [argument.name for argument in arguments if argument.required and argument.name not in given]:
         raise ValueError(f"{verb}: {', '.join(map(repr, missing))} must be given")
     for name, value in given.items():
         if name not in kinds:
-            raise ValueError(f"{verb}: unknown argument {name!r}{did_you_mean(name, kinds)} Known: {listed(kinds)}")
+            raise ValueError(f"{verb}: unknown argument {name!r}{did_you_mean(name, kinds)} Known: {join_words(kinds)}")
         if type(value) is not kinds[name] and (type(value), kinds[name]) != (int, float):
             raise ValueError(f"{verb}: {name} must be {_WORDS[kinds[name]]}, not {json.dumps(value)}")
     return verb, given

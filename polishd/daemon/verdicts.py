@@ -16,7 +16,7 @@ Queue = Literal["goes on", "stops", "waits"]
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class ResultRule:
     """One row: what ended a job, what becomes of its part, and what of the queue."""
 
     ends: tuple[Outcome | type[errors.PolishdError], ...]
@@ -27,46 +27,48 @@ class Rule:
 
 
 RULES = (
-    Rule((Outcome.IN_TOLERANCE,), "accepted", "goes on", "the part is in tolerance"),
-    Rule((Outcome.AS_PROGRAMMED,), "accepted", "goes on", "it was polished as its program says, to teach"),
-    Rule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
-    Rule((Outcome.STALLED,), "put aside", "goes on", "its passes bring too little, and a person may find why"),
-    Rule(
+    ResultRule((Outcome.IN_TOLERANCE,), "accepted", "goes on", "the part is in tolerance"),
+    ResultRule((Outcome.AS_PROGRAMMED,), "accepted", "goes on", "it was polished as its program says, to teach"),
+    ResultRule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
+    ResultRule((Outcome.STALLED,), "put aside", "goes on", "its passes bring too little, and a person may find why"),
+    ResultRule(
         (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part tells whether it is the cell"
     ),
-    Rule(
-        (errors.GateStop,),
+    ResultRule(
+        (errors.RemovalCheckStop,),
         "put aside",
         "stops",
         "instrument or alignment is wrong, and would be for the next part, too",
     ),
-    Rule(
+    ResultRule(
         (errors.ToolStop,), "put aside", "stops", "the tool would remove otherwise than planned from the next part, too"
     ),
-    Rule((errors.WrongSeat,), "put aside", "goes on", "it does not sit where it should; nothing was polished"),
-    Rule((errors.HandlingError,), None, "waits", "a person is asked to clean or to condition, and the job goes on"),
-    Rule((errors.SurfaceError,), "put aside", "goes on", "its map cannot be trusted, or shows another part"),
-    Rule(
+    ResultRule((errors.WrongSeat,), "put aside", "goes on", "it does not sit where it should; nothing was polished"),
+    ResultRule(
+        (errors.HandlingError,), None, "waits", "a person is asked to clean or to condition, and the job goes on"
+    ),
+    ResultRule((errors.SurfaceError,), "put aside", "goes on", "its map cannot be trusted, or shows another part"),
+    ResultRule(
         (errors.ProgramError, errors.PlanRefused, errors.ComputeError, errors.ConfigError, errors.PluginError),
         "put aside",
         "goes on",
         "nothing moves for a job that cannot be read, computed or planned",
     ),
-    Rule(
+    ResultRule(
         (errors.DeviceError,), None, "waits", "the device is at fault, not the part: the job goes on when it is mended"
     ),
-    Rule((errors.PolishdError,), "put aside", "stops", "what is not known to be safe is a person's to judge"),
+    ResultRule((errors.PolishdError,), "put aside", "stops", "what is not known to be safe is a person's to judge"),
 )
 """The first row that fits holds; of errors that came out of contact."""
 
-TORN = Rule(
+TORN = ResultRule(
     (errors.DeviceError, errors.SafetyStop), "put aside", "goes on", "its pass was cut off: somebody should look at it"
 )
 """Of errors that cut off a pass, once every device confirmed that it is safe; where one did not, the daemon ends."""
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class JobResult:
     """How a job ended, and whether the queue goes on."""
 
     how: How
@@ -77,7 +79,7 @@ class Verdict:
     """Why the queue stops; empty where it goes on."""
 
 
-def rule_of(end: Outcome | errors.PolishdError, *, torn: bool = False) -> Rule:
+def rule_of(end: Outcome | errors.PolishdError, *, torn: bool = False) -> ResultRule:
     """The row for that end."""
     if isinstance(end, Outcome):
         return next(rule for rule in RULES if end in rule.ends)
@@ -87,7 +89,7 @@ def rule_of(end: Outcome | errors.PolishdError, *, torn: bool = False) -> Rule:
     return next(rule for rule, kind in kinds if isinstance(end, kind))
 
 
-def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str, tool: str = "") -> Verdict | None:
+def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str, tool: str = "") -> JobResult | None:
     """The verdict; None where the job is not over (``Rule.how``).
 
     ``torn``: it cut off a pass, and every device confirmed since that it is safe; ``previous``: the fault of the job
@@ -105,4 +107,4 @@ def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str, tool
         stops = tool
     elif fault and fault == previous:
         stops = f"two parts in a row ended with the same fault, {fault}"
-    return Verdict(rule.how, told, fault, stops)
+    return JobResult(rule.how, told, fault, stops)

@@ -19,7 +19,9 @@ MOST_ALARMS = 1000
 """That are acknowledged at once."""
 
 
-def watched(cell: Cell, health: Health, bus: EventBus, standing: Callable[[], Mapping[str, Any]]) -> dict[str, Handler]:
+def status_snapshot(
+    cell: Cell, health: Health, bus: EventBus, standing: Callable[[], Mapping[str, Any]]
+) -> dict[str, Handler]:
     """Who obeys the verbs of those who watch; ``standing`` says what the daemon does."""
     return {
         "live": partial(_live, cell, health, standing),
@@ -36,11 +38,11 @@ async def _live(cell: Cell, health: Health, standing: Callable[[], Mapping[str, 
         "approval": cell.approval.wanted,
         "told": cell.live.facts(),
         "ages_s": health.ages_s(),
-        **seen(cell, health),
+        **health_snapshot(cell, health),
     }
 
 
-def seen(cell: Cell, health: Health) -> dict[str, Any]:
+def health_snapshot(cell: Cell, health: Health) -> dict[str, Any]:
     """Who did not confirm being safe, the last refused map while another is waited for, signals, and the computer."""
     return {
         "unsafe": list(cell.unsafe),
@@ -54,5 +56,5 @@ async def _acknowledge(bus: EventBus, alarms: Sequence[Any], by: str = "") -> Ma
     """It is journalled, and told; which alarms are there is the business of whoever reads the journal."""
     if len(alarms) > MOST_ALARMS or not all(type(one) is int and one > 0 for one in alarms):
         raise ConfigError(f"alarms are numbers of events in the journal, {MOST_ALARMS} at most; look at them again")
-    bus.publish(events.Acknowledged(alarms=list(alarms), by=by))
+    bus.publish(events.AlarmAcknowledged(alarms=list(alarms), by=by))
     return {"acknowledged": list(alarms)}

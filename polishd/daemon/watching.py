@@ -10,8 +10,8 @@ from typing import Any
 
 from polishd.config.process import LIMITS_OF_PROCESS
 from polishd.daemon.journal import Journal
-from polishd.model.finding import Finding, FindingLimits, Series, Shown
-from polishd.process.findings import findings, followed
+from polishd.model.finding import Finding, FindingLimits, PassIndicators, PassSeries
+from polishd.process.findings import extend_series, findings
 from polishd.recipe.encoding import record_of
 
 PROCESS = ("process.", "compliance.", "kinematics.", "roles.")
@@ -20,33 +20,35 @@ FAR_BACK = 8
 """Passes among which the last one that was watched is looked for."""
 
 
-def watch(journal: Journal, cycle: int, shown: Shown, limits: FindingLimits) -> tuple[Finding, ...]:
+def watch(journal: Journal, cycle: int, shown: PassIndicators, limits: FindingLimits) -> tuple[Finding, ...]:
     """Keep what that cycle's pass showed, and say what is found in it that was not told of it before.
 
     A pass is watched again where the cell was held over it and measures anew: a person knows of it then.
     """
     (record,) = (one for one in journal.passes if one.cycle == cycle)
     earlier = [
-        record_of(Shown, one.facts["shown"]) for one in journal.passes if one.cycle < cycle and "shown" in one.facts
+        record_of(PassIndicators, one.facts["shown"])
+        for one in journal.passes
+        if one.cycle < cycle and "shown" in one.facts
     ]
-    series = followed(_series(journal, cycle), shown)
+    series = extend_series(_series(journal, cycle), shown)
     found = findings(series, [*earlier, shown], limits)
     told = {one["kind"] for one in record.facts.get("findings", ())}
     if any(one.stops == "cell" for one in found):
-        series = Series(series.process)  # a person sees to the tool: what follows is held against what it is then
+        series = PassSeries(series.process)  # a person sees to the tool: what follows is held against what it is then
     new = tuple(one for one in found if one.kind not in told)
     said = [*record.facts.get("findings", ()), *map(asdict, new)]
     journal.add_facts(cycle, {"shown": asdict(shown), "series": asdict(series), "findings": said})
     return new
 
 
-def _series(journal: Journal, cycle: int) -> Series:
+def _series(journal: Journal, cycle: int) -> PassSeries:
     """With the pass before, of whichever job; one that begins where that was by another process."""
     process = _process(journal.terms)
     last = next((facts["series"] for facts in journal.passes_before(cycle, FAR_BACK) if "series" in facts), None)
     if last is None or last["process"] != process:
-        return Series(process)
-    return record_of(Series, last)
+        return PassSeries(process)
+    return record_of(PassSeries, last)
 
 
 def _process(terms: Mapping[str, Any] | None) -> str:

@@ -20,7 +20,7 @@ from typing import IO
 from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Passed, heard_by
+from polishd.ports.tap import WireMessage, record_received
 from polishd.ports.wire_file import header_line, note_line, passed_line
 
 log = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ def recording_to(path: Path, config: CellConfig, limit: int = LIMIT) -> Iterator
     writer = _Writer(path, file, limit)
     writer.start(config)
     try:
-        with heard_by(writer.hear):
+        with record_received(writer.hear):
             yield
     finally:
         writer.stop()
@@ -71,7 +71,7 @@ class _Writer:
     def __init__(self, path: Path, file: IO[bytes], limit: int) -> None:
         self._path, self._raw, self._limit = path, file, limit
         self._file = gzip.GzipFile(fileobj=file, mode="wb", compresslevel=3, filename="")
-        self._waiting: queue.Queue[Passed | None] = queue.Queue(LONGEST)
+        self._waiting: queue.Queue[WireMessage | None] = queue.Queue(LONGEST)
         self._lost = 0
         self._over = False
         """Nothing more is written: the file is full, or the disk failed."""
@@ -87,7 +87,7 @@ class _Writer:
         self._file.write(header_line(__version__, config.cell.name, began, devices))
         self._thread.start()
 
-    def hear(self, one: Passed) -> None:
+    def hear(self, one: WireMessage) -> None:
         """See Recorder."""
         if self._over:
             return

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from cryptography import x509
 
-from polishd.config.document import Document
+from polishd.config.document import TomlDocument
 from polishd.config.web import WebSection
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.secret import require_private
@@ -31,7 +31,7 @@ AGAIN_S = 86400.0
 class Certificate:
     """The files of ``[web]``, and the context that was made of them last. New connections use the newest context."""
 
-    def __init__(self, document: Document, cert: str, key: str, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, document: TomlDocument, cert: str, key: str, clock: Callable[[], float] = time.time) -> None:
         """ConfigError, with the key's line, where the files are no certificate with its key."""
         self._document, self._clock = document, clock
         self._cert, self._key = document.resolve(cert), document.resolve(key)
@@ -42,7 +42,7 @@ class Certificate:
         self._said: tuple[str, float] = ("", float("-inf"))
 
     @classmethod
-    def of(cls, document: Document, web: WebSection) -> Self | None:
+    def of(cls, document: TomlDocument, web: WebSection) -> Self | None:
         """None where the section names none. ConfigError as above."""
         return None if web.cert is None or web.key is None else cls(document, web.cert, web.key)
 

@@ -34,7 +34,7 @@ def hosts_of(web: WebSection) -> set[str]:
     return {"localhost", "127.0.0.1", "::1", web.address.lower(), *(host.lower() for host in web.hosts)}
 
 
-class Guard:
+class RequestGuard:
     """An ASGI application around another one."""
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], most_bytes: int = BODY_BYTES) -> None:

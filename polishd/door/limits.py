@@ -18,7 +18,7 @@ MOST_KEPT = 10_000
 """Addresses, and users at addresses, that are remembered."""
 
 
-class Rate:
+class RateLimiter:
     """A bucket for each name, which fills by ``PER_S``."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -35,7 +35,7 @@ class Rate:
         return left >= 1.0
 
 
-class Lockout:
+class LoginLockout:
     """Counts wrong tokens, by user and address and by address alone.
 
     A user who has signed in from an address is not locked out there by the wrong tokens of others.

@@ -9,15 +9,15 @@ from urllib.parse import urlsplit
 
 from starlette.requests import Request
 
-from polishd.door.limits import Lockout
-from polishd.door.users import User, Users, named_by
+from polishd.door.limits import LoginLockout
+from polishd.door.users import User, UserFile, named_by
 
 COOKIE = "polishd"
 MOST_SESSIONS = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class HttpSession:
     """A browser that has signed in, or a program that brings its token with each request."""
 
     user: User
@@ -25,19 +25,19 @@ class Session:
     """What a page must send along with whatever changes something; empty: of a program, which no other site can use."""
 
 
-class Sessions:
+class SessionStore:
     """Those of this process: with its end all are out."""
 
-    def __init__(self, users: Users) -> None:
-        self._users, self.lockout = users, Lockout()
-        self._of_cookie: dict[str, Session] = {}
+    def __init__(self, users: UserFile) -> None:
+        self._users, self.lockout = users, LoginLockout()
+        self._of_cookie: dict[str, HttpSession] = {}
 
-    def of(self, request: Request, *, exempt: bool = False) -> Session | None:
+    def of(self, request: Request, *, exempt: bool = False) -> HttpSession | None:
         """Whose request it is; ``exempt``: a token is looked at also from where too many wrong ones came."""
         bearer = request.headers.get("authorization", "")
         if bearer[:7].lower() == "bearer ":
             user = self.user_of(bearer[7:].strip(), address_of(request), exempt=exempt)
-            return None if user is None else Session(user)
+            return None if user is None else HttpSession(user)
         session = self._of_cookie.get(request.cookies.get(COOKIE, ""))
         if session is None or not self._users.still(session.user):
             return None
@@ -68,9 +68,9 @@ class Sessions:
             return self.lockout.locked(address, named_by(token))
         return not self.lockout.knows(address, user.name) and self.lockout.locked(address, user.name)
 
-    def begin(self, user: User) -> tuple[str, Session]:
+    def begin(self, user: User) -> tuple[str, HttpSession]:
         """A new one, and its cookie's value."""
-        cookie, session = secrets.token_urlsafe(32), Session(user, secrets.token_urlsafe(32))
+        cookie, session = secrets.token_urlsafe(32), HttpSession(user, secrets.token_urlsafe(32))
         self._of_cookie[cookie] = session
         while len(self._of_cookie) > MOST_SESSIONS:
             del self._of_cookie[next(iter(self._of_cookie))]
@@ -86,7 +86,7 @@ def address_of(request: Request) -> str:
     return "" if request.client is None else request.client.host
 
 
-def forged(request: Request, session: Session) -> str:
+def forged(request: Request, session: HttpSession) -> str:
     """Why a request that changes something is not of our own page; empty where it is, or of a program."""
     if foreign_origin(request):
         return "it comes from another site's page"

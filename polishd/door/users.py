@@ -48,7 +48,7 @@ def users_path(config: CellConfig) -> Path:
     return config.state_dir / FILE_NAME if config.web.users is None else config.resolve(config.web.users)
 
 
-class Users:
+class UserFile:
     """Those of one file. It is read anew at each question: who was removed is out at once."""
 
     def __init__(self, path: Path) -> None:

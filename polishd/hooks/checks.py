@@ -9,7 +9,7 @@ from typing import Any
 
 from polishd import hookspecs
 from polishd.config.cell import PORTS
-from polishd.config.places import did_you_mean, listed
+from polishd.config.places import did_you_mean, join_words
 from polishd.hookspecs import (
     API_VERSION,
     PROJECT,
@@ -34,7 +34,7 @@ DECLARATIONS: dict[str, type[Any]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedPlugin:
     """A plugin that was not loaded, and why."""
 
     name: str
@@ -62,7 +62,7 @@ def misspelt_hooks(plugin: Any) -> str | None:
         function = inspect.unwrap(member) if callable(member) else getattr(member, "__func__", None)
         marked = hasattr(function, f"{PROJECT}_impl")
         if name not in HOOKS and (marked or (name.startswith(f"{PROJECT}_") and inspect.isfunction(function))):
-            return f"{name} is no hook{did_you_mean(name, HOOKS)} Hooks: {listed(HOOKS)}"
+            return f"{name} is no hook{did_you_mean(name, HOOKS)} Hooks: {join_words(HOOKS)}"
         if name in HOOKS and not marked:
             return f"{name} is not marked; put @hookimpl from polishd.api before it"
     return None
@@ -83,12 +83,12 @@ def wrong_records(hook: str, records: Any) -> str | None:
             return f"{hook}: {kind_name} type {record.name!r}: {reason}"
     names = [record.name for record in records]
     twice = {name for name in names if names.count(name) > 1}
-    return f"{hook} declares {listed(twice)} twice" if twice else None
+    return f"{hook} declares {join_words(twice)} twice" if twice else None
 
 
 def _wrong_type(record: DeviceType | NotifierType) -> str | None:
     if isinstance(record, DeviceType) and record.port not in PORTS:
-        return f"port {record.port!r} does not exist; ports: {listed(PORTS)}"
+        return f"port {record.port!r} does not exist; ports: {join_words(PORTS)}"
     if not hasattr(record.options, "model_validate"):
         return "options must be a pydantic model"
     return None

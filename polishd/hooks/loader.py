@@ -14,8 +14,8 @@ from typing import Any
 import pluggy
 
 from polishd import hookspecs
-from polishd.config.places import did_you_mean, listed
-from polishd.hooks.checks import DECLARATIONS, Refused, misspelt_hooks, wrong_records, wrong_version
+from polishd.config.places import did_you_mean, join_words
+from polishd.hooks.checks import DECLARATIONS, RefusedPlugin, misspelt_hooks, wrong_records, wrong_version
 from polishd.hookspecs import (
     PROJECT,
     DeviceType,
@@ -39,7 +39,7 @@ SLOW_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Loaded:
+class LoadedPlugin:
     """A plugin in use. It has a plugin manager of its own, so a call reaches it and no other."""
 
     name: str
@@ -58,8 +58,8 @@ class Loaded:
 class PluginReport:
     """What was loaded, and what was refused and why."""
 
-    loaded: tuple[Loaded, ...]
-    refused: tuple[Refused, ...]
+    loaded: tuple[LoadedPlugin, ...]
+    refused: tuple[RefusedPlugin, ...]
 
     def require(self) -> None:
         """PluginError, naming each, where any was refused: a cell does not run without a part of its config."""
@@ -140,7 +140,7 @@ class Hooks:
     def _records(self, hook: str) -> dict[str, Any]:
         return {record.name: record for plugin in self.report.loaded for record in plugin.records[hook]}
 
-    def _with(self, hook: str) -> list[Loaded]:
+    def _with(self, hook: str) -> list[LoadedPlugin]:
         return [plugin for plugin in self.report.loaded if plugin.implements(hook)]
 
 
@@ -171,14 +171,14 @@ def installed() -> dict[str, list[str]]:
 
 
 def _load(names: Sequence[str], points: Sequence[EntryPoint], profiles: Sequence[Path] = ()) -> Hooks:
-    loaded: list[Loaded] = []
-    refused: list[Refused] = []
+    loaded: list[LoadedPlugin] = []
+    refused: list[RefusedPlugin] = []
     for name in names:
         found = _load_one(name, [point for point in points if point.name == name], points, profiles)
-        if isinstance(found, Loaded):
+        if isinstance(found, LoadedPlugin):
             reason = _taken(found, loaded)
-            found = Refused(name, reason) if reason else found
-        if isinstance(found, Loaded):
+            found = RefusedPlugin(name, reason) if reason else found
+        if isinstance(found, LoadedPlugin):
             loaded.append(found)
         else:
             refused.append(found)
@@ -188,25 +188,25 @@ def _load(names: Sequence[str], points: Sequence[EntryPoint], profiles: Sequence
 
 def _load_one(
     name: str, candidates: Sequence[EntryPoint], points: Sequence[EntryPoint], profiles: Sequence[Path]
-) -> Loaded | Refused:
+) -> LoadedPlugin | RefusedPlugin:
     if not candidates:
         known = {point.name for point in points}
-        return Refused(name, f"it is not installed{did_you_mean(name, known)} Installed: {listed(known)}")
+        return RefusedPlugin(name, f"it is not installed{did_you_mean(name, known)} Installed: {join_words(known)}")
     if len(candidates) > 1:
-        owners = listed(map(_distribution, candidates))
-        return Refused(name, f"more than one distribution registers that name ({owners}); uninstall all but one")
+        owners = join_words(map(_distribution, candidates))
+        return RefusedPlugin(name, f"more than one distribution registers that name ({owners}); uninstall all but one")
     (point,) = candidates
     try:
         plugin = point.load()
         reason = wrong_version(plugin) or misspelt_hooks(plugin)
         if reason:
-            return Refused(name, reason)
+            return RefusedPlugin(name, reason)
         manager = _manager(name, plugin)
         records = {hook: _declared(manager, hook, profiles) for hook in DECLARATIONS}
     except (Exception, SystemExit) as error:
         log.debug("plugin %s", name, exc_info=True)
-        return Refused(name, f"{_distribution(point)}, {point.value}: {type(error).__name__}: {error}")
-    return Loaded(name, _distribution(point), point.dist.version if point.dist else "", records, manager)
+        return RefusedPlugin(name, f"{_distribution(point)}, {point.value}: {type(error).__name__}: {error}")
+    return LoadedPlugin(name, _distribution(point), point.dist.version if point.dist else "", records, manager)
 
 
 def _manager(name: str, plugin: Any) -> pluggy.PluginManager:
@@ -230,13 +230,13 @@ def _declared(manager: pluggy.PluginManager, hook: str, profiles: Sequence[Path]
     return tuple(found)
 
 
-def _taken(plugin: Loaded, others: Sequence[Loaded]) -> str | None:
+def _taken(plugin: LoadedPlugin, others: Sequence[LoadedPlugin]) -> str | None:
     """The reason to refuse a plugin that declares a name which an earlier one has."""
     for hook, records in plugin.records.items():
         for other in others:
             both = _names(records) & _names(other.records[hook])
             if both:
-                return f"{hook}: plugin {other.name!r} has {listed(both)} already; load only one of the two"
+                return f"{hook}: plugin {other.name!r} has {join_words(both)} already; load only one of the two"
     return None
 
 

@@ -10,7 +10,7 @@ from polishd.model.surface import BoolArray, FloatArray, Grid
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class Estimate:
     """A number that is learned."""
 
     value: float
@@ -20,21 +20,21 @@ class Belief:
 
 
 @dataclass(frozen=True, slots=True)
-class Beliefs:
+class Estimates:
     """What a removal model believes of the process, carried over the cycles of a job and kept with its passes.
 
     A model that learns more than the rate has a subclass with fields of its own: whatever JSON can hold.
     """
 
-    rate: Belief = Belief(1.0)
+    rate: Estimate = Estimate(1.0)
     """Removal rate, relative to the model's own."""
 
 
-UNTAUGHT = Beliefs()
+UNTAUGHT = Estimates()
 
 
 @dataclass(frozen=True, slots=True)
-class MachineBeliefs(Beliefs):
+class MachineEstimates(Estimates):
     """What identification believes of a machine, by its parameters (docs/identification.md), 0 as it is configured."""
 
     applied: Mapping[str, float] = field(default_factory=dict)
@@ -60,10 +60,10 @@ class MapPixels:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class PassEvidence:
     """What a pass removed, for a removal model to learn from: the gate has found nothing wrong with it."""
 
-    beliefs: Beliefs
+    beliefs: Estimates
     """With which ``predicted_nm`` was predicted."""
     executed_s: FloatArray
     """(n,) s: time that each timed point really had."""
@@ -93,10 +93,10 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class EstimateUpdate:
     """What a pass taught a removal model."""
 
-    beliefs: Beliefs
+    beliefs: Estimates
     found: Mapping[str, Any] = field(default_factory=dict)
     """How it was found, JSON-ready: stands in ``learned.json``."""
     notes: tuple[str, ...] = ()

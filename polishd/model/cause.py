@@ -9,7 +9,7 @@ CauseName = Literal["map", "shift", "rate", "settling", "mount", "field"]
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
+class DiagnosisClass:
     """A class of causes."""
 
     members: str
@@ -18,32 +18,32 @@ class Cause:
     """What is done about it, and what a person can do."""
 
 
-CAUSES: dict[CauseName, Cause] = {
-    "map": Cause(
+CAUSES: dict[CauseName, DiagnosisClass] = {
+    "map": DiagnosisClass(
         "the map lies on the part otherwise than the instrument's profile says, or the program otherwise than "
         "program.rotation_deg",
         "held: prove the profile with polishd map commission",
     ),
-    "shift": Cause(
+    "shift": DiagnosisClass(
         "the part off its seat, the program's offset, the map's registration, or a spot off its place whose spindle "
         "leans one way",
         "held beyond half a millimetre; less is noted",
     ),
-    "rate": Cause(
+    "rate": DiagnosisClass(
         "a worn tool, the slurry, process.preston, a compliance that is off all over, a force or speed that nobody "
         "reads, or the factor of the map's heights",
         "held beyond what learning takes up; less is learned, and the next plan counts with it",
     ),
-    "settling": Cause(
+    "settling": DiagnosisClass(
         "a part that is warm still, or a set-up that bends it by other power or astigmatism",
         "measured again until it stays, and learned from the last map; held where the tolerance does not bear what "
         "still changes",
     ),
-    "mount": Cause(
+    "mount": DiagnosisClass(
         "three points of the mount that print through otherwise with each set-up",
         "held where the tolerance does not bear it: look at the mount's three points, and at how the part is clamped",
     ),
-    "field": Cause(
+    "field": DiagnosisClass(
         "a removal rate that changes over the part, or a set-up that changed before the last pass and stays",
         'noted: process.learns = "machine" learns a rate that changes over the part',
     ),
@@ -52,7 +52,7 @@ CAUSES: dict[CauseName, Cause] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
+class Diagnosis:
     """A cause that a loop names."""
 
     cause: CauseName

@@ -32,7 +32,7 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Concern:
+class OperatorNotice:
     """An event in the words of whoever is called at night; commands in it name ``CELL.toml``."""
 
     severity: Severity
@@ -45,7 +45,7 @@ class Concern:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Standing:
+class CellSafety:
     """How a cell stands, as its devices confirmed it, and what to do."""
 
     tool_off: str
@@ -71,11 +71,11 @@ class Standing:
             rows.append((f"{device} did not confirm", f"{why}; {advice}"))
         return rows
 
-    def concern(self, severity: Severity, what: str, does: str) -> Concern:
+    def concern(self, severity: Severity, what: str, does: str) -> OperatorNotice:
         """What happened to a cell that stands so; an alarm where a device did not confirm."""
         now = [does, *(f"{name}: {text}" for name, text in self.rows())]
-        return Concern(Severity.ALARM if self.unsafe else severity, what, "; ".join(now), self.next)
+        return OperatorNotice(Severity.ALARM if self.unsafe else severity, what, "; ".join(now), self.next)
 
 
-NOT_ASKED = Standing(tool_off="not asked", robot_at_rest="not asked", unsafe=(), next="")
+NOT_ASKED = CellSafety(tool_off="not asked", robot_at_rest="not asked", unsafe=(), next="")
 """Nothing is known of its devices."""

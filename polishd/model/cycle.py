@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 
-class Phase(StrEnum):
+class CyclePhase(StrEnum):
     """The phases of a cycle, in time order; those beside measuring and polishing only where the cell asks for them."""
 
     CLEAN = "clean"

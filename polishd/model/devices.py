@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+RegisterTable = Literal["holding", "input", "coil", "discrete"]
+"""The four tables of Modbus."""
 RobotState = Literal["idle", "held", "running", "done", "fault"]
 
 
@@ -14,7 +16,7 @@ def port_of(device: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class DeviceIdentity:
     """Who answered: the same for real and simulated devices."""
 
     vendor: str
@@ -93,7 +95,7 @@ class SpeedSample:
 
 
 @dataclass(frozen=True, slots=True)
-class Executed:
+class ExecutedBlock:
     """A block that the robot has executed: not accepted, executed. Times are the controller's own process clock."""
 
     seq: int
@@ -126,7 +128,7 @@ class MapRefusal:
     file: str
     """Name of the file, as it came."""
     kind: str
-    """Class of the error: ``BadMap``, ``StaleMap``, ``WrongPart``."""
+    """Class of the error: ``MapError``, ``StaleMap``, ``WrongPart``."""
     reason: str
     todo: str
     """What the operator can do."""

@@ -16,7 +16,7 @@ AS_PROGRAMMED: Choice = "as_programmed"
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate:
+class OptimalityCertificate:
     """What is known of a dwell solution, measured on the solution itself in float64."""
 
     solver: str
@@ -53,7 +53,7 @@ class Certificate:
 
 
 @dataclass(frozen=True, slots=True)
-class KeptStart:
+class WarmStart:
     """A start that was kept with a run."""
 
     time_s: FloatArray
@@ -70,12 +70,12 @@ class DwellSolution:
     """(ny, nx) predicted removal on the process grid."""
     residual_nm: FloatArray
     """(ny, nx) predicted surface after the pass, NaN outside the mask."""
-    certificate: Certificate
+    certificate: OptimalityCertificate
     lower_s: FloatArray = field(repr=False)
     upper_s: FloatArray = field(repr=False)
     state: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     """What its solver can start from again, by name; kept with the run."""
 
 
-Start = KeptStart | DwellSolution
+Start = WarmStart | DwellSolution
 """Where a solver can start: what was kept of a run, or a solution of a problem much like its own."""

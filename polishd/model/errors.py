@@ -87,7 +87,7 @@ class StaleMap(SurfaceError):
     """The map is older than the pass it should judge, or was taken already."""
 
 
-class BadMap(SurfaceError):
+class MapError(SurfaceError):
     """The map's file is broken, unreadable or implausible."""
 
 
@@ -95,11 +95,11 @@ class WrongPart(SurfaceError):
     """The map shows another part than the job's."""
 
 
-class NotSettled(SurfaceError):
+class PartNotSettled(SurfaceError):
     """Maps of a part that nobody touches go on changing."""
 
 
-class GateStop(PolishdError):
+class RemovalCheckStop(PolishdError):
     """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
 
     exit_code = 10
@@ -189,9 +189,9 @@ class SeatNotLeft(WrongSeat):
     """A touch-off found no part, and the robot stands there still."""
 
 
-class BadRequestError(PolishdError):
+class BatchRequestError(PolishdError):
     """A request to the batch plant that cannot be served."""
 
 
-class BrokenFrameError(PolishdError):
+class FrameError(PolishdError):
     """Where the next message to the batch plant begins is not known any more: the connection ends."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Annotated, Any, ClassVar
 
-from polishd.model.concern import Concern
+from polishd.model.concern import OperatorNotice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class Event:
         """``{"name", "cycle", "data"}``, as a subscriber gets it."""
         return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
 
-    def concern(self) -> Concern | None:
+    def concern(self) -> OperatorNotice | None:
         """Nobody's."""
         return None
 

@@ -10,17 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from polishd.model.concern import NOT_ASKED, Concern, Severity, Standing
-from polishd.model.devices import Identity
-from polishd.model.dwell import Certificate
+from polishd.model.concern import NOT_ASKED, CellSafety, OperatorNotice, Severity
+from polishd.model.devices import DeviceIdentity
+from polishd.model.dwell import OptimalityCertificate
 from polishd.model.event import Event as Event  # noqa: PLC0414 - its kinds and it are imported from here
-from polishd.model.handling import Seat
-from polishd.model.shop_events import RateOffered as RateOffered  # noqa: PLC0414 - as above
+from polishd.model.handling import PartSeat
+from polishd.model.shop_events import ShopRateReceived as ShopRateReceived  # noqa: PLC0414 - as above
 from polishd.model.surface import SurfaceStats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JobBegun(Event):
+class JobStarted(Event):
     """A job of the queue begins, or goes on after a restart; its part is put in next."""
 
     name: ClassVar[str] = "job_begun"
@@ -36,15 +36,15 @@ STANDING = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartWanted(Event):
+class PartRequested(Event):
     """A person is to put a part in; nothing moves before."""
 
     name: ClassVar[str] = "part_wanted"
     job: Annotated[str, "the `job.id` of its job"]
     part_id: Annotated[str, "the part"]
-    standing: Annotated[Standing, STANDING]
+    standing: Annotated[CellSafety, STANDING]
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Warning; alarm where a device did not confirm, too."""
         what = f"{self.job}: a person is to put part {self.part_id!r} in"
         return self.standing.concern(Severity.WARNING, what, "it waits for that")
@@ -60,7 +60,7 @@ class PartChanged(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JobEnded(Event):
+class QueueJobEnded(Event):
     """A job of the queue is over."""
 
     name: ClassVar[str] = "job_ended"
@@ -71,36 +71,36 @@ class JobEnded(Event):
     stops: Annotated[str, "why the queue stops over it; empty where it goes on"]
     run_dir: Annotated[str, "the run folder; empty where the job never began"]
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Info where accepted, else warning."""
         severity = Severity.INFO if self.verdict == "accepted" else Severity.WARNING
         what = f"{self.job} (part {self.part_id}) was {self.verdict}: {self.reason}"
         does = f"the queue stops: {self.stops}" if self.stops else "the queue goes on"
-        return Concern(severity, what, does, "polishd job list CELL.toml shows the queue")
+        return OperatorNotice(severity, what, does, "polishd job list CELL.toml shows the queue")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class QueueEnded(Event):
+class QueueStopped(Event):
     """The daemon of a queue ends; not where an error ended it."""
 
     name: ClassVar[str] = "queue_ended"
     outcome: Annotated[str, "`empty`, `stopped`, or the outcome of the job over which it stopped"]
     reason: Annotated[str, "why it was stopped; else empty"]
     jobs: Annotated[str, "how many jobs of this run ended how"]
-    standing: Annotated[Standing, "as of `state`"]
+    standing: Annotated[CellSafety, "as of `state`"]
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Info; alarm where a device did not confirm."""
         what = ": ".join(filter(None, [f"queue: {self.outcome}", self.reason]))
         return self.standing.concern(Severity.INFO, f"{what}; jobs: {self.jobs}", "the daemon has ended")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Opened(Event):
+class CellOpened(Event):
     """All devices of the cell answered and said who they are."""
 
     name: ClassVar[str] = "opened"
-    devices: Annotated[Mapping[str, Identity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
+    devices: Annotated[Mapping[str, DeviceIdentity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,9 +110,9 @@ class StateChanged(Event):
     name: ClassVar[str] = "state"
     state: Annotated[str, "`starting`, `idle`, `changing`, `polishing`, `held` or `finished`"]
     reason: Annotated[str, "why it is held, or how the job ended"]
-    standing: Annotated[Standing, STANDING]
+    standing: Annotated[CellSafety, STANDING]
 
-    def concern(self) -> Concern | None:
+    def concern(self) -> OperatorNotice | None:
         """Warning where the cell is held; alarm where a device did not confirm, too."""
         if self.state != "held":
             return None
@@ -120,7 +120,7 @@ class StateChanged(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ordered(Event):
+class CommandReceived(Event):
     """A person, or a program for one, gave an order over the socket."""
 
     name: ClassVar[str] = "ordered"
@@ -130,7 +130,7 @@ class Ordered(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Acknowledged(Event):
+class AlarmAcknowledged(Event):
     """A person has seen alarms."""
 
     name: ClassVar[str] = "acknowledged"
@@ -139,7 +139,7 @@ class Acknowledged(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ContactBroken(Event):
+class ContactAborted(Event):
     """An error in contact was noticed, and the tool is being lifted; `held` or `failed` follows once all is safe."""
 
     name: ClassVar[str] = "contact_broken"
@@ -148,7 +148,7 @@ class ContactBroken(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held(Event):
+class CellHeld(Event):
     """An error that a person can mend holds the cell, or any error ends a job of the queue."""
 
     name: ClassVar[str] = "held"
@@ -157,15 +157,15 @@ class Held(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Failed(Event):
+class DaemonFailed(Event):
     """An error ended the daemon."""
 
     name: ClassVar[str] = "failed"
     error: Annotated[str, "what was wrong, and what to do"]
     kind: Annotated[str, "the error's class"]
-    standing: Annotated[Standing, "as of `state`"] = NOT_ASKED
+    standing: Annotated[CellSafety, "as of `state`"] = NOT_ASKED
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Alarm."""
         return self.standing.concern(Severity.ALARM, f"failed: {self.kind}: {self.error}", "the daemon has ended")
 
@@ -176,23 +176,23 @@ class MapRefused(Event):
 
     name: ClassVar[str] = "map_refused"
     file: Annotated[str, "name of the file"]
-    kind: Annotated[str, "the error's class: `BadMap`, `StaleMap`, `WrongPart`"]
+    kind: Annotated[str, "the error's class: `MapError`, `StaleMap`, `WrongPart`"]
     reason: Annotated[str, "why it was refused"]
     todo: Annotated[str, "what to do"]
     kept: Annotated[str, "where the file is kept; empty where it could not be moved"]
     waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Warning: no map comes by itself."""
         since = f", refused {self.waited_s / 60:.0f} min ago" if self.waited_s else ""
         waits = "the cell measures: it waits for another map; nothing moves"
-        return Concern(
+        return OperatorNotice(
             Severity.WARNING, f"map {self.file} refused: {self.kind}: {self.reason}{since}", waits, self.todo
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured(Event):
+class MapMeasured(Event):
     """A map was taken, and conditioned."""
 
     name: ClassVar[str] = "measured"
@@ -211,7 +211,7 @@ class Measured(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Repeated(Event):
+class MapRepeated(Event):
     """Another map was taken, to see whether the part has settled, or what of a pass's change is none of the pass."""
 
     name: ClassVar[str] = "repeated"
@@ -222,7 +222,7 @@ class Repeated(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GateStopped(Event):
+class RemovalCheckFailed(Event):
     """The gate stopped a map: another lay explains it better than the last pass."""
 
     name: ClassVar[str] = "gate_stopped"
@@ -231,7 +231,7 @@ class GateStopped(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Learned(Event):
+class EstimatesUpdated(Event):
     """The last pass was compared with what it removed."""
 
     name: ClassVar[str] = "learned"
@@ -244,7 +244,7 @@ class Learned(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SignalWrong(Event):
+class SignalOutOfRange(Event):
     """A signal of the cell is not as it must be before contact, or in it."""
 
     name: ClassVar[str] = "signal_wrong"
@@ -252,15 +252,15 @@ class SignalWrong(Event):
     what: Annotated[str, "how it is, and how it must be"]
     leads_to: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
 
-    def concern(self) -> Concern | None:
+    def concern(self) -> OperatorNotice | None:
         """Warning where nothing but this follows; what else follows tells of itself."""
         if self.leads_to != "notify":
             return None
-        return Concern(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
+        return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found(Event):
+class FindingReported(Event):
     """The last pass, with those before it, shows a stall, a drift, a worn tool or another spot."""
 
     name: ClassVar[str] = "found"
@@ -270,12 +270,13 @@ class Found(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solved(Event):
+class DwellSolved(Event):
     """The dwell of the next pass was solved."""
 
     name: ClassVar[str] = "solved"
     certificate: Annotated[
-        Certificate, "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and all else that `certificate.json` has"
+        OptimalityCertificate,
+        "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and all else that `certificate.json` has",
     ]
 
 
@@ -289,12 +290,12 @@ class ToolMounted(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TouchedOff(Event):
+class PartTouchedOff(Event):
     """The tool met the part at three places, and their heights say how it sits."""
 
     name: ClassVar[str] = "touched_off"
     seat: Annotated[
-        Seat,
+        PartSeat,
         "`height_mm`: how much too high the centre is; `tilt_deg` about x and y; `off_mm` of each place; `worst_mm`: "
         "most that any point of the part is off",
     ]
@@ -303,7 +304,7 @@ class TouchedOff(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlanWaits(Event):
+class PlanAwaitingApproval(Event):
     """A plan waits for a person's `approve`; nothing moves before (`job.approve`)."""
 
     name: ClassVar[str] = "plan_waits"
@@ -311,14 +312,14 @@ class PlanWaits(Event):
     predicted_rms_nm: Annotated[float, "RMS that it is to leave, nm"]
     dwell_s: Annotated[float, "s in contact, as planned"]
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Warning."""
         what = f"a plan of {self.dwell_s / 60:.1f} min to {self.predicted_rms_nm:.2f} nm waits for approval"
-        return Concern(Severity.WARNING, what, "nothing moves", "look at it, then: polishd approve CELL.toml")
+        return OperatorNotice(Severity.WARNING, what, "nothing moves", "look at it, then: polishd approve CELL.toml")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Approved(Event):
+class PlanApproved(Event):
     """A person has said that the plan that waited may run."""
 
     name: ClassVar[str] = "approved"
@@ -327,7 +328,7 @@ class Approved(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PassBegun(Event):
+class PassStarted(Event):
     """A pass is journalled; the robot starts next."""
 
     name: ClassVar[str] = "pass_begun"
@@ -342,7 +343,7 @@ class PassBegun(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress(Event):
+class PassProgressed(Event):
     """Some blocks more were executed in contact."""
 
     name: ClassVar[str] = "progress"
@@ -358,7 +359,7 @@ class PassEnded(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JobFinished(Event):
+class RunFolderCompleted(Event):
     """The run of a job is over, whichever way; the run folder is whole."""
 
     name: ClassVar[str] = "job_finished"
@@ -367,9 +368,9 @@ class JobFinished(Event):
         str, "`in_tolerance`, `cycles_used`, `as_programmed`, `diverged`, `stalled`, `stopped` or `failed`"
     ]
     reason: Annotated[str, "why it was stopped or failed, or what of a queue was decided; else empty"] = ""
-    standing: Annotated[Standing | None, "as of `state`; None where the daemon goes on"] = None
+    standing: Annotated[CellSafety | None, "as of `state`; None where the daemon goes on"] = None
 
-    def concern(self) -> Concern | None:
+    def concern(self) -> OperatorNotice | None:
         """Info where in tolerance or stopped, else warning; alarm where a device did not confirm. Not where failed."""
         if self.standing is None or self.outcome == "failed":
             return None
@@ -388,10 +389,10 @@ class NotificationFailed(Event):
     waiting: Annotated[int, "how many wait for it to work again"]
     given_up: Annotated[int, "how many were too old or too many, and are only in the log"] = 0
 
-    def concern(self) -> Concern:
+    def concern(self) -> OperatorNotice:
         """Warning, through the other notifiers."""
         lost = f"; given up: {self.given_up}" if self.given_up else ""
-        return Concern(
+        return OperatorNotice(
             Severity.WARNING,
             f"notifications by {self.notifier!r} fail: {self.error}",
             f"the cell goes on; waiting until it works again: {self.waiting}{lost}",
@@ -408,9 +409,9 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    Opened, StateChanged, Ordered, Acknowledged, Held, Failed, JobBegun, PartWanted, PartChanged, MapRefused,
-    Measured, Repeated, GateStopped, Learned, Found, Solved, ToolMounted, TouchedOff, SignalWrong, PlanWaits, Approved,
-    PassBegun, Progress, ContactBroken, PassEnded, JobFinished, JobEnded, QueueEnded, NotificationFailed, RateOffered,
+    CellOpened, StateChanged, CommandReceived, AlarmAcknowledged, CellHeld, DaemonFailed, JobStarted, PartRequested, PartChanged, MapRefused,
+    MapMeasured, MapRepeated, RemovalCheckFailed, EstimatesUpdated, FindingReported, DwellSolved, ToolMounted, PartTouchedOff, SignalOutOfRange, PlanAwaitingApproval, PlanApproved,
+    PassStarted, PassProgressed, ContactAborted, PassEnded, RunFolderCompleted, QueueJobEnded, QueueStopped, NotificationFailed, ShopRateReceived,
     PlanWritten,
 )  # fmt: skip
 """Every kind, in the order in which they come in a job."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from polishd.model.beliefs import Belief
+from polishd.model.beliefs import Estimate
 
 Kind = Literal["stall", "drift", "wear", "spot"]
 Stops = Literal["job", "cell"]
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class PassIndicators:
     """What a pass showed. RMS is of the process grid, as the plan's prediction is: map noise and ripple are not in it.
 
     What a pass was too weak, or too even, to show is None.
@@ -25,11 +25,11 @@ class Shown:
     within_reach_nm: float | None
     """Of what is left, the RMS of periods that the spot corrects."""
     contact_s: float
-    rate: Belief | None
+    rate: Estimate | None
     """Removal rate, relative to the model's own."""
-    fade: Belief | None
+    fade: Estimate | None
     """Change of the rate from the pass's begin to its end, of its mean."""
-    width: Belief | None
+    width: Estimate | None
     """By how much the spot is wider than the model's, relative."""
     expected_nm: tuple[float, float] | None = None
     """Between which ``seen_nm`` was expected, with a chance of nine in ten; None: nothing was."""
@@ -38,14 +38,14 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class PassSeries:
     """Passes by one process, over jobs, since the tool was last looked at."""
 
     process: str
     """What identifies the process: passes by another are no part of it."""
     passes: int = 0
     contact_h: float = 0.0
-    reference: Belief | None = None
+    reference: Estimate | None = None
     """Mean rate of the first of them that showed it."""
     rated: int = 0
     """How many showed it."""

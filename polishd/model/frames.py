@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from polishd.model.errors import BrokenFrameError
+from polishd.model.errors import FrameError
 from polishd.model.surface import FloatArray
 
 WIDTHS = {"f8": 8, "f4": 4}
@@ -25,13 +25,13 @@ def read(stream: BinaryIO) -> tuple[dict[str, Any], dict[str, FloatArray]] | Non
         message = json.loads(line)
         shapes = {str(array["name"]): _shape(array) for array in message.get("arrays", ())}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise BrokenFrameError(f"a line of JSON that names its arrays comes first, not {line[:80]!r}") from error
+        raise FrameError(f"a line of JSON that names its arrays comes first, not {line[:80]!r}") from error
     arrays = {}
     for name, (kind, shape) in shapes.items():
         size = WIDTHS[kind] * math.prod(shape)
         data = stream.read(size)
         if len(data) < size:
-            raise BrokenFrameError(f"arrays: {name}: {len(data)} of {size} bytes came before the end")
+            raise FrameError(f"arrays: {name}: {len(data)} of {size} bytes came before the end")
         arrays[name] = np.frombuffer(data, f"<{kind}").astype(np.float64).reshape(shape)
     return message, arrays
 

@@ -48,7 +48,7 @@ LEAST_MM, LEAST_DEG = 0.0005, 0.0005
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
+class PartSeat:
     """How a part sits, against what the cell's file says."""
 
     height_mm: float
@@ -73,7 +73,7 @@ class Seat:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class HandlingStep:
     """Something that a person or a program does while the tool is up and nothing moves."""
 
     person: str = ""
@@ -85,7 +85,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Settle:
+class SettleRule:
     """When a part counts as settled: two maps in a row agree."""
 
     limit_nm: float
@@ -97,14 +97,14 @@ class Settle:
 
 
 @dataclass(frozen=True, slots=True)
-class Between:
+class BetweenPasses:
     """What happens between passes; None: nothing."""
 
-    clean: Step | None = None
-    settle: Settle | None = None
-    condition: Step | None = None
-    change: Step = Step()
+    clean: HandlingStep | None = None
+    settle: SettleRule | None = None
+    condition: HandlingStep | None = None
+    change: HandlingStep = HandlingStep()
     """Of the tool, where there are several; one that says nothing: a person mounts it."""
 
 
-NOTHING = Between()
+NOTHING = BetweenPasses()

@@ -11,7 +11,7 @@ RegisterBy = Literal["none", "aperture", "fiducials", "both"]
 
 
 @dataclass(frozen=True, slots=True)
-class Commissioned:
+class CommissioningRecord:
     """The proof of a profile: an artefact with an asymmetric bump was measured and found the right way round."""
 
     at: datetime
@@ -27,7 +27,7 @@ class Commissioned:
 
 
 @dataclass(frozen=True, slots=True)
-class Unseen:
+class UnmeasuredTerms:
     """How large the instrument's own terms may be where nothing has told them: one standard deviation, nm RMS.
 
     Those of a transmission flat of a twentieth of a wave: much power and astigmatism, less of what polishing evens out.
@@ -50,7 +50,7 @@ class Unseen:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
+class SystemErrorRecord:
     """The record of a system map: the instrument's own error was told from maps of a part that was turned."""
 
     map: str
@@ -97,7 +97,7 @@ class Instrument:
     """Most shift against the last map of the same part."""
     repeatability_nm: float | None = None
     """RMS of what one map of a part has and the mean of many has not; None: not known."""
-    unseen: Unseen = Unseen()
-    commissioned: Commissioned | None = None
+    unseen: UnmeasuredTerms = UnmeasuredTerms()
+    commissioned: CommissioningRecord | None = None
     raw: Mapping[str, Any] = field(default_factory=dict)
     """The values as the file gives them."""

@@ -9,7 +9,7 @@ from polishd.model.event import Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RateOffered(Event):
+class ShopRateReceived(Event):
     """The shop tells what another cell has learned of a recipe; a job begins with it where this cell has no lesson."""
 
     name: ClassVar[str] = "rate_offered"

@@ -10,7 +10,7 @@ LeadsTo = Literal["notify", "hold", "lift", "estop"]
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class SignalRange:
     """A state, or a range; None: no bound."""
 
     min: float | None = None
@@ -53,15 +53,15 @@ class SignalLimits:
     signal: str
     """As that calls it."""
     unit: str
-    before: Bounds | None
+    before: SignalRange | None
     """What it must be before contact."""
     wait_s: float
     """So long that is waited for."""
-    in_contact: Bounds | None
+    in_contact: SignalRange | None
     grace_s: float
     """So long it may be outside in contact."""
     leads_to: LeadsTo
-    on_order: Bounds | None = None
+    on_order: SignalRange | None = None
     """What it must be when a person orders motion."""
     measures_force: bool = False
     """It reads the force on the part, N."""

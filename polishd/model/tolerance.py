@@ -18,7 +18,7 @@ Accept = Literal["figure", "bound", "bound_without_power"]
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ToleranceLine:
     """One line of the drawing: a figure over stated periods, and the most that it may be."""
 
     figure: Figure

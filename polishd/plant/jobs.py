@@ -14,7 +14,7 @@ from asyncua.common.instantiate_util import instantiate
 
 from polishd.model.cycle import Outcome
 from polishd.plant.values import Status, good, node_id, nothing
-from polishd.plant.work import Figure, Order
+from polishd.plant.work import OpcUaJob, OpcUaResultValue
 
 ISA95 = "http://opcfoundation.org/UA/ISA95-JOBCONTROL_V2/"
 JOBS = "http://opcfoundation.org/UA/Machinery/Jobs/"
@@ -38,18 +38,18 @@ TYPES: Any = ua
 """Of the models: asyncua makes their classes while the server starts."""
 
 
-class Jobs:
+class OpcUaJobs:
     """The jobs and results of one cell."""
 
     def __init__(self, server: Server, control: Node, responses: Node, results: Node) -> None:
         self._server, self._control, self._responses, self._results = server, control, responses, results
         self._isa95 = 0
-        self._told: tuple[Order, ...] | None = None
+        self._told: tuple[OpcUaJob, ...] | None = None
         self._going: bool | None = None
         self._places: list[tuple[Node, Node, Node]] = []
 
     @classmethod
-    async def added(cls, server: Server, management: Node, results: Node) -> Jobs:
+    async def added(cls, server: Server, management: Node, results: Node) -> OpcUaJobs:
         """To these two, which are of the types JobManagementType and ResultManagementType."""
         isa95, jobs = [await server.get_namespace_index(uri) for uri in (ISA95, JOBS)]
         control = await management.get_child(ua.QualifiedName("JobOrderControl", jobs))
@@ -79,7 +79,7 @@ class Jobs:
         server.link_method(by_state, found._by_state)
         return found
 
-    async def told(self, orders: Sequence[Order] | None, going: bool | None) -> None:
+    async def told(self, orders: Sequence[OpcUaJob] | None, going: bool | None) -> None:
         """As the journal has them; None: it cannot be read.
 
         ``going``: whether the one under way goes on; None: nobody knows what became of it since.
@@ -100,7 +100,7 @@ class Jobs:
             await self._state_is(next((one for one in now if one.state == "Running"), None), current, number)
         await self._results_are(None if now is None else [one for one in now if one.end and one.number is not None])
 
-    async def _state_is(self, order: Order | None, current: Node, number: Node) -> None:
+    async def _state_is(self, order: OpcUaJob | None, current: Node, number: Node) -> None:
         """The state machine is that of the job under way: without one it has no state."""
         if order is None:
             await self._write(nothing(Status.BadNoData), current, number)
@@ -109,7 +109,7 @@ class Jobs:
         await self._write(good(ua.LocalizedText(self._said(order), "en")), current)
         await self._write(good(node_id(states[self._said(order)], self._isa95)), number)
 
-    async def _results_are(self, ended: Sequence[Order] | None) -> None:
+    async def _results_are(self, ended: Sequence[OpcUaJob] | None) -> None:
         """The latest first; there are as many variables as there were ever results."""
         latest = [] if ended is None else list(reversed(ended))[:MOST_RESULTS]
         while len(self._places) < len(latest):
@@ -141,17 +141,17 @@ class Jobs:
         for node in nodes:
             await self._server.write_attribute_value(node.nodeid, value)
 
-    def _said(self, order: Order) -> str:
+    def _said(self, order: OpcUaJob) -> str:
         """Its state: one under way that nobody works on now is interrupted."""
         return "Interrupted" if order.state == "Running" and not self._going else order.state
 
-    def _states(self, order: Order) -> list[Any]:
+    def _states(self, order: OpcUaJob) -> list[Any]:
         """The state on top alone, whose path is null: there are no substates."""
         name = self._said(order)
         text, number = ua.LocalizedText(name, "en"), STATES.index(name) + 1
         return [TYPES.ISA95StateDataType(BrowsePath=ua.RelativePath(), StateText=text, StateNumber=number)]
 
-    def _and_state(self, order: Order) -> Any:
+    def _and_state(self, order: OpcUaJob) -> Any:
         part = TYPES.ISA95MaterialDataType(MaterialLotID=order.part_id, MaterialUse="Produced")
         job = TYPES.ISA95JobOrderDataType(
             JobOrderID=order.name,
@@ -161,7 +161,7 @@ class Jobs:
         )
         return TYPES.ISA95JobOrderAndStateDataType(JobOrder=job, State=self._states(order))
 
-    def _response(self, order: Order) -> Any:
+    def _response(self, order: OpcUaJob) -> Any:
         return TYPES.ISA95JobResponseDataType(
             JobResponseID=order.id, JobOrderID=order.name, JobState=self._states(order),
             Description=ua.LocalizedText(_words(order), "en"), StartTime=_time(order.began_s),
@@ -187,14 +187,14 @@ class Jobs:
             return [_several([]), _status(UNKNOWN_STATE)]
         return [_several([self._response(one) for one in known if self._said(one) == asked]), _status(NO_ERROR)]
 
-    def _known(self) -> list[Order] | None:
+    def _known(self) -> list[OpcUaJob] | None:
         """Those that have a response."""
         if self._told is None or self._going is None:
             return None
         return [one for one in self._told if one.number is not None]
 
 
-def _result(order: Order) -> Any:
+def _result(order: OpcUaJob) -> Any:
     times = None
     if order.began_s is not None and order.ended_s is not None:
         times = TYPES.ProcessingTimesDataType(StartTime=_time(order.began_s), EndTime=_time(order.ended_s))
@@ -205,26 +205,26 @@ def _result(order: Order) -> Any:
         CreationTime=_time(order.ended_s), ProcessingTimes=times, ResultEvaluation=verdict,
         ResultEvaluationDetails=ua.LocalizedText(_words(order), "en"),
     )  # fmt: skip
-    content = [ua.Variant(_pair(one)) for one in (Figure("Outcome", order.end), *order.figures)]
+    content = [ua.Variant(_pair(one)) for one in (OpcUaResultValue("Outcome", order.end), *order.figures)]
     return TYPES.ResultDataType(ResultMetaData=meta, ResultContent=content)
 
 
-def _accepted(order: Order) -> bool:
+def _accepted(order: OpcUaJob) -> bool:
     return order.end == Outcome.IN_TOLERANCE or (order.end == "accepted" and order.holds is not False)
 
 
-def _words(order: Order) -> str:
+def _words(order: OpcUaJob) -> str:
     """How it ended, and why."""
     return ": ".join(filter(None, (order.end.replace("_", " "), order.why))) or "under way"
 
 
-def _pair(figure: Figure) -> ua.KeyValuePair:
+def _pair(figure: OpcUaResultValue) -> ua.KeyValuePair:
     """Of the base model: each client reads it. The unit is in its name."""
     unit = f" [{figure.unit}]" if figure.unit else ""
     return ua.KeyValuePair(ua.QualifiedName(figure.name + unit), ua.Variant(figure.value))
 
 
-def _parameter(figure: Figure) -> Any:
+def _parameter(figure: OpcUaResultValue) -> Any:
     unit = None
     if figure.unit == "nm":
         text = ua.LocalizedText("nm"), ua.LocalizedText("nanometre", "en")

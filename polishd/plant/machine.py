@@ -16,10 +16,10 @@ from asyncua import Node, Server, ua
 
 from polishd import __version__
 from polishd.config.plant import OpcUaSection
-from polishd.plant.jobs import JOB_MANAGEMENT, JOBS, RESULT_MANAGEMENT, RESULTS, Jobs
-from polishd.plant.states import GOING, NO_DAEMON, STATES, Said
+from polishd.plant.jobs import JOB_MANAGEMENT, JOBS, RESULT_MANAGEMENT, RESULTS, OpcUaJobs
+from polishd.plant.states import GOING, NO_DAEMON, STATES, MachineStates
 from polishd.plant.values import Status, good, node_id, nothing, stated
-from polishd.plant.work import Order
+from polishd.plant.work import OpcUaJob
 
 DI, MACHINERY = "http://opcfoundation.org/UA/DI/", "http://opcfoundation.org/UA/Machinery/"
 FILES = (
@@ -44,7 +44,7 @@ EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, WHOLE: 0, BOOLEAN:
 """What a variable is made with; nobody sees it, as it is told to be unknown before anybody can ask."""
 
 
-class Shown(NamedTuple):
+class OpcUaSnapshot(NamedTuple):
     """A variable of polishd's own: where it stands in ``live``, and its type."""
 
     name: str
@@ -54,31 +54,36 @@ class Shown(NamedTuple):
 
 
 SHOWN = (
-    Shown("State", ("state",), TEXT, "What the daemon does."),
-    Shown("Reason", ("reason",), TEXT, "Why it is held, or ended."),
-    Shown("Next", ("next",), TEXT, "What a person is to do."),
-    Shown("Job", ("job",), TEXT, "The job under way."),
-    Shown("Part", ("part",), TEXT, "Its part."),
-    Shown("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
-    Shown("Phase", ("phase",), TEXT, "Of the cycle."),
-    Shown("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
-    Shown("Force_N", ("told", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
-    Shown("SensedForce_N", ("told", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
-    Shown("SpindleSpeed_rpm", ("told", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
+    OpcUaSnapshot("State", ("state",), TEXT, "What the daemon does."),
+    OpcUaSnapshot("Reason", ("reason",), TEXT, "Why it is held, or ended."),
+    OpcUaSnapshot("Next", ("next",), TEXT, "What a person is to do."),
+    OpcUaSnapshot("Job", ("job",), TEXT, "The job under way."),
+    OpcUaSnapshot("Part", ("part",), TEXT, "Its part."),
+    OpcUaSnapshot("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
+    OpcUaSnapshot("Phase", ("phase",), TEXT, "Of the cycle."),
+    OpcUaSnapshot("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
+    OpcUaSnapshot("Force_N", ("told", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
+    OpcUaSnapshot("SensedForce_N", ("told", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
+    OpcUaSnapshot("SpindleSpeed_rpm", ("told", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
 )
 
 
-class Machine:
+class OpcUaMachine:
     """One cell's node, and how its values are told; made by ``added``."""
 
     def __init__(
-        self, server: Server, namespace: int, own: Mapping[Shown, Node], item: tuple[Node, Node], jobs: Jobs
+        self,
+        server: Server,
+        namespace: int,
+        own: Mapping[OpcUaSnapshot, Node],
+        item: tuple[Node, Node],
+        jobs: OpcUaJobs,
     ) -> None:
         self._server, self._namespace, self._own = server, namespace, own
         (self._state, self._mode), self._jobs = item, jobs
 
     @classmethod
-    async def added(cls, server: Server, name: str, section: OpcUaSection) -> Machine:
+    async def added(cls, server: Server, name: str, section: OpcUaSection) -> OpcUaMachine:
         """Import the companion models, and put the cell under ``Machines``."""
         await _models(server)
         machinery = await server.get_namespace_index(MACHINERY)
@@ -108,7 +113,7 @@ class Machine:
         mode = await block("MachineryOperationMode", OPERATION_MODE, machinery)
         management = await block("JobManagement", JOB_MANAGEMENT, await server.get_namespace_index(JOBS))
         results = await block("ResultManagement", RESULT_MANAGEMENT, await server.get_namespace_index(RESULTS))
-        jobs = await Jobs.added(server, management, results)
+        jobs = await OpcUaJobs.added(server, management, results)
         cell = await machine.add_object(id_("Cell"), ua.QualifiedName("Cell", own))
         shown = {}
         for one in SHOWN:
@@ -121,7 +126,7 @@ class Machine:
         await found.silent(None)
         return found
 
-    async def told(self, live: Mapping[str, Any], orders: Sequence[Order] | None) -> None:
+    async def told(self, live: Mapping[str, Any], orders: Sequence[OpcUaJob] | None) -> None:
         """What the daemon has just answered to ``live``; orders: of the journal, None: it cannot be read."""
         now = datetime.now(UTC)
         await self._said(STATES[live["state"]])
@@ -129,19 +134,19 @@ class Machine:
         for one, node in self._own.items():
             await self._server.write_attribute_value(node.nodeid, _of(live, one, now))
 
-    async def no_daemon(self, orders: Sequence[Order] | None) -> None:
+    async def no_daemon(self, orders: Sequence[OpcUaJob] | None) -> None:
         """None runs: the machine is not available, and that is known; of all else but its journal nothing is."""
         await self._said(NO_DAEMON)
         await self._jobs.told(orders, going=False)
         await self._unknown(self._own.values(), Status.BadNoCommunication)
 
-    async def silent(self, orders: Sequence[Order] | None) -> None:
+    async def silent(self, orders: Sequence[OpcUaJob] | None) -> None:
         """It was not asked yet, or does not answer: nothing is known, but how earlier jobs ended."""
         nodes = [part for machine in (self._state, self._mode) for part in await _current(machine)]
         await self._jobs.told(orders, going=None)
         await self._unknown([*nodes, *self._own.values()], Status.BadNoCommunication)
 
-    async def _said(self, said: Said) -> None:
+    async def _said(self, said: MachineStates) -> None:
         for machine, state, word in ((self._state, said.item, said.item.name), (self._mode, said.mode, said.mode.said)):
             current, number = await _current(machine)
             node = node_id(int(state), self._namespace)
@@ -197,7 +202,7 @@ async def _identify(node: Node, name: str, section: OpcUaSection, spaces: tuple[
         )
 
 
-def _of(live: Mapping[str, Any], one: Shown, now: datetime) -> ua.DataValue:
+def _of(live: Mapping[str, Any], one: OpcUaSnapshot, now: datetime) -> ua.DataValue:
     """Bad where there is no such value; Uncertain, with the time at which it was told, where it is old."""
     found: Any = live
     age_s = 0.0

@@ -17,9 +17,9 @@ from asyncua.server.user_managers import UserManager
 from polishd.config.plant import OpcUaSection
 from polishd.daemon import client
 from polishd.model.errors import ConfigError, NoDaemon, PolishdError
-from polishd.plant.machine import Machine
+from polishd.plant.machine import OpcUaMachine
 from polishd.plant.states import STATES
-from polishd.plant.work import Order, read_work
+from polishd.plant.work import OpcUaJob, read_work
 
 LOOK_S = 1.0
 """Between two questions."""
@@ -29,7 +29,7 @@ ADDRESS = "127.0.0.1"
 """Beyond this computer OPC UA needs certificates on both sides, which polishd does not keep: docs/plant-systems.md."""
 
 
-class Watching(UserManager):
+class OpcUaPolling(UserManager):
     """Who may what: everybody on this computer may read, nobody may write."""
 
     def get_user(self, iserver: Any, username: str | None = None, password: str | None = None,
@@ -43,14 +43,14 @@ class Watching(UserManager):
 async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIterator[str]:
     """Serve inside this block; the address. OSError where the port is taken."""
     logging.getLogger("asyncua").setLevel(logging.ERROR)  # it warns of its own start
-    server = Server(user_manager=Watching())
+    server = Server(user_manager=OpcUaPolling())
     await server.init()
     server.set_server_name(f"polishd {name}")
     await server.set_application_uri(f"urn:polishd:{name}:server")
     server.set_endpoint(f"opc.tcp://{ADDRESS}:{section.port}/")
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     server.set_identity_tokens([ua.AnonymousIdentityToken])
-    machine = await Machine.added(server, name, section)
+    machine = await OpcUaMachine.added(server, name, section)
     async with server, asyncio.TaskGroup() as group:  # a fault of who asks ends it: no last values stand there
         asking = group.create_task(_ask_on(machine, state_dir))
         try:
@@ -71,7 +71,7 @@ async def serve(name: str, state_dir: Path, section: OpcUaSection) -> None:
         await stop.wait()
 
 
-async def _ask_on(machine: Machine, state_dir: Path) -> None:
+async def _ask_on(machine: OpcUaMachine, state_dir: Path) -> None:
     while True:
         orders = await asyncio.to_thread(_orders, state_dir)
         try:
@@ -85,7 +85,7 @@ async def _ask_on(machine: Machine, state_dir: Path) -> None:
         await asyncio.sleep(LOOK_S)
 
 
-def _orders(state_dir: Path) -> tuple[Order, ...] | None:
+def _orders(state_dir: Path) -> tuple[OpcUaJob, ...] | None:
     """Of the journal; None: it cannot be read."""
     try:
         return read_work(state_dir)

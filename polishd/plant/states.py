@@ -30,22 +30,22 @@ class Mode(IntEnum):
         return "None" if self is Mode.Nothing else self.name
 
 
-class Said(NamedTuple):
+class MachineStates(NamedTuple):
     """Both."""
 
     item: Item
     mode: Mode
 
 
-STATES: Mapping[str, Said] = {
-    "starting": Said(Item.NotExecuting, Mode.Setup),
-    "idle": Said(Item.NotExecuting, Mode.Processing),
-    "changing": Said(Item.NotExecuting, Mode.Setup),
-    "polishing": Said(Item.Executing, Mode.Processing),
-    "held": Said(Item.OutOfService, Mode.Processing),
-    "finished": Said(Item.NotAvailable, Mode.Nothing),
+STATES: Mapping[str, MachineStates] = {
+    "starting": MachineStates(Item.NotExecuting, Mode.Setup),
+    "idle": MachineStates(Item.NotExecuting, Mode.Processing),
+    "changing": MachineStates(Item.NotExecuting, Mode.Setup),
+    "polishing": MachineStates(Item.Executing, Mode.Processing),
+    "held": MachineStates(Item.OutOfService, Mode.Processing),
+    "finished": MachineStates(Item.NotAvailable, Mode.Nothing),
 }
 """Of a daemon. Held is out of service: it does nothing until a person has mended the cause, and said so."""
-NO_DAEMON = Said(Item.NotAvailable, Mode.Nothing)
+NO_DAEMON = MachineStates(Item.NotAvailable, Mode.Nothing)
 GOING = {"starting", "changing", "polishing"}
 """A job under way is worked in these, and stands still in the others."""

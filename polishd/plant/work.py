@@ -21,7 +21,7 @@ TO_ITS_END = {"accepted", "rejected", *(Outcome)} - {Outcome.STOPPED}
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class OpcUaResultValue:
     """One of a part's figures, as its last map shows it."""
 
     name: str
@@ -30,7 +30,7 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class OpcUaJob:
     """A job: one that waits, the one under way, or one that ended. Times are Unix times."""
 
     name: str
@@ -42,7 +42,7 @@ class Order:
     why: str
     number: int | None
     """Its row in the journal's jobs; None: it was never begun."""
-    figures: tuple[Figure, ...]
+    figures: tuple[OpcUaResultValue, ...]
     holds: bool | None
     """Whether the part is what its drawing wants, by its last map; None: nothing judges that."""
 
@@ -59,7 +59,7 @@ class Order:
         return "AllowedToStart" if self.began_s is None else "Running"
 
 
-def read_work(state_dir: Path) -> tuple[Order, ...]:
+def read_work(state_dir: Path) -> tuple[OpcUaJob, ...]:
     """Those that ended, the latest last, the one under way, and those that wait, in their order.
 
     ConfigError where the journal cannot be read; none where there is no journal yet.
@@ -70,7 +70,7 @@ def read_work(state_dir: Path) -> tuple[Order, ...]:
         return tuple(_orders(journal))
 
 
-def _orders(journal: sqlite3.Connection) -> Iterator[Order]:
+def _orders(journal: sqlite3.Connection) -> Iterator[OpcUaJob]:
     queued = {}
     waiting = []
     sql = ("SELECT job, name, part_id, verdict, reason, ended FROM queue WHERE ended IS NULL OR id IN "
@@ -78,7 +78,7 @@ def _orders(journal: sqlite3.Connection) -> Iterator[Order]:
            "ORDER BY ended IS NULL, ended, place")  # fmt: skip
     for job, name, part_id, verdict, reason, ended_s in journal.execute(sql, (MOST_ENDED,)):
         if job is None:  # waits, or was taken out before it began
-            waiting.append(Order(name, part_id, None, ended_s, verdict or "", reason, None, (), None))
+            waiting.append(OpcUaJob(name, part_id, None, ended_s, verdict or "", reason, None, (), None))
         else:
             queued[job] = (verdict, reason, ended_s)
     sql = "SELECT id, name, part_id, started, ended, outcome, detail FROM job ORDER BY id DESC LIMIT ?"
@@ -90,23 +90,23 @@ def _orders(journal: sqlite3.Connection) -> Iterator[Order]:
         end = verdict or outcome or given_up
         figures, holds = _measured(journal, number)
         when = ended_s or job_ended_s
-        yield Order(name, part_id, began_s, when, end, reason or detail or "", number, figures, holds)
+        yield OpcUaJob(name, part_id, began_s, when, end, reason or detail or "", number, figures, holds)
     yield from waiting
 
 
-def _measured(journal: sqlite3.Connection, job: int) -> tuple[tuple[Figure, ...], bool | None]:
+def _measured(journal: sqlite3.Connection, job: int) -> tuple[tuple[OpcUaResultValue, ...], bool | None]:
     """The figures of a job's last map, and whether all lines of its drawing hold."""
     sql = "SELECT stats FROM map WHERE job = ? ORDER BY id DESC LIMIT 1"
     found = journal.execute(sql, (job,)).fetchone()
     passes = journal.execute("SELECT count(*) FROM pass WHERE job = ? AND how = 'done'", (job,)).fetchone()[0]
     if found is None:
-        return (Figure("Passes", passes),), None
+        return (OpcUaResultValue("Passes", passes),), None
     stats: dict[str, Any] = json.loads(found[0])
     named = (("RMS", "rms_nm"), ("PV", "pv_nm"))
-    figures = [Figure("Passes", passes)]
-    figures += [Figure(name, float(stats[key]), "nm") for name, key in named if stats.get(key) is not None]
+    figures = [OpcUaResultValue("Passes", passes)]
+    figures += [OpcUaResultValue(name, float(stats[key]), "nm") for name, key in named if stats.get(key) is not None]
     lines = judged_of(stats)
     for line in lines:
-        figures += [Figure(f"{line.what}, counted", line.counted, line.unit)]
-        figures += [Figure(f"{line.what}, limit", line.limit, line.unit)]
+        figures += [OpcUaResultValue(f"{line.what}, counted", line.counted, line.unit)]
+        figures += [OpcUaResultValue(f"{line.what}, limit", line.limit, line.unit)]
     return tuple(figures), all(line.holds for line in lines) if lines else None

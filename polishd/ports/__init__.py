@@ -1,7 +1,7 @@
 """What a device is, as typing protocols. Real and simulated devices are the same driver with another address."""
 
 from polishd.ports.clock import Clock
-from polishd.ports.devices import Device, ForceActuator, ForceSensor, Loader, Metrology, Monitor, Robot, Spindle
+from polishd.ports.devices import Device, ForceActuator, ForceSensor, Metrology, Monitor, PartLoader, Robot, Spindle
 from polishd.ports.stream import ByteStream
 
 __all__ = [
@@ -10,7 +10,7 @@ __all__ = [
     "Device",
     "ForceActuator",
     "ForceSensor",
-    "Loader",
+    "PartLoader",
     "Metrology",
     "Monitor",
     "Robot",

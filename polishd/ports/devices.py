@@ -12,10 +12,10 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from polishd.model.devices import (
+    DeviceIdentity,
     DeviceStatus,
-    Executed,
+    ExecutedBlock,
     ForceSample,
-    Identity,
     MapRefusal,
     RobotProgress,
     SensedForce,
@@ -51,7 +51,7 @@ class Device(Protocol):
         """
         ...
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """Who is there.
 
         Time: an answer.
@@ -122,7 +122,7 @@ class Robot(Device, Protocol):
         """
         ...
 
-    def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         """Blocks as they are *executed*, in order, each once, from ``from_seq``.
 
         For several at once, also after the fact. Ends when the program is done or dropped; survives a reconnect.
@@ -300,7 +300,7 @@ class RefusesMaps(Protocol):
 
 
 @runtime_checkable
-class Loader(Device, Protocol):
+class PartLoader(Device, Protocol):
     """Changes parts: one is on the cell's seat, the others are with it. Carries one at a time.
 
     It is asked to move only while every tool is up and every robot stands, and nothing else moves until it has

@@ -1,6 +1,6 @@
 """Where a cell's recorder listens in: each link tells it what passes, as bytes or frames, before anybody reads them.
 
-Whose link it is nobody hands down: the cell says which device it talks to (``talking_to``), and what that opens
+Whose link it is nobody hands down: the cell says which device it talks to (``record_sent``), and what that opens
 meanwhile is that device's.
 """
 
@@ -17,7 +17,7 @@ Way = Literal["open", "out", "in", "end"]
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class WireMessage:
     """What passed on a link."""
 
     at_s: float
@@ -41,7 +41,7 @@ class Passed:
     """On that clock, when some came to their values."""
 
 
-Recorder = Callable[[Passed], None]
+Recorder = Callable[[WireMessage], None]
 """Never blocks, never raises."""
 
 
@@ -66,7 +66,7 @@ class Tap:
     ) -> None:
         """That passes, now."""
         now_s = time.monotonic()
-        passed = Passed(now_s, self.role, self.link, way, data, identifier, why, values, clock_s, changed_s)
+        passed = WireMessage(now_s, self.role, self.link, way, data, identifier, why, values, clock_s, changed_s)
         self.recorder(passed)
 
 
@@ -84,7 +84,7 @@ def tap(link: str) -> Tap | None:
 
 
 @contextmanager
-def talking_to(role: str) -> Iterator[None]:
+def record_sent(role: str) -> Iterator[None]:
     """Links that this task, and the tasks that it starts, open in the block are of that device."""
     token = _role.set(role)
     try:
@@ -94,7 +94,7 @@ def talking_to(role: str) -> Iterator[None]:
 
 
 @contextmanager
-def heard_by(recorder: Recorder) -> Iterator[None]:
+def record_received(recorder: Recorder) -> Iterator[None]:
     """Links that are opened in the block, and by tasks that begin in it, are recorded."""
     _recorder.set(recorder)
     try:

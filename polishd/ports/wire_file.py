@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Passed, Way
+from polishd.ports.tap import Way, WireMessage
 
 FORMAT = 1
 _BROKEN = (EOFError, zlib.error, gzip.BadGzipFile, UnicodeDecodeError)
@@ -32,13 +32,13 @@ class Recording:
 
     path: Path
     header: Mapping[str, Any]
-    passed: tuple[Passed, ...]
+    passed: tuple[WireMessage, ...]
     lines: tuple[int, ...]
     """The line of each, from 1."""
     notes: tuple[str, ...]
     """What is missing in it, for people."""
 
-    def of(self, role: str) -> list[tuple[int, Passed]]:
+    def of(self, role: str) -> list[tuple[int, WireMessage]]:
         """Line and record of all that passed on that device's links; ConfigError where nothing did."""
         found = [(line, one) for line, one in zip(self.lines, self.passed, strict=True) if one.role == role]
         if not found:
@@ -57,7 +57,7 @@ def note_line(t_s: float, key: str, number: int) -> bytes:
     return _line({"t_s": round(t_s, 6), key: number})
 
 
-def passed_line(one: Passed, began_s: float) -> bytes:
+def passed_line(one: WireMessage, began_s: float) -> bytes:
     """What passed."""
     line: dict[str, Any] = {"t_s": round(one.at_s - began_s, 6), "role": one.role, "link": one.link, "way": one.way}
     line |= {} if one.identifier is None else {"id": one.identifier}
@@ -73,7 +73,7 @@ def passed_line(one: Passed, began_s: float) -> bytes:
 def read_recording(path: Path) -> Recording:
     """ConfigError names file and line. What a power cut left of a file is read up to there, and said in the notes."""
     notes: list[str] = []
-    passed: list[Passed] = []
+    passed: list[WireMessage] = []
     lines: list[int] = []
     try:
         rows = _rows(path, notes)
@@ -128,7 +128,7 @@ def _header(path: Path, first: tuple[int, Mapping[str, Any]]) -> Mapping[str, An
     return first[1]
 
 
-def _passed(path: Path, at: int, row: Mapping[str, Any]) -> Passed:
+def _passed(path: Path, at: int, row: Mapping[str, Any]) -> WireMessage:
     try:
         way: Way = row["way"]
         if way not in get_args(Way):
@@ -139,7 +139,7 @@ def _passed(path: Path, at: int, row: Mapping[str, Any]) -> Passed:
         clock_s = None if row.get("clock_s") is None else float(row["clock_s"])
         changed_s = {str(name): float(at_s) for name, at_s in dict(row.get("changed_s", {})).items()} or None
         why, told = row.get("why", ""), (values, clock_s, changed_s)
-        return Passed(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *told)
+        return WireMessage(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *told)
     except KeyError as error:
         raise _bad(path, at, f"has no {error.args[0]!r}") from error
     except (TypeError, ValueError) as error:

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.explanation import REACH_MM, Explanation, explanations
 from polishd.process.metrics import polynomial
-from polishd.process.orientation import ORIENTATIONS, Orientation
+from polishd.process.orientation import ORIENTATIONS, ArrayOrientation
 from polishd.process.registration.resampling import resample_registered
 
 ACROSS = 120
@@ -35,7 +35,7 @@ RATIOS = tuple(float(2 ** (k / 5)) for k in range(-7, 8))
 
 
 @dataclass(frozen=True, slots=True)
-class Bump:
+class ArtefactBump:
     """A Gaussian bump (a dimple where the height is negative) on a flat base."""
 
     x_mm: float
@@ -48,7 +48,7 @@ class Bump:
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class ProfileProof:
     """How a map shows the artefact."""
 
     correlation: float
@@ -63,13 +63,13 @@ class Proof:
     """Size in the map over the artefact's own: by this the pitch is too large."""
 
 
-def artefact_heights(bumps: Sequence[Bump], grid: Grid) -> FloatArray:
+def artefact_heights(bumps: Sequence[ArtefactBump], grid: Grid) -> FloatArray:
     """(ny, nx) nm, the sum of the bumps."""
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
     return _heights(bumps, x, y)
 
 
-def require_asymmetric(bumps: Sequence[Bump]) -> None:
+def require_asymmetric(bumps: Sequence[ArtefactBump]) -> None:
     """Refuse an artefact that looks about the same turned, flipped or negated: it would prove nothing.
 
     Raises:
@@ -87,7 +87,7 @@ def require_asymmetric(bumps: Sequence[Bump]) -> None:
                           "cannot prove a profile; move a bump, or give it another height or shape")  # fmt: skip
 
 
-def prove(surface: SurfaceMap, bumps: Sequence[Bump]) -> Proof:
+def prove(surface: SurfaceMap, bumps: Sequence[ArtefactBump]) -> ProfileProof:
     """Show that a map shows the artefact as it is: not turned, flipped or negated, and of its height and size.
 
     Args:
@@ -109,25 +109,25 @@ def prove(surface: SurfaceMap, bumps: Sequence[Bump]) -> Proof:
     rival = _others(found, best.orientation, negated=best.negated)
     proof = replace(proof, next_best=rival.correlation, next_best_name=rival.name)
     if proof.correlation < LEAST_CORRELATION or abs(proof.turn_deg) > MAX_TURN_DEG:
-        raise BadMap(f"the map does not show the artefact: {best.name} and {proof.pitch_ratio:.2f} times as large it "
+        raise MapError(f"the map does not show the artefact: {best.name} and {proof.pitch_ratio:.2f} times as large it "
                      f"correlates best, with {proof.correlation:.2f}, and {LEAST_CORRELATION:g} is needed; centre and "
                      "seat the artefact, and check its bumps")  # fmt: skip
     if np.hypot(*proof.shift_mm) > REACH_MM:  # the rivals were tried within it only
         x, y = proof.shift_mm
-        raise BadMap(f"the map shows the artefact at ({x:+.1f}, {y:+.1f}) mm from its place, and {REACH_MM:g} mm are "
+        raise MapError(f"the map shows the artefact at ({x:+.1f}, {y:+.1f}) mm from its place, and {REACH_MM:g} mm are "
                      "allowed: centre it in the map, or mend x_mm and y_mm of its bumps")  # fmt: skip
     if proof.next_best > proof.correlation - MARGIN:
-        raise BadMap(f"the map shows the artefact {rival.name} about as well as {best.name} ({rival.correlation:.2f} "
+        raise MapError(f"the map shows the artefact {rival.name} about as well as {best.name} ({rival.correlation:.2f} "
                      f"and {proof.correlation:.2f}): bring all its bumps into view")  # fmt: skip
     wrong, mend, elsewhere = _mistakes(surface, best, proof)
     if wrong:
         todo = [f"set {', '.join(mend)} in the instrument's profile"] if mend else []
         todo = [*todo, *elsewhere, "prove it again"]
-        raise BadMap(f"the map shows the artefact {' and '.join(wrong)}: {', '.join(todo[:-1])} and {todo[-1]}")
+        raise MapError(f"the map shows the artefact {' and '.join(wrong)}: {', '.join(todo[:-1])} and {todo[-1]}")
     return proof
 
 
-def _heights(bumps: Sequence[Bump], x: FloatArray, y: FloatArray) -> FloatArray:
+def _heights(bumps: Sequence[ArtefactBump], x: FloatArray, y: FloatArray) -> FloatArray:
     height = np.zeros(np.broadcast(x, y).shape)
     for b in bumps:
         turn = np.radians(b.angle_deg)
@@ -145,18 +145,18 @@ def _bare(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
 def _on_square(surface: SurfaceMap, across: int) -> tuple[FloatArray, BoolArray, Grid]:
     """The map on a square grid, so that all eight orientations can be tried, without its base's form."""
     if surface.pitch_mm is None:
-        raise BadMap("the map has no lateral scale: give the instrument's profile a pitch")
+        raise MapError("the map has no lateral scale: give the instrument's profile a pitch")
     side = max(surface.height_nm.shape) * surface.pitch_mm
     grid = Grid(across, across, side / across)
     height = resample_registered(surface.height_nm, surface.grid, grid)
     mask = np.isfinite(height)
     if np.count_nonzero(mask) < across:
-        raise BadMap("the map holds no data")
+        raise MapError("the map holds no data")
     return _bare(height, mask), mask, grid
 
 
 def _best_ratio(
-    seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[Bump]
+    seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[ArtefactBump]
 ) -> tuple[float, list[Explanation]]:
     """The size of the artefact that fits best in any orientation, and all the orientations at that size."""
     tried = []
@@ -168,15 +168,15 @@ def _best_ratio(
     return max(tried, key=lambda pair: max(e.correlation for e in pair[1]))
 
 
-def _others(found: Sequence[Explanation], orientation: Orientation, *, negated: bool) -> Explanation:
+def _others(found: Sequence[Explanation], orientation: ArrayOrientation, *, negated: bool) -> Explanation:
     """The best of all explanations but this one."""
     others = (e for e in found if (e.orientation, e.negated) != (orientation, negated))
     return max(others, key=lambda e: e.correlation)
 
 
 def _placed(
-    seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[Bump], start: tuple[float, float, float]
-) -> Proof:
+    seen: FloatArray, mask: BoolArray, grid: Grid, bumps: Sequence[ArtefactBump], start: tuple[float, float, float]
+) -> ProfileProof:
     """Least squares of shift, turn and size; height and base follow linearly from each (variable projection)."""
     x, y = (v[mask] for v in np.meshgrid(grid.x_mm, grid.y_mm))
     base = np.linalg.qr(np.column_stack([np.ones(x.size), x, y, x**2, y**2, x * y]))[0]
@@ -198,13 +198,13 @@ def _placed(
     own, energy = float(height @ measured), float(height @ height)
     correlation = own / float(np.sqrt(energy * (measured @ measured))) if energy > 0 and measured.any() else 0.0
     turn = float(np.degrees(found[2]))
-    return Proof(
+    return ProfileProof(
         correlation, 0.0, "", own / max(energy, 1e-300), (float(found[0]), float(found[1])), turn,
         float(np.exp(found[3])),
     )  # fmt: skip
 
 
-def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[list[str], list[str], list[str]]:
+def _mistakes(surface: SurfaceMap, best: Explanation, proof: ProfileProof) -> tuple[list[str], list[str], list[str]]:
     """What the map shows amiss, the profile's values that would mend it, and what is to be done elsewhere.
 
     A pitch that the file says is not mended by the profile: another one there is refused beside the file's.
@@ -212,7 +212,7 @@ def _mistakes(surface: SurfaceMap, best: Explanation, proof: Proof) -> tuple[lis
     profile = surface.factors.get("profile", {})
     wrong, mend, elsewhere = [], [], list[str]()
     if not best.as_it_is:
-        was = Orientation(profile.get("mirror", False), profile.get("rotation_deg", 0))
+        was = ArrayOrientation(profile.get("mirror", False), profile.get("rotation_deg", 0))
         right = was.then(best.orientation.undone)
         wrong.append(best.name)
         mend += [f"mirror = {str(right.mirror).lower()}", f"rotation_deg = {right.rotation_deg}",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from polishd.model.errors import BadMap, WrongPart
+from polishd.model.errors import MapError, WrongPart
 from polishd.model.outline import Outline
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrics import Removal, fitted
@@ -36,7 +36,7 @@ class Masks(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Conditioned:
+class ConditionedMap:
     """A surface on the process grid, with its masks."""
 
     grid: Grid
@@ -58,7 +58,7 @@ def condition(
     removal: Removal = "piston",
     margin_mm: float = MARGIN_MM,
     registration: Registration | None = None,
-) -> Conditioned:
+) -> ConditionedMap:
     """Bring a map onto the process grid.
 
     Args:
@@ -84,13 +84,13 @@ def condition(
     clear = outline.contains(*grid.axes_mm, edge_mm) & (from_outline_mm(raw, grid_mm) > edge_mm)
     solve, metric = masks or _new_masks(raw, aperture, clear)
     if solve.shape != grid.shape or metric.shape != grid.shape:
-        raise BadMap(f"the masks of the first map are {solve.shape}, the process grid is {grid.shape}")
+        raise MapError(f"the masks of the first map are {solve.shape}, the process grid is {grid.shape}")
     missing = int(np.count_nonzero(solve & ~np.isfinite(raw)))
     if missing > MAX_FILLED * np.count_nonzero(solve):
-        raise BadMap(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
+        raise MapError(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
     height = height - fitted(height, metric, removal)
-    return Conditioned(grid, np.where(aperture | solve, height, np.nan), solve, metric)
+    return ConditionedMap(grid, np.where(aperture | solve, height, np.nan), solve, metric)
 
 
 def squared(surface: SurfaceMap) -> SurfaceMap:
@@ -159,7 +159,7 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
     """
     hole = ~np.isfinite(height_nm)
     if hole.all():
-        raise BadMap("the map holds no data")
+        raise MapError("the map holds no data")
     if not hole.any():
         return height_nm.copy()
     index = np.arange(hole.size).reshape(hole.shape)
@@ -183,9 +183,9 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
 def _check(surface: SurfaceMap, outline: Outline) -> None:
     name = surface.path.name if surface.path is not None else "the map"
     if surface.pitch_mm is None:
-        raise BadMap(f"{name} has no lateral scale: give the instrument's profile a pitch")
+        raise MapError(f"{name} has no lateral scale: give the instrument's profile a pitch")
     if not surface.valid.any():
-        raise BadMap(f"{name} holds no data")
+        raise MapError(f"{name} holds no data")
     shown = np.count_nonzero(surface.valid) * surface.pitch_mm**2 / outline.area_mm2
     if shown > MOST_DATA:
         raise WrongPart(
@@ -196,15 +196,15 @@ def _check(surface: SurfaceMap, outline: Outline) -> None:
     for word, count, needed_mm in zip(("wide", "high"), (nx, ny), outline.size_mm, strict=True):
         size = count * surface.pitch_mm
         if size < needed_mm - surface.pitch_mm:
-            raise BadMap(f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm")
+            raise MapError(f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm")
 
 
 def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> Masks:
     solve = aperture & np.isfinite(raw)
     metric = clear & solve
     if np.count_nonzero(metric) < MIN_SAMPLES:
-        raise BadMap(f"the clear aperture has {np.count_nonzero(metric)} samples with data, fewer than {MIN_SAMPLES}")
+        raise MapError(f"the clear aperture has {np.count_nonzero(metric)} samples with data, fewer than {MIN_SAMPLES}")
     if np.count_nonzero(solve) < MIN_VALID * np.count_nonzero(aperture):
         share = np.count_nonzero(solve) / np.count_nonzero(aperture)
-        raise BadMap(f"only {share:.0%} of the aperture has data, less than {MIN_VALID:.0%}")
+        raise MapError(f"only {share:.0%} of the aperture has data, less than {MIN_VALID:.0%}")
     return Masks(solve, metric)

@@ -17,7 +17,7 @@ STEPS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Coverage:
+class PathCoverage:
     """What a path covers of a part."""
 
     reach_mm: float
@@ -30,7 +30,7 @@ class Coverage:
 
 def coverage(
     start_mm: FloatArray, end_mm: FloatArray, *, spot_mm: float, outline: Outline, edge_mm: float, landing_mm: float
-) -> Coverage:
+) -> PathCoverage:
     """Of a path of blocks, (n, 3) mm in the part's frame.
 
     Args:
@@ -46,7 +46,9 @@ def coverage(
     x, y = np.meshgrid(*(np.linspace(edge_mm - half, half - edge_mm, ACROSS) for half in outline.half_mm))
     aperture = np.stack([x, y], axis=-1)[outline.contains(x, y, edge_mm)]
     near, _ = scipy.spatial.cKDTree(path).query(aperture, distance_upper_bound=spot_mm)
-    return Coverage(float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(np.isinf(near))))
+    return PathCoverage(
+        float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(np.isinf(near)))
+    )
 
 
 def _samples(start_mm: FloatArray, end_mm: FloatArray, step_mm: float) -> FloatArray:

@@ -31,7 +31,7 @@ SLIMMEST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Curved:
+class CurvedContact:
     """Contacts at n points of a part, beside the same bonnet's on a flat."""
 
     deeper: FloatArray
@@ -50,7 +50,9 @@ class Curved:
         return f"curved part: {wide}, the slope takes up to {1 - self.seen.min():.2%} of what a map shows"
 
 
-def on_curved(process: ToolProcess, optic: Optic, place_mm: FloatArray, *, contact: bool = True) -> Curved | None:
+def on_curved(
+    process: ToolProcess, optic: Optic, place_mm: FloatArray, *, contact: bool = True
+) -> CurvedContact | None:
     """The contacts over points (n, 2 or more) of the part's frame; None on a flat.
 
     Without ``contact`` only the slope counts: a spot that was measured is as wide as it was measured.
@@ -65,7 +67,7 @@ def on_curved(process: ToolProcess, optic: Optic, place_mm: FloatArray, *, conta
     above = np.linalg.solve(level, axes)
     square = above @ above.transpose(0, 2, 1)
     wider = np.sqrt(np.einsum("nii->ni", square))
-    return Curved(deeper, wider, normal[:, 2], square[:, 0, 1] / wider.prod(axis=1))
+    return CurvedContact(deeper, wider, normal[:, 2], square[:, 0, 1] / wider.prod(axis=1))
 
 
 def _shape(optic: Optic, plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

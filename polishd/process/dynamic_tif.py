@@ -14,9 +14,9 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import Correction
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.laying import Columns, integrals, lay
+from polishd.process.laying import CellAverages, average_over_cells, integrals
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import PATCH, Spot, askew
+from polishd.process.spot import PATCH, Spot, tilt_spot
 
 CHUNK = 1024
 """Positions of a spot of PATCH squares across that are worked on at a time: bounds memory. With four times as many each
@@ -37,7 +37,7 @@ class CorrectedSpot:
     """(n,) what the solved dwell is divided by; None: nothing."""
 
 
-def corrected_spot(
+def tif_at_point(
     correction: Correction, gamma: FloatArray, exponent: float = 1.5, reference: float = 1.0
 ) -> CorrectedSpot:
     """The spot that a correction stands for, at (n,) depth ratios gamma (eq. 48).
@@ -81,7 +81,7 @@ def effect_matrix(
     of the peak (half of the spots within 0.6 %), of 1 mm within 0.6 %.
     """
     ends = (program.start_mm[:, :2], program.end_mm[:, :2])
-    azimuth, lies = lean_azimuth_rad(program), [Lie(ends, wider)]
+    azimuth, lies = lean_azimuth_rad(program), [PointLocation(ends, wider)]
     (matrix,) = effects_columns(
         grid, spot, lies, azimuth, depth_ratio=depth_ratio, factor=factor, correlation=correlation
     )
@@ -89,7 +89,7 @@ def effect_matrix(
 
 
 @dataclass(frozen=True, slots=True)
-class Lie:
+class PointLocation:
     """How n blocks lie, where their spots are the same and no more than moved and widened."""
 
     ends_mm: tuple[FloatArray, FloatArray]
@@ -108,13 +108,13 @@ def effect_columns(
     factor: FloatArray,
 ) -> scipy.sparse.csr_array:
     """`effect_matrix` of blocks from (n, 2) to (n, 2) mm, the spindle leaning towards (n,) ``azimuth_rad``."""
-    return effects_columns(grid, spot, [Lie(ends_mm)], azimuth_rad, depth_ratio=depth_ratio, factor=factor)[0]
+    return effects_columns(grid, spot, [PointLocation(ends_mm)], azimuth_rad, depth_ratio=depth_ratio, factor=factor)[0]
 
 
 def effects_columns(
     grid: Grid,
     spot: Spot,
-    lies: Sequence[Lie],
+    lies: Sequence[PointLocation],
     azimuth_rad: FloatArray,
     *,
     depth_ratio: FloatArray,
@@ -135,14 +135,16 @@ def effects_columns(
     ]
     pieces = np.ceil(np.array(length) / step).astype(np.int64)
     most = np.maximum(2 * pieces.max(axis=0), PATCH_POSITIONS)
-    parts: list[list[Columns]] = [[] for _ in lies]
+    parts: list[list[CellAverages]] = [[] for _ in lies]
     for part in _chunks(most * max(1, round(squares / PATCH))):
         patch = spot.patch(depth_ratio[part], azimuth_rad[part])
-        integral = integrals(patch if correlation is None else askew(patch, correlation[part]))
+        integral = integrals(patch if correlation is None else tilt_spot(patch, correlation[part]))
         for found, lie, wide, cut in zip(parts, lies, wider, pieces[:, part], strict=True):
             start, end = (at[part] + offset[part] for at in lie.ends_mm)
             block, position = positions(start, end, cut)
-            found.append(lay(grid, integral, wide[part] * half[part, None], np.bincount(block), position))
+            found.append(
+                average_over_cells(grid, integral, wide[part] * half[part, None], np.bincount(block), position)
+            )
     return [_matrix(grid, found, factor) for found in parts]
 
 
@@ -175,7 +177,7 @@ def positions(
     return block, start_mm[block] + share[:, None] * (end_mm - start_mm)[block]
 
 
-def _matrix(grid: Grid, parts: list[Columns], factor: FloatArray) -> scipy.sparse.csr_array:
+def _matrix(grid: Grid, parts: list[CellAverages], factor: FloatArray) -> scipy.sparse.csr_array:
     """(ny * nx, n) of the columns of all parts, times (n,) factors; what comes to nothing is left out."""
     shape = (grid.ny * grid.nx, len(factor))
     if not parts:

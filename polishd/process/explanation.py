@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.orientation import ORIENTATIONS, Orientation, orientations
+from polishd.process.orientation import ORIENTATIONS, ArrayOrientation, orientations
 
 REACH_MM = 5.0
 """Largest shift that is looked for."""
@@ -21,7 +21,7 @@ OVERLAP = 0.5
 class Explanation:
     """One map turned one way, and how it fits another where it fits best."""
 
-    orientation: Orientation
+    orientation: ArrayOrientation
     negated: bool
     correlation: float
     """At the best shift; not negative: ``negated`` holds the sign."""

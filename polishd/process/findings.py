@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from polishd.model.beliefs import Belief
-from polishd.model.finding import Finding, FindingLimits, Series, Shown
+from polishd.model.beliefs import Estimate
+from polishd.model.finding import Finding, FindingLimits, PassIndicators, PassSeries
 from polishd.process.forecast import Forecast
 
 SIGMAS = 4.0
@@ -31,13 +31,13 @@ DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 """A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
 
 
-def diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
+def has_diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
     """Whether a surface is clearly worse than it has been: RMS of the earlier measurements, and of this one."""
     best = min(earlier_nm, default=math.inf)
     return now_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
 
-def worthless(expected: Forecast, limits: FindingLimits) -> Finding | None:
+def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
     """A pass that is not worth making: it will hardly leave the surface better than it is."""
     if not limits.least_gain or expected.better >= WORTH:
         return None
@@ -46,7 +46,7 @@ def worthless(expected: Forecast, limits: FindingLimits) -> Finding | None:
     return Finding("stall", f"the next pass would leave {expected.words}, {chance}: {todo}", "job")
 
 
-def followed(series: Series, shown: Shown) -> Series:
+def extend_series(series: PassSeries, shown: PassIndicators) -> PassSeries:
     """The series with one more pass."""
     hours = shown.contact_s / 3600
     longer = replace(series, passes=series.passes + 1, contact_h=series.contact_h + hours)
@@ -63,7 +63,7 @@ def followed(series: Series, shown: Shown) -> Series:
     return longer
 
 
-def findings(series: Series, job: Sequence[Shown], limits: FindingLimits) -> tuple[Finding, ...]:
+def findings(series: PassSeries, job: Sequence[PassIndicators], limits: FindingLimits) -> tuple[Finding, ...]:
     """What is found after the last pass of a job; none where all is as it should be.
 
     Args:
@@ -77,7 +77,7 @@ def findings(series: Series, job: Sequence[Shown], limits: FindingLimits) -> tup
     return tuple(of_tool) if stall is None else (stall,)
 
 
-def _rate(series: Series, shown: Shown, limits: FindingLimits) -> Finding | None:
+def _rate(series: PassSeries, shown: PassIndicators, limits: FindingLimits) -> Finding | None:
     """A rate that changed within the pass, or since the series' first passes."""
     since = _change(series, shown)
     if shown.fade is not None and _beyond(shown.fade, limits.max_rate_drift):
@@ -102,7 +102,7 @@ def _tool(word: str, *, falls: bool, within: bool | None) -> Finding:
     return Finding("drift", f"{word}, {within_words[within]}: {advice}", "cell")
 
 
-def _by_wear(series: Series, change: float) -> bool | None:
+def _by_wear(series: PassSeries, change: float) -> bool | None:
     """Whether what was lost within the passes explains a fall between them; None: they do not show it."""
     if change >= 0:
         return False
@@ -116,7 +116,7 @@ def _by_wear(series: Series, change: float) -> bool | None:
     return False if lost - 2 * sigma > share else None
 
 
-def _spot(shown: Shown, limits: FindingLimits) -> Finding | None:
+def _spot(shown: PassIndicators, limits: FindingLimits) -> Finding | None:
     if shown.width is None or not _beyond(shown.width, limits.max_spot_change):
         return None
     if abs(shown.width.value) - 2 * _sigma(shown.width) <= limits.max_spot_change:
@@ -127,7 +127,7 @@ def _spot(shown: Shown, limits: FindingLimits) -> Finding | None:
     return Finding("spot", f"the spot is {size} {word} than the plans count with: {advice}", "cell")
 
 
-def _stall(job: Sequence[Shown], limits: FindingLimits) -> Finding | None:
+def _stall(job: Sequence[PassIndicators], limits: FindingLimits) -> Finding | None:
     last = job[-STALLED:]
     if not limits.least_gain or len(last) < STALLED or not all(_gains_little(one, limits) for one in last):
         return None
@@ -143,39 +143,39 @@ def _stall(job: Sequence[Shown], limits: FindingLimits) -> Finding | None:
     return Finding("stall", f"{word}: {todo}", "job")
 
 
-def _gains_little(shown: Shown, limits: FindingLimits) -> bool:
+def _gains_little(shown: PassIndicators, limits: FindingLimits) -> bool:
     if shown.predicted_nm is None:
         return False
     promised, gained = shown.before_nm - shown.predicted_nm, shown.before_nm - shown.after_nm
     return promised < LEAST_PROMISE * shown.before_nm or gained < limits.least_gain * promised
 
 
-def _change(series: Series, shown: Shown) -> Belief | None:
+def _change(series: PassSeries, shown: PassIndicators) -> Estimate | None:
     """Of the rate against the series' reference, relative."""
     if shown.rate is None or series.reference is None:
         return None
     ratio = shown.rate.value / series.reference.value
     error = math.hypot(_sigma(shown.rate) / shown.rate.value, _sigma(series.reference) / series.reference.value)
-    return Belief(ratio - 1, ratio * error)
+    return Estimate(ratio - 1, ratio * error)
 
 
-def _beyond(change: Belief, limit: float) -> bool:
+def _beyond(change: Estimate, limit: float) -> bool:
     """Beyond its limit, and surely no chance."""
     return abs(change.value) > limit and abs(change.value) > SIGMAS * _sigma(change)
 
 
-def _mean(known: Belief | None, new: Belief) -> Belief:
+def _mean(known: Estimate | None, new: Estimate) -> Estimate:
     if known is None:
         return new
     a, b = (1 / max(_sigma(one), 1e-6) ** 2 for one in (known, new))
-    return Belief((a * known.value + b * new.value) / (a + b), (a + b) ** -0.5)
+    return Estimate((a * known.value + b * new.value) / (a + b), (a + b) ** -0.5)
 
 
-def _sigma(belief: Belief) -> float:
+def _sigma(belief: Estimate) -> float:
     return math.inf if belief.sigma is None else belief.sigma
 
 
-def _percent(change: Belief) -> str:
+def _percent(change: Estimate) -> str:
     return f"{100 * change.value:+.0f} +- {100 * _sigma(change):.0f} %"
 
 

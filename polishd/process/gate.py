@@ -40,7 +40,7 @@ STILL = Explanation(ORIENTATIONS[0], False, 0.0, (0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RemovalCheckResult:
     """What the measured removal says of the predicted one, and whether the cell must stop."""
 
     stop: str
@@ -76,7 +76,7 @@ class Verdict:
 def judge(
     predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float,
     rates: tuple[float, float] = RATES, *, removal: Removal = "tilt", most_shift_mm: float = MAX_SHIFT_MM,
-) -> Verdict:  # fmt: skip
+) -> RemovalCheckResult:  # fmt: skip
     """Compare measured with predicted removal, and stop where a flip, turn, negation, shift or factor fits better.
 
     Args:
@@ -276,15 +276,15 @@ def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
 def _verdict(
     seen: _Pass, own: Fit, final: Fit, *, best: Explanation, stop: str, undecidable: tuple[str, ...],
     notes: tuple[str, ...],
-) -> Verdict:  # fmt: skip
+) -> RemovalCheckResult:  # fmt: skip
     predicted, measured = (np.where(seen.mask, v, np.nan) for v in (seen.predicted_nm, seen.measured_nm))
-    return Verdict(
+    return RemovalCheckResult(
         stop, own.correlation, final.rate, final.rate_sigma, best, final.shift_mm, final.shift_sigma_mm, undecidable,
         notes, predicted, measured, final.model_nm, measured - predicted, measured - final.model_nm,
     )  # fmt: skip
 
 
-def _without_signal(own: Fit, seen: _Pass) -> Verdict:
+def _without_signal(own: Fit, seen: _Pass) -> RemovalCheckResult:
     everywhere = orientations(seen.mask.shape)
     all_of_them = (Explanation(o, sign, 0.0, (0.0, 0.0)) for o in everywhere for sign in (False, True))
     everything = tuple(e.name for e in all_of_them if not e.as_it_is)

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.conditioning import squared
-from polishd.process.orientation import Orientation
+from polishd.process.orientation import ArrayOrientation
 from polishd.process.plausible import scale_fault
 
 ANSWERS = {
@@ -50,7 +50,7 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: b
     unsaid = surface.unsaid - _answered(instrument)
     settled = {warning for key, warning in surface.doubts.items() if key not in unsaid}
     unit = (instrument.unit_nm or 1.0) if "unit" in surface.unsaid else 1.0
-    orientation = Orientation(instrument.mirror, instrument.rotation_deg)
+    orientation = ArrayOrientation(instrument.mirror, instrument.rotation_deg)
     scaled = orientation.turn(surface.height_nm) * (instrument.sign * instrument.factor * unit)
     applied = {
         "name": instrument.name, "mirror": instrument.mirror, "rotation_deg": instrument.rotation_deg,
@@ -81,9 +81,9 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
     steps = [] if surface.history is None else list(surface.history.steps)
     by_history = instrument is not None and any("profile" in step.options for step in steps)
     if "profile" in surface.factors or by_history:
-        raise BadMap(f"{name} had the profile applied before: a second time would turn and scale it twice")
+        raise MapError(f"{name} had the profile applied before: a second time would turn and scale it twice")
     if not partly and any(step.options.get("mixed") for step in steps):
-        raise BadMap(f"{name}: by its history it holds a mean of mixed repeats, of unknown pitch or several "
+        raise MapError(f"{name}: by its history it holds a mean of mixed repeats, of unknown pitch or several "
                      "instruments: average repeats of one set-up, without --mixed")  # fmt: skip
     if instrument is None:
         _all_said(name, surface)
@@ -99,7 +99,7 @@ def require_answered(surface: SurfaceMap, instrument: Instrument) -> None:
     name = surface.path.name if surface.path is not None else "the map"
     unanswered = sorted(_asked(surface) - _answered(instrument))
     if unanswered:
-        raise BadMap(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
+        raise MapError(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
                      f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
 
 
@@ -117,7 +117,7 @@ def _answered(instrument: Instrument) -> frozenset[str]:
 def _all_said(name: str, surface: SurfaceMap) -> None:
     asked = sorted(_asked(surface))
     if asked:
-        raise BadMap(f"{name}: its file does not say its {_words(asked)}, and there is no instrument's profile: "
+        raise MapError(f"{name}: its file does not say its {_words(asked)}, and there is no instrument's profile: "
                      f"add an [instrument] that gives {_answers(asked)}")  # fmt: skip
 
 
@@ -125,7 +125,7 @@ def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) 
     words = {surface.instrument, *surface.instrument.replace(",", " ").split()}
     known = words & set(instrument.serials) or any(same_system(surface.instrument, one) for one in instrument.serials)
     if instrument.serials and not known:
-        raise BadMap(f"{name} is of the instrument {surface.instrument!r}, the profile {instrument.name!r} of "
+        raise MapError(f"{name} is of the instrument {surface.instrument!r}, the profile {instrument.name!r} of "
                      f"{', '.join(instrument.serials)}: choose its own profile, or add it to serials and commission it "
                      "again")  # fmt: skip
 
@@ -156,11 +156,13 @@ def _require_pitch(name: str, surface: SurfaceMap, instrument: Instrument) -> No
     own = instrument.pitch_mm
     fault = "" if own is None else scale_fault(surface.height_nm.shape, own)
     if fault:
-        raise BadMap(f"{name}: the profile {instrument.name!r} gives it a pitch of {own:g} mm: {fault}; mend pitch_mm")
+        raise MapError(
+            f"{name}: the profile {instrument.name!r} gives it a pitch of {own:g} mm: {fault}; mend pitch_mm"
+        )
     if given is None or own is None or "pitch" in surface.unsaid:
         return
     if not abs(given / own - 1) <= instrument.pitch_tolerance:
-        raise BadMap(f"{name} has a pitch of {given:g} mm, the profile {instrument.name!r} {own:g} mm, "
+        raise MapError(f"{name} has a pitch of {given:g} mm, the profile {instrument.name!r} {own:g} mm, "
                      f"{abs(given / own - 1):.1%} apart and {instrument.pitch_tolerance:.1%} allowed: another zoom or "
                      "camera mode, or a wrong calibration; measure again, or mend the profile")  # fmt: skip
 

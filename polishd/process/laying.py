@@ -21,7 +21,7 @@ NOTHING = 2e-14
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class CellAverages:
     """Columns of an effect matrix, one after the other, by what is in them."""
 
     count: Indices
@@ -46,7 +46,9 @@ def integrals(patch: FloatArray) -> FloatArray:
     return found
 
 
-def lay(grid: Grid, integral: FloatArray, half_mm: FloatArray, count: Indices, position_mm: FloatArray) -> Columns:
+def average_over_cells(
+    grid: Grid, integral: FloatArray, half_mm: FloatArray, count: Indices, position_mm: FloatArray
+) -> CellAverages:
     """Columns of n patches, the mean of each at its positions: its content of each cell over the cell's area.
 
     Args:
@@ -74,7 +76,7 @@ def lay(grid: Grid, integral: FloatArray, half_mm: FloatArray, count: Indices, p
     on = (rows >= 0) & (rows < grid.ny) & (columns >= 0) & (columns < grid.nx)
     owner = owner[on]
     rate = summed[found[on]] / (pitch**2 * count)[owner]
-    return Columns(np.bincount(owner, minlength=n), rows[on] * grid.nx + columns[on], rate)
+    return CellAverages(np.bincount(owner, minlength=n), rows[on] * grid.nx + columns[on], rate)
 
 
 def _edges(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.model.beliefs import Beliefs, Evidence, Lesson
+from polishd.model.beliefs import Estimates, EstimateUpdate, PassEvidence
 from polishd.model.text import with_error
 from polishd.process.removal_fit import MIN_SIGNAL_NM, Fit, fit, levelled
 
@@ -16,7 +16,7 @@ SIGNIFICANT = 2.0
 """A rate is applied only if it is this many standard errors from the one believed."""
 
 
-def learn_rate(evidence: Evidence) -> Lesson:
+def learn_rate(evidence: PassEvidence) -> EstimateUpdate:
     """The removal rate by the gate's own fit, ``measured = rate * predicted + piston + tilt``.
 
     It stays where nothing significant was found, and where this pass could not have shown a wrong one. ``found`` has
@@ -44,10 +44,10 @@ def learn_rate(evidence: Evidence) -> Lesson:
     }
     if told and evidence.tells_rate:
         believed = replace(believed, sigma=believed.value * own.rate_scatter)
-    return Lesson(replace(evidence.beliefs, rate=replace(believed, value=rate)), how, notes)
+    return EstimateUpdate(replace(evidence.beliefs, rate=replace(believed, value=rate)), how, notes)
 
 
-def later(beliefs: Beliefs, days: float) -> Beliefs:
+def later(beliefs: Estimates, days: float) -> Estimates:
     """What a job begins with, so many days after the pass that taught it: the rate, less certain by a random walk."""
     rate = beliefs.rate
     if rate.sigma is None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.beliefs import Belief
+from polishd.model.beliefs import Estimate
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.metrics import Removal
 from polishd.process.metrics.zernike_terms import order, values
@@ -25,21 +25,21 @@ CHANCE = (7, 8, 11, 12, 13, 14, 15)
 
 
 @dataclass(frozen=True, slots=True)
-class Leftover:
+class ResidualFit:
     """Each with its standard error. Sizes are RMS over the circle of the mask.
 
     Of low orders it is the scatter over the map's tiles or, where that is more, what the fit leaves of their
     neighbours, RMS: of what is as long as the part tiles know nothing.
     """
 
-    rate: Belief | None
+    rate: Estimate | None
     """Measured over predicted removal; None between two maps with no pass between."""
-    shift_mm: Belief
+    shift_mm: Estimate
     """Length of the way by which the removal lies off its prediction."""
-    power_nm: Belief
+    power_nm: Estimate
     """Positive: the rim lost more than the removal explains; negative: it stands higher in the map after."""
-    astigmatism_nm: Belief
-    trefoil_nm: Belief
+    astigmatism_nm: Estimate
+    trefoil_nm: Estimate
 
 
 def leftover(
@@ -49,7 +49,7 @@ def leftover(
     predicted_nm: FloatArray | None = None,
     *,
     removal: Removal = "tilt",
-) -> Leftover | None:
+) -> ResidualFit | None:
     """All of them in one least-squares fit, beside piston and tilt; None where the samples are too few.
 
     Args:
@@ -75,10 +75,10 @@ def leftover(
     power, astigmatism, trefoil = (slice(first + a, first + b) for a, b in ((0, 1), (1, 3), (3, 5)))
     rate = float(size[0]) if fitted else 1.0
     moved = (size[1:3] / (rate or 1.0), error[1:3] / (rate or 1.0)) if fitted else (np.zeros(2), np.zeros(2))
-    return Leftover(
-        rate=Belief(rate, float(error[0])) if fitted else None,
+    return ResidualFit(
+        rate=Estimate(rate, float(error[0])) if fitted else None,
         shift_mm=_length(*moved),
-        power_nm=Belief(float(size[power][0]), float(error[power][0])),
+        power_nm=Estimate(float(size[power][0]), float(error[power][0])),
         astigmatism_nm=_length(size[astigmatism], error[astigmatism]),
         trefoil_nm=_length(size[trefoil], error[trefoil]),
     )
@@ -90,9 +90,9 @@ def _chance_nm(left_nm: FloatArray, neighbours: Sequence[FloatArray], mask: Bool
     return float(np.sqrt(np.mean(np.linalg.lstsq(terms, left_nm, rcond=None)[0] ** 2)))
 
 
-def _length(vector: FloatArray, errors: FloatArray) -> Belief:
+def _length(vector: FloatArray, errors: FloatArray) -> Estimate:
     """With the larger of the components' errors."""
-    return Belief(float(np.linalg.norm(vector)), float(np.abs(errors).max()))
+    return Estimate(float(np.linalg.norm(vector)), float(np.abs(errors).max()))
 
 
 def _slopes(height_nm: FloatArray, pitch_mm: float) -> list[FloatArray]:

@@ -12,7 +12,7 @@ from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.surface import FloatArray
 from polishd.process.contact import check_process
 from polishd.process.robot.refusal import require_number
-from polishd.process.spot import shares, turned
+from polishd.process.spot import cell_shares, rotate_spot
 
 SQUARES = 64
 """Squares across the measured spot, at most: where the map has fewer samples, they are the squares."""
@@ -48,7 +48,7 @@ class MeasuredSpot:
     def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
         """(n, 2) the configured offset of the spot's centroid."""
         x_mm, y_mm = self.process.spot_offset_mm
-        return turned(np.full_like(depth_ratio, x_mm), y_mm, azimuth_rad)
+        return rotate_spot(np.full_like(depth_ratio, x_mm), y_mm, azimuth_rad)
 
     def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
         """(n, s, s) nm mm^2/s."""
@@ -105,4 +105,4 @@ def _samples_to_squares(n: int, pitch_mm: float, half_mm: float, count: int) -> 
     """(count, n) how much of each of n samples, centred, lies in each of the squares that fill [-half, half]."""
     # the samples are the squares of `shares` here, and the squares its cells
     centre, half = np.array([half_mm]), np.array([n * pitch_mm / 2])
-    return np.asarray(shares(centre, half, 2 * half_mm / count, count, n)[0], dtype=np.float64)
+    return np.asarray(cell_shares(centre, half, 2 * half_mm / count, count, n)[0], dtype=np.float64)

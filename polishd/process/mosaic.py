@@ -32,7 +32,7 @@ class SubAperture:
 
 
 @dataclass(frozen=True, slots=True)
-class Laid:
+class PlacedMap:
     """A map at the samples of the grid that it covers."""
 
     name: str
@@ -54,7 +54,7 @@ class Laid:
         (row, column), (ny, nx) = self.corner, self.height_nm.shape
         return slice(row, row + ny), slice(column, column + nx)
 
-    def meeting(self, other: Laid) -> tuple[Window, Window]:
+    def meeting(self, other: PlacedMap) -> tuple[Window, Window]:
         """The rectangle in which both lie, in the samples of each."""
         start = np.maximum(self.corner, other.corner)
         stop = np.minimum(np.add(self.corner, self.height_nm.shape), np.add(other.corner, other.height_nm.shape))
@@ -77,7 +77,7 @@ class Laid:
 
 
 @dataclass(frozen=True, slots=True)
-class Sum:
+class StitchSum:
     """What maps make together, on the grid."""
 
     mean: FloatArray
@@ -86,7 +86,7 @@ class Sum:
     """(ny, nx) maps that have the sample."""
 
 
-def lay(maps: Sequence[SubAperture], found_px: FloatArray, pitch_mm: float) -> list[Laid]:
+def place_map(maps: Sequence[SubAperture], found_px: FloatArray, pitch_mm: float) -> list[PlacedMap]:
     """Each map where it is said to lie, and by ``found_px`` (maps, 2), right and down, from there.
 
     The grid is the first map's. Others are interpolated by polynomials of degree 6 through 7 samples a direction, which
@@ -107,7 +107,7 @@ def lay(maps: Sequence[SubAperture], found_px: FloatArray, pitch_mm: float) -> l
         radius = float(np.hypot(row - middle[k, 0], column - middle[k, 1]).max(initial=1.0))
         at, mid = whole[k] - edge, centre[k] - edge
         places = (int(at[0]), int(at[1])), (float(mid[0]), float(mid[1]))
-        laid.append(Laid(one.name, height, np.isfinite(height), *places, radius, gain))
+        laid.append(PlacedMap(one.name, height, np.isfinite(height), *places, radius, gain))
     return laid
 
 
@@ -126,17 +126,17 @@ def _interpolated(height_nm: FloatArray, way: FloatArray) -> tuple[FloatArray, f
     return height_nm, gain
 
 
-def summed(laid: Sequence[Laid], heights_nm: Sequence[FloatArray]) -> Sum:
+def summed(laid: Sequence[PlacedMap], heights_nm: Sequence[FloatArray]) -> StitchSum:
     """Mean and count of maps' heights, each (ny, nx) as the map is laid."""
     shape = np.max([np.add(one.corner, one.height_nm.shape) for one in laid], axis=0)
     total, count = np.zeros(shape), np.zeros(shape)
     for one, height in zip(laid, heights_nm, strict=True):
         total[one.window] += np.where(one.valid, height, 0.0)
         count[one.window] += one.valid
-    return Sum(total / np.maximum(count, 1), count)
+    return StitchSum(total / np.maximum(count, 1), count)
 
 
-def slopes(surface: Sum) -> tuple[FloatArray, FloatArray]:
+def slopes(surface: StitchSum) -> tuple[FloatArray, FloatArray]:
     """(ny, nx) slopes to the right and down, nm per pixel; smoothed over a pixel, so that noise is no slope."""
     none = surface.count == 0
     nearest = scipy.ndimage.distance_transform_edt(none, return_distances=False, return_indices=True)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from polishd.model.beliefs import Belief
-from polishd.model.cause import CauseName, Named
+from polishd.model.beliefs import Estimate
+from polishd.model.cause import CauseName, Diagnosis
 from polishd.model.text import with_error
-from polishd.process.gate import MAX_SHIFT_MM, MIN_CORRELATION, Verdict
-from polishd.process.leftover import Leftover
+from polishd.process.gate import MAX_SHIFT_MM, MIN_CORRELATION, RemovalCheckResult
+from polishd.process.leftover import ResidualFit
 
 SIGMAS = 4.0
 """Standard errors by which a size must be other than none: a cell makes thousands of passes."""
@@ -34,24 +34,24 @@ HARM = 0.5
 """Of what a part may be off, RMS: what changes by less from map to map is told, and holds nobody up."""
 
 
-def of_gate(verdict: Verdict, most_shift_mm: float = MAX_SHIFT_MM) -> Named:
+def diagnose_removal(verdict: RemovalCheckResult, most_shift_mm: float = MAX_SHIFT_MM) -> Diagnosis:
     """What stopped the cell, in the order of `gate.judge`'s own reasons, as it was allowed a shift."""
     if not verdict.best.as_it_is:
         what = f"the removal looks like the predicted one {verdict.best.name}"
-        return Named("map", verdict.best.correlation, 0.0, MIN_CORRELATION, "1", what)
-    distance = Belief((verdict.shift_mm[0] ** 2 + verdict.shift_mm[1] ** 2) ** 0.5, max(verdict.shift_sigma_mm))
+        return Diagnosis("map", verdict.best.correlation, 0.0, MIN_CORRELATION, "1", what)
+    distance = Estimate((verdict.shift_mm[0] ** 2 + verdict.shift_mm[1] ** 2) ** 0.5, max(verdict.shift_sigma_mm))
     if distance.value > most_shift_mm:
         return _named("shift", distance, most_shift_mm, "mm", "the removal lies {} off its place")
-    return _rate(Belief(verdict.rate, verdict.rate_sigma))
+    return _rate(Estimate(verdict.rate, verdict.rate_sigma))
 
 
-def of_pass(
-    verdict: Verdict,
-    left: Leftover | None,
+def diagnose_pass(
+    verdict: RemovalCheckResult,
+    left: ResidualFit | None,
     removed_nm: float,
-    again: Sequence[Named] | None = None,
+    again: Sequence[Diagnosis] | None = None,
     most_shift_mm: float = MAX_SHIFT_MM,
-) -> tuple[Named, ...]:
+) -> tuple[Diagnosis, ...]:
     """All that a pass names, suspicions first where there are any.
 
     Args:
@@ -61,7 +61,7 @@ def of_pass(
         again: what the maps since the pass have named among themselves (`of_change`); None: there is one map only.
         most_shift_mm: that the gate allowed.
     """
-    stopped = (of_gate(verdict, most_shift_mm),) if verdict.stop else ()
+    stopped = (diagnose_removal(verdict, most_shift_mm),) if verdict.stop else ()
     if left is None or any(one.cause == "map" for one in stopped):
         return stopped
     bent = _bent(left, SHARE * removed_nm)
@@ -79,12 +79,12 @@ def of_pass(
     return (*(one for one in found if one.size > one.limit), *told)
 
 
-def of_change(left: Leftover | None) -> tuple[Named, ...]:
+def diagnose_change(left: ResidualFit | None) -> tuple[Diagnosis, ...]:
     """What two maps with no pass between name: what is set up anew, or has cooled, is no removal."""
     return () if left is None else _bent(left, LEAST_NM)
 
 
-def settles(found: Sequence[Named], before: Sequence[Named]) -> bool:
+def is_settling(found: Sequence[Diagnosis], before: Sequence[Diagnosis]) -> bool:
     """Whether another map is worth waiting for: what cools changes less from map to map, a mount or set-up does not.
 
     Args:
@@ -95,43 +95,45 @@ def settles(found: Sequence[Named], before: Sequence[Named]) -> bool:
     return bool(found) and all(one.cause == "settling" and one.size < last_nm for one in found)
 
 
-def harmful(found: Sequence[Named], wanted_nm: float) -> tuple[Named, ...]:
+def harmful(found: Sequence[Diagnosis], wanted_nm: float) -> tuple[Diagnosis, ...]:
     """What changes so much from map to map that a part which may be off by ``wanted_nm`` cannot be judged by one."""
     return tuple(one for one in found if one.size > HARM * wanted_nm)
 
 
-def lasting(found: Sequence[Named]) -> tuple[Named, ...]:
+def persistent(found: Sequence[Diagnosis]) -> tuple[Diagnosis, ...]:
     """Of what many maps named, each cause once, where it was largest."""
     causes = dict.fromkeys(one.cause for one in found)
     return tuple(max((one for one in found if one.cause == cause), key=lambda one: one.size) for cause in causes)
 
 
-def _bent(left: Leftover, least_nm: float) -> tuple[Named, ...]:
+def _bent(left: ResidualFit, least_nm: float) -> tuple[Diagnosis, ...]:
     """Low orders that are beyond their limits."""
     found = (
         _named("settling", left.power_nm, least_nm, "nm", "power changed by {}", sigmas=LOW_SIGMAS),
         _named("settling", left.astigmatism_nm, least_nm, "nm", "astigmatism changed by {}", sigmas=LOW_SIGMAS),
         _named("mount", left.trefoil_nm, least_nm, "nm", "a trefoil changed by {}", sigmas=LOW_SIGMAS),
     )
-    return lasting([one for one in found if one.size > one.limit])
+    return persistent([one for one in found if one.size > one.limit])
 
 
-def _named(cause: CauseName, found: Belief, least: float, unit: str, what: str, *, sigmas: float = SIGMAS) -> Named:
+def _named(
+    cause: CauseName, found: Estimate, least: float, unit: str, what: str, *, sigmas: float = SIGMAS
+) -> Diagnosis:
     sigma = float("inf") if found.sigma is None else found.sigma
     size, limit = abs(found.value), max(sigmas * sigma, least)
-    return Named(cause, size, sigma, limit, unit, what.format(f"{size:.3g} +- {sigma:.2g} {unit}"))
+    return Diagnosis(cause, size, sigma, limit, unit, what.format(f"{size:.3g} +- {sigma:.2g} {unit}"))
 
 
-def _rate(rate: Belief) -> Named:
+def _rate(rate: Estimate) -> Diagnosis:
     sigma = float("inf") if rate.sigma is None else rate.sigma
     what = f"the measured removal is {with_error(rate.value, sigma)} times the predicted one"
-    return Named("rate", abs(rate.value - 1), sigma, SIGMAS * (sigma**2 + KNOWN_RATE**2) ** 0.5, "1", what)
+    return Diagnosis("rate", abs(rate.value - 1), sigma, SIGMAS * (sigma**2 + KNOWN_RATE**2) ** 0.5, "1", what)
 
 
-def _suspected(one: Named) -> Named:
-    return Named(one.cause, one.size, one.sigma, one.limit, one.unit, one.what, again=True)
+def _suspected(one: Diagnosis) -> Diagnosis:
+    return Diagnosis(one.cause, one.size, one.sigma, one.limit, one.unit, one.what, again=True)
 
 
-def _of_process(one: Named) -> Named:
+def _of_process(one: Diagnosis) -> Diagnosis:
     """What maps since do not change any more."""
-    return Named("field", one.size, one.sigma, one.limit, one.unit, f"{one.what} in the pass, and stays")
+    return Diagnosis("field", one.size, one.sigma, one.limit, one.unit, f"{one.what} in the pass, and stays")

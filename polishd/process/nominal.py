@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.process.registration.record import Registration
 
@@ -25,7 +25,7 @@ def less_nominal(surface: SurfaceMap, nominal: SurfaceMap, lies: Registration) -
         BadMap: either has no pitch.
     """
     if surface.pitch_mm is None or nominal.pitch_mm is None:
-        raise BadMap(f"{nominal.path or 'the nominal form'}: it and the map need a lateral scale to be compared")
+        raise MapError(f"{nominal.path or 'the nominal form'}: it and the map need a lateral scale to be compared")
     grid = nominal.grid
     x, y = lies.on_part_mm(surface.grid)
     places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]

@@ -13,7 +13,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Orientation:
+class ArrayOrientation:
     """Flip left-right where ``mirror``, then turn by ``rotation_deg`` counter-clockwise as displayed (row 0 on top)."""
 
     mirror: bool
@@ -44,13 +44,13 @@ class Orientation:
             x, y = -y, x
         return (x, y)
 
-    def then(self, later: Orientation) -> Orientation:
+    def then(self, later: ArrayOrientation) -> ArrayOrientation:
         """The one orientation that does what this one and then ``later`` do."""
         own = -self.rotation_deg if later.mirror else self.rotation_deg  # a flip reverses the turns before it
         return _BY_NAME[_NAMES[self.mirror != later.mirror, (own + later.rotation_deg) % 360]]
 
     @property
-    def undone(self) -> Orientation:
+    def undone(self) -> ArrayOrientation:
         """The orientation that leads back."""
         return next(back for back in ORIENTATIONS if self.then(back) == ORIENTATIONS[0])
 
@@ -66,11 +66,11 @@ _NAMES: dict[tuple[bool, int], str] = {
     (True, 270): "transposed across",
 }
 _TURNS: tuple[Turn, ...] = (0, 90, 180, 270)
-ORIENTATIONS = tuple(Orientation(mirror, turn) for mirror in (False, True) for turn in _TURNS)
+ORIENTATIONS = tuple(ArrayOrientation(mirror, turn) for mirror in (False, True) for turn in _TURNS)
 """All eight; the first is "as it is"."""
 _BY_NAME = {orientation.name: orientation for orientation in ORIENTATIONS}
 
 
-def orientations(shape: tuple[int, ...]) -> tuple[Orientation, ...]:
+def orientations(shape: tuple[int, ...]) -> tuple[ArrayOrientation, ...]:
     """Those of the eight that keep an array's shape: four where it is not square."""
     return tuple(o for o in ORIENTATIONS if shape[0] == shape[1] or o.rotation_deg % 180 == 0)

@@ -16,7 +16,7 @@ SAME_PITCH = 1e-6
 """Part of a pitch by which two may differ and still be one grid."""
 
 
-def plausible(surface: SurfaceMap, now: datetime, written: datetime | None) -> SurfaceMap:
+def is_plausible(surface: SurfaceMap, now: datetime, written: datetime | None) -> SurfaceMap:
     """The map as a reader gave it, without a date or a lateral scale that cannot be.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.instrument import same_system
 from polishd.process.metrics import Removal, without
@@ -24,7 +24,7 @@ ALIKE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Repeats:
+class AverageResult:
     """The mean of the repeats that agree, with its uncertainties (one standard deviation of the mean)."""
 
     height_nm: FloatArray
@@ -46,7 +46,7 @@ class Repeats:
     """Single samples left out of maps that were used."""
 
 
-def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> Repeats:
+def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> AverageResult:
     """Mean of repeated maps, registered to each other, without those that deviate.
 
     A map is left out where its RMS deviation from the median map is more than ``MAP_SIGMAS`` robust standard
@@ -73,7 +73,7 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed:
     good = ~_outliers(deviation)
     rejected = {name: float(d) for name, d, kept in zip(names, deviation, good, strict=True) if not kept}
     if np.count_nonzero(good) < FEWEST:
-        raise BadMap(
+        raise MapError(
             f"only {np.count_nonzero(good)} of {len(good)} repeats agree ({', '.join(rejected)} deviate), fewer than "
             f"{FEWEST}: measure again"
         )
@@ -81,7 +81,7 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed:
     kept = _samples_kept(heights)
     mean, error = _mean(heights, kept)
     without_one = [_mean(np.delete(heights, i, 0), np.delete(kept, i, 0))[0].std() for i in range(len(heights))]
-    return Repeats(
+    return AverageResult(
         height_nm=_spread(mean, common),
         mask=common,
         uncertainty_nm=_spread(error, common),
@@ -98,13 +98,13 @@ def _require_one_setup(surfaces: Sequence[SurfaceMap]) -> None:
     names = _names(surfaces)
     bare = [name for name, surface in zip(names, surfaces, strict=True) if surface.pitch_mm is None]
     if bare:
-        raise BadMap(f"{', '.join(bare)}: without a lateral scale nobody knows whether repeats are of one zoom; give "
+        raise MapError(f"{', '.join(bare)}: without a lateral scale nobody knows whether repeats are of one zoom; give "
                      "the instrument's --profile, or say --mixed")  # fmt: skip
     known = [(name, surface.instrument) for name, surface in zip(names, surfaces, strict=True) if surface.instrument]
     for name, instrument in known[1:]:
         first, usual = known[0]
         if not same_system(instrument, usual):
-            raise BadMap(f"{name} is of the instrument {instrument!r}, {first} of {usual!r}: repeats are of one; leave "
+            raise MapError(f"{name} is of the instrument {instrument!r}, {first} of {usual!r}: repeats are of one; leave "
                          "it out, or say --mixed")  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def _require_measured_each(surfaces: Sequence[SurfaceMap]) -> None:
     for name, surface in zip(_names(surfaces), surfaces, strict=True):
         before = seen.setdefault(surface.sha256, name) if surface.sha256 else name
         if before != name:
-            raise BadMap(f"{name} and {before} hold the same measurement, byte for byte: name each repeat once")
+            raise MapError(f"{name} and {before} hold the same measurement, byte for byte: name each repeat once")
 
 
 def _size(surface: SurfaceMap) -> str:
@@ -133,11 +133,11 @@ def _same_pitch(one: SurfaceMap, other: SurfaceMap) -> bool:
 def _common(surfaces: Sequence[SurfaceMap]) -> BoolArray:
     """(ny, nx) samples that all have."""
     if len(surfaces) < FEWEST:
-        raise BadMap(f"{len(surfaces)} repeats are too few: at least {FEWEST} tell which of them deviates")
+        raise MapError(f"{len(surfaces)} repeats are too few: at least {FEWEST} tell which of them deviates")
     first, *others = surfaces
     for name, other in zip(_names(surfaces)[1:], others, strict=True):
         if other.height_nm.shape != first.height_nm.shape or not _same_pitch(other, first):
-            raise BadMap(f"{name} has {_size(other)}, the first repeat {_size(first)}: repeats are of one set-up")
+            raise MapError(f"{name} has {_size(other)}, the first repeat {_size(first)}: repeats are of one set-up")
     everywhere: BoolArray = np.logical_and.reduce([surface.valid for surface in surfaces])
     return everywhere
 

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from polishd.model.errors import ComputeError
-from polishd.model.handling import Seat, TouchOff
+from polishd.model.handling import PartSeat, TouchOff
 from polishd.model.outline import Outline
 from polishd.model.surface import FloatArray
 
@@ -35,7 +35,7 @@ def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
     return float(scipy.optimize.brentq(deeper, inner, outline.radius_mm, xtol=1e-12))
 
 
-def seat_of(asked: TouchOff, early_mm: FloatArray) -> Seat:
+def seat_of(asked: TouchOff, early_mm: FloatArray) -> PartSeat:
     """How the part sits, from how much earlier (3,) than it should the actuator met it at each place.
 
     A small move of a rigid body, by ``t`` along z and turned by ``w`` about x and y, lifts the surface at ``p`` along
@@ -45,11 +45,11 @@ def seat_of(asked: TouchOff, early_mm: FloatArray) -> Seat:
     """
     off_mm = early_mm * asked.lean
     matrix = _moves(asked)
-    if not told_apart(asked):
+    if not separate_seat_terms(asked):
         raise ComputeError("the three places of the touch-off lie on a line: no tilt can be told; move one of them")
     height_mm, about_x, about_y = np.linalg.solve(matrix, off_mm)
     rise = float(np.hypot(about_x, about_y)) * asked.rim_mm
-    return Seat(
+    return PartSeat(
         height_mm=float(height_mm),
         tilt_deg=(float(np.degrees(about_x)), float(np.degrees(about_y))),
         off_mm=tuple(map(float, off_mm)),
@@ -57,7 +57,7 @@ def seat_of(asked: TouchOff, early_mm: FloatArray) -> Seat:
     )
 
 
-def told_apart(asked: TouchOff) -> bool:
+def separate_seat_terms(asked: TouchOff) -> bool:
     """Whether the places say height and both tilts."""
     return bool(abs(np.linalg.det(_moves(asked) / [1.0, asked.rim_mm, asked.rim_mm])) > FLATTEST)
 

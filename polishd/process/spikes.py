@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.metrics import zernike
 
@@ -62,7 +62,7 @@ def without_spikes(
         threshold = mads * max(SIGMA_PER_MAD * float(np.median(off[valid & ~spike])), FLOOR_NM)
         before, spike = spike, valid & (off > threshold)
         if np.count_nonzero(spike) > most * np.count_nonzero(valid):
-            raise BadMap(
+            raise MapError(
                 f"{np.count_nonzero(spike)} samples stand more than {threshold:.1f} nm off the surface, more than "
                 f"{most:.1%} of the map: measure again, or mask what is not the part"
             )

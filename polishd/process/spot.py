@@ -72,7 +72,9 @@ class HertzSpot:
     def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
         """(n, 2) the configured offset, and the dissipative shift of the pressure."""
         x_mm, y_mm = self.process.spot_offset_mm
-        return turned(x_mm + contact.dissipative_shift_mm(self.process, self.depth_mm(depth_ratio)), y_mm, azimuth_rad)
+        return rotate_spot(
+            x_mm + contact.dissipative_shift_mm(self.process, self.depth_mm(depth_ratio)), y_mm, azimuth_rad
+        )
 
     def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
         """(n, squares, squares) nm mm^2/s.
@@ -139,13 +141,13 @@ def hertz_spot(process: ToolProcess, pitch_mm: float) -> HertzSpot:
     return HertzSpot(process, min(max(PATCH, int(np.ceil(SQUARES_IN_CELL * width / pitch_mm))), MOST_PATCH))
 
 
-def turned(x_mm: float | FloatArray, y_mm: float | FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+def rotate_spot(x_mm: float | FloatArray, y_mm: float | FloatArray, azimuth_rad: FloatArray) -> FloatArray:
     """(n, 2) part's x and y of a vector in the tool's frame (y where the spindle leans), mm."""
     sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
     return np.stack([x_mm * sine + y_mm * cosine, y_mm * sine - x_mm * cosine], axis=-1)
 
 
-def askew(patch: FloatArray, correlation: FloatArray, rows: NDArray[np.int64] | None = None) -> FloatArray:
+def tilt_spot(patch: FloatArray, correlation: FloatArray, rows: NDArray[np.int64] | None = None) -> FloatArray:
     """(n, squares, squares) patches of discs, each row moved and narrowed so that they are ellipses within the patch.
 
     ``correlation`` (n,) of x and y over each ellipse; as wide and as tall as the disc was. What a row holds is kept.
@@ -162,7 +164,7 @@ def askew(patch: FloatArray, correlation: FloatArray, rows: NDArray[np.int64] | 
     return np.asarray(np.diff(low + (place - left) * (high - low), axis=2), dtype=np.float64)
 
 
-def shares(centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, cells: int, squares: int) -> FloatArray:
+def cell_shares(centre_mm: FloatArray, half_mm: FloatArray, pitch_mm: float, cells: int, squares: int) -> FloatArray:
     """(n, cells, squares) how much of each square lies in each cell; the (n,) centres from the first cell's edge."""
     side = (2 * half_mm / squares)[:, None, None]
     start = (centre_mm - half_mm)[:, None, None] + side * np.arange(squares)

@@ -11,9 +11,9 @@ from polishd.model.process import Optic, Placement, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.process.convolution import ConvolutionEffect, convolution_effect
-from polishd.process.curved import Curved
+from polishd.process.curved import CurvedContact
 from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix
-from polishd.process.edge.edge_tif import sunk_at_rim
+from polishd.process.edge.edge_tif import rim_depth_mm
 from polishd.process.effect import SparseEffect
 from polishd.process.frames import surface_normals, upright
 from polishd.process.spot import Spot, WiderSpot
@@ -31,7 +31,7 @@ class SpotPath:
     process: ToolProcess
     rim: Outline | None
     """The part's, where it is free."""
-    curved: Curved | None
+    curved: CurvedContact | None
     """What the part's curvature makes of the spot at each point; None on a flat."""
 
     @property
@@ -47,7 +47,7 @@ class SpotPath:
         if self.curved is not None:
             spots, notes = replace(spots, factor=spots.factor * self.curved.seen), (self.curved.note,)
         if self.rim is not None:
-            spots, note = sunk_at_rim(spots, self.rim, self.process, self.spot, self.program)
+            spots, note = rim_depth_mm(spots, self.rim, self.process, self.spot, self.program)
             notes = (*notes, note)
         return spots, notes
 

@@ -18,9 +18,9 @@ import scipy.linalg
 import scipy.sparse
 from scipy.sparse.csgraph import connected_components
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.mosaic import NOISE_SLOPE, Laid, SubAperture, Sum, lay, slopes, summed
+from polishd.process.mosaic import NOISE_SLOPE, PlacedMap, StitchSum, SubAperture, place_map, slopes, summed
 
 LEAST_COMMON = 25
 """Samples that two maps must share to count as overlapping."""
@@ -35,7 +35,7 @@ MOST_SHIFT_PX = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class SubAperturePlacement:
     """What was found of a sub-aperture, against the reference."""
 
     name: str
@@ -55,7 +55,7 @@ class Placed:
 
 
 @dataclass(frozen=True, slots=True)
-class Stitched:
+class StitchResult:
     """The surface in the reference's frame: its piston, tilt and power are the first map's."""
 
     height_nm: FloatArray
@@ -64,7 +64,7 @@ class Stitched:
     """(ny, nx) one standard deviation from the noise alone, that of the unknowns with it."""
     maps: FloatArray
     """(ny, nx) how many maps have the sample."""
-    placed: tuple[Placed, ...]
+    placed: tuple[SubAperturePlacement, ...]
     noise_nm: float
     """Of one sample of one map, from what the overlaps leave."""
     power_growth: float
@@ -78,17 +78,17 @@ class Stitched:
 class _Fit:
     """Least squares with the maps laid as they are."""
 
-    laid: Sequence[Laid]
+    laid: Sequence[PlacedMap]
     bases: Sequence[FloatArray]
     values: FloatArray
     """(maps, p) of each map's basis; the first's are 0."""
     inverse: FloatArray
     """(maps, maps, p, p) of the normal matrix; 0 for the first."""
     noise_nm: float
-    surface: Sum
+    surface: StitchSum
 
 
-def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False, shift: bool = False) -> Stitched:
+def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False, shift: bool = False) -> StitchResult:
     """The surface that overlapping maps agree upon.
 
     Args:
@@ -101,10 +101,10 @@ def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False,
         BadMap: fewer than two; maps that do not overlap; overlaps that do not tell the unknowns.
     """
     if len(maps) < 2:
-        raise BadMap("one sub-aperture is nothing to stitch: name two or more that overlap")
+        raise MapError("one sub-aperture is nothing to stitch: name two or more that overlap")
     found = np.zeros((len(maps), 2))
     _require_near(maps, pitch_mm)
-    fit = _fit(lay(maps, found, pitch_mm), power=power)
+    fit = _fit(place_map(maps, found, pitch_mm), power=power)
     if shift:
         found, fit = _shifted(maps, pitch_mm, fit, power=power)
     return _result(maps, pitch_mm, found, fit, power=power)
@@ -120,17 +120,17 @@ def _shifted(maps: Sequence[SubAperture], pitch_mm: float, fit: _Fit, *, power: 
         found = found + step
         if np.abs(found).max() > MOST_SHIFT_PX:
             break
-        fit = _fit(lay(maps, found, pitch_mm), power=power)
+        fit = _fit(place_map(maps, found, pitch_mm), power=power)
         if np.abs(step).max() < CONVERGED_PX:
             # what the shifts leave open is part of the uncertainty; their last step is too small to be laid again
             last = _fit(fit.laid, power=power, slope=slopes(fit.surface))
             return found, replace(last, values=np.column_stack([fit.values, np.zeros((len(maps), 2))]))
     worst = maps[int(np.abs(found).max(axis=1).argmax())].name
-    raise BadMap(f"{worst}: its shift does not settle within {MOST_SHIFT_PX:g} px: list where it lies more exactly, or "
+    raise MapError(f"{worst}: its shift does not settle within {MOST_SHIFT_PX:g} px: list where it lies more exactly, or "
                  "leave the shift out of --free")  # fmt: skip
 
 
-def _fit(laid: Sequence[Laid], *, power: bool, slope: tuple[FloatArray, FloatArray] | None = None) -> _Fit:
+def _fit(laid: Sequence[PlacedMap], *, power: bool, slope: tuple[FloatArray, FloatArray] | None = None) -> _Fit:
     surface = summed(laid, [one.height_nm for one in laid])
     shared = surface.count >= 2
     used = [one.valid & shared[one.window] for one in laid]
@@ -150,13 +150,17 @@ def _fit(laid: Sequence[Laid], *, power: bool, slope: tuple[FloatArray, FloatArr
     # interpolation takes noise off single samples, not off the long waves that the unknowns are
     freedom = sum(one.gain * float((use * (1 - share[one.window])).sum()) for one, use in zip(laid, used, strict=True))
     if freedom <= free:
-        raise BadMap("the overlaps hold too few samples for what is asked; take sub-apertures that overlap more")
+        raise MapError("the overlaps hold too few samples for what is asked; take sub-apertures that overlap more")
     noise = np.sqrt(sum(float((one**2).sum()) for one in off) / (freedom - free))
     return _Fit(laid, bases, values, inverse, float(noise), surface)
 
 
 def _normal(
-    laid: Sequence[Laid], used: Sequence[BoolArray], bases: Sequence[FloatArray], share: FloatArray, surface: Sum
+    laid: Sequence[PlacedMap],
+    used: Sequence[BoolArray],
+    bases: Sequence[FloatArray],
+    share: FloatArray,
+    surface: StitchSum,
 ) -> tuple[FloatArray, FloatArray]:
     """(maps, maps, p, p) and (maps, p): the surface, the mean of each sample, is eliminated."""
     count, size = len(laid), len(bases[0])
@@ -177,12 +181,12 @@ def _normal(
     return normal, right
 
 
-def _inverted(matrix: FloatArray, laid: Sequence[Laid], size: int) -> FloatArray:
+def _inverted(matrix: FloatArray, laid: Sequence[PlacedMap], size: int) -> FloatArray:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     value, vector = scipy.linalg.eigh(matrix * scale * scale[:, None])
     if value[0] < LEAST_EIGENVALUE:
         worst = laid[1 + int(np.abs(vector[:, 0]).argmax()) // size].name
-        raise BadMap(f"{worst}: its overlaps do not tell its piston, tilt and what else is free apart; let it overlap "
+        raise MapError(f"{worst}: its overlaps do not tell its piston, tilt and what else is free apart; let it overlap "
                      "more, or free less")  # fmt: skip
     return np.asarray((vector / value) @ vector.T * scale * scale[:, None])
 
@@ -195,7 +199,7 @@ def _require_near(maps: Sequence[SubAperture], pitch_mm: float) -> None:
     _require_linked([one.name for one in maps], near)
 
 
-def _require_overlap(laid: Sequence[Laid], used: Sequence[BoolArray]) -> None:
+def _require_overlap(laid: Sequence[PlacedMap], used: Sequence[BoolArray]) -> None:
     linked = np.eye(len(laid), dtype=np.bool_)
     for k, one in enumerate(laid):
         for other in range(k):
@@ -208,7 +212,7 @@ def _require_linked(names: Sequence[str], linked: BoolArray) -> None:
     _, group = connected_components(scipy.sparse.csr_array(linked), directed=False)
     apart = [name for name, its in zip(names, group, strict=True) if its != group[0]]
     if apart:
-        raise BadMap(f"{', '.join(apart)}: no overlap leads from there to {names[0]} (at least {LEAST_COMMON} common "
+        raise MapError(f"{', '.join(apart)}: no overlap leads from there to {names[0]} (at least {LEAST_COMMON} common "
                      "samples a link); see where they are said to lie, or measure between")  # fmt: skip
 
 
@@ -225,19 +229,19 @@ def _require_structure(fit: _Fit) -> None:
         noise = fit.noise_nm**2 * NOISE_SLOPE * float((1.0 / fit.surface.count[one.window][use]).sum())
         unsure = fit.noise_nm / np.sqrt(max(energy - noise, np.finfo(float).tiny))
         if energy < 2 * noise or unsure > SURE_PX:
-            raise BadMap(
+            raise MapError(
                 f"{one.name}: its overlaps have no structure that tells a shift (it would be known to {unsure:.2g} px "
                 f"only, with {fit.noise_nm:.3g} nm of noise); leave the shift out of --free"
             )
 
 
-def _result(maps: Sequence[SubAperture], pitch_mm: float, found: FloatArray, fit: _Fit, *, power: bool) -> Stitched:
+def _result(maps: Sequence[SubAperture], pitch_mm: float, found: FloatArray, fit: _Fit, *, power: bool) -> StitchResult:
     surface, laid = fit.surface, fit.laid
     there = surface.count > 0
     first = laid[0]
     row, column = np.nonzero(there)
     furthest = float(np.hypot(row - first.centre[0], column - first.centre[1]).max())
-    return Stitched(
+    return StitchResult(
         height_nm=np.where(there, surface.mean, np.nan),
         uncertainty_nm=np.where(there, fit.noise_nm * np.sqrt(_variance(fit)), np.nan),
         maps=surface.count,
@@ -266,7 +270,7 @@ def _variance(fit: _Fit) -> FloatArray:
     return np.asarray(found * share**2)
 
 
-def _placed(k: int, pitch_mm: float, found_px: FloatArray, fit: _Fit, *, power: bool) -> Placed:
+def _placed(k: int, pitch_mm: float, found_px: FloatArray, fit: _Fit, *, power: bool) -> SubAperturePlacement:
     one, values = fit.laid[k], fit.values[k]
     radius_mm = one.radius_px * pitch_mm
     base = fit.bases[k]
@@ -274,7 +278,7 @@ def _placed(k: int, pitch_mm: float, found_px: FloatArray, fit: _Fit, *, power: 
     off = (one.height_nm - np.tensordot(values, base, 1) - fit.surface.mean[one.window])[shared]
     sure = fit.noise_nm * np.sqrt(np.diag(fit.inverse[k, k])) * pitch_mm
     freed = len(values) > 3 + power
-    return Placed(
+    return SubAperturePlacement(
         name=one.name,
         shift_mm=(float(found_px[0]) * pitch_mm, (0.0 - float(found_px[1])) * pitch_mm),
         shift_uncertainty_mm=(float(sure[-2]), float(sure[-1])) if freed else (0.0, 0.0),

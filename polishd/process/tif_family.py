@@ -13,7 +13,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.process.robot.refusal import refuse_where, require_number
-from polishd.process.spot import Spot, askew, shares
+from polishd.process.spot import Spot, cell_shares, tilt_spot
 
 RATIOS = 33
 """Depth ratios that the basis is taken from, evenly over their range."""
@@ -78,7 +78,7 @@ def tif_family(
 def patches(spot: Spot, depth_ratio: FloatArray, azimuth_rad: FloatArray, bent: FloatArray | None) -> FloatArray:
     """(n, squares, squares) of a spot, on a curved part askew; ``bent`` as of `Blocks`."""
     patch = spot.patch(depth_ratio, azimuth_rad)
-    return patch if bent is None else askew(patch, bent[:, 2])
+    return patch if bent is None else tilt_spot(patch, bent[:, 2])
 
 
 def windows(
@@ -98,8 +98,8 @@ def windows(
     offset = spot.offset_mm(depth_ratio, azimuth_rad)
     patch = np.ascontiguousarray(patches(spot, depth_ratio, azimuth_rad, bent))
     size, middle = 2 * reach + 1, (reach + 0.5) * pitch_mm
-    across = shares(middle + offset[:, 0], half * wider[:, 0], pitch_mm, size, patch.shape[2])
-    down = shares(middle - offset[:, 1], half * wider[:, 1], pitch_mm, size, patch.shape[1])
+    across = cell_shares(middle + offset[:, 0], half * wider[:, 0], pitch_mm, size, patch.shape[2])
+    down = cell_shares(middle - offset[:, 1], half * wider[:, 1], pitch_mm, size, patch.shape[1])
     return np.asarray(down @ patch @ across.transpose(0, 2, 1) / pitch_mm**2).reshape(len(patch), -1)
 
 

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.model.tolerance import NORMS, Judged, Line
+from polishd.model.tolerance import NORMS, Judged, ToleranceLine
 from polishd.process import metrics
 
 SLOPE_LENGTHS = 1.5
@@ -26,11 +26,11 @@ class _Surface:
     pitch_mm: float
 
     @cached_property
-    def iso(self) -> metrics.iso10110.Iso10110:
+    def iso(self) -> metrics.iso10110.Iso10110Figures:
         """Figures of ISO 10110-5."""
         return metrics.iso10110.irregularity(self.height_nm, self.mask)
 
-    def band(self, line: Line) -> FloatArray:
+    def band(self, line: ToleranceLine) -> FloatArray:
         """(ny, nx) what has the line's periods."""
         edges = [edge for edge in (line.below_mm, line.above_mm) if edge]
         if not edges:
@@ -39,7 +39,7 @@ class _Surface:
 
 
 def judge(
-    lines: Iterable[Line],
+    lines: Iterable[ToleranceLine],
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -66,7 +66,7 @@ def judge(
     return tuple(found)
 
 
-def seen(line: Line, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
+def seen(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
     """(ny, nx) what of a surface has the line's periods; arguments as for `judge`."""
     return _Surface(height_nm, mask, pitch_mm).band(line)
 
@@ -82,7 +82,7 @@ def notes_of(judged: Iterable[Judged]) -> tuple[str, ...]:
 
 
 def out_of_reach(
-    lines: Sequence[Line], height_nm: FloatArray, mask: BoolArray, pitch_mm: float, cutoff_period_mm: float
+    lines: Sequence[ToleranceLine], height_nm: FloatArray, mask: BoolArray, pitch_mm: float, cutoff_period_mm: float
 ) -> tuple[Judged, ...]:
     """The lines that a spot cannot make hold: they do not of what is left where all periods above its cut-off are gone.
 
@@ -96,12 +96,12 @@ def out_of_reach(
     return tuple(one for one in judge(some, beyond, mask, pitch_mm) if not one.holds)
 
 
-def only_beyond(lines: Iterable[Line], cutoff_period_mm: float) -> tuple[Line, ...]:
+def only_beyond(lines: Iterable[ToleranceLine], cutoff_period_mm: float) -> tuple[ToleranceLine, ...]:
     """Lines that count no period above a spot's cut-off: it changes nothing of them for the better."""
     return tuple(line for line in lines if line.below_mm is not None and line.below_mm <= cutoff_period_mm)
 
 
-def _figure(line: Line, surface: _Surface) -> float:
+def _figure(line: ToleranceLine, surface: _Surface) -> float:
     match line.figure:
         case "rms":
             return metrics.pv_rms(surface.band(line), surface.mask)[1]
@@ -118,24 +118,26 @@ def _figure(line: Line, surface: _Surface) -> float:
             return float(getattr(surface.iso, f"rms_{line.figure[-1]}_nm"))
 
 
-def _above_line(line: Line, psd: metrics.RadialPsd) -> float:
+def _above_line(line: ToleranceLine, psd: metrics.RadialPsd) -> float:
     """The factor A of the lowest line ``A / f**exponent`` that no ring of the periods is above."""
     frequency = psd.frequency_per_mm
     counted = (frequency >= 1 / (line.below_mm or np.inf)) & (frequency <= 1 / line.above_mm)
     if not counted.any():
-        raise BadMap(f"the map has no frequency in {line.what}: it is too small, or the periods too near to each other")
+        raise MapError(
+            f"the map has no frequency in {line.what}: it is too small, or the periods too near to each other"
+        )
     return float((psd.density_nm2_mm2 * frequency**line.exponent)[counted].max())
 
 
-def _require_seen(line: Line, pitch_mm: float) -> None:
+def _require_seen(line: ToleranceLine, pitch_mm: float) -> None:
     problem = _unseen(line, pitch_mm)
     if problem is not None:
-        raise BadMap(
+        raise MapError(
             f"{line.what} cannot be judged on this map: {problem}; measure with a finer pitch, or mend the line"
         )
 
 
-def _unseen(line: Line, pitch_mm: float) -> str | None:
+def _unseen(line: ToleranceLine, pitch_mm: float) -> str | None:
     """Why a map of this pitch does not show what a line counts; None where it does.
 
     A band without a lower end counts what the map shows; one with an end must be shown to that.

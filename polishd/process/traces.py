@@ -8,12 +8,12 @@ import numpy as np
 import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.edge.correctable import Transfer
+from polishd.process.edge.correctable import SpotTransferFunction
 from polishd.process.removal_fit import FEWEST, MIN_SIGNAL_NM, levelled, regressed
 
 
 @dataclass(frozen=True, slots=True)
-class Traces:
+class WearIndicators:
     """Each relative, with its standard error; infinite where the pass does not show it."""
 
     fade: float = 0.0
@@ -32,7 +32,7 @@ def traces(
     *,
     pitch_mm: float,
     spot_mm: float,
-) -> Traces:
+) -> WearIndicators:
     """Both by least squares, beside rate, shift and plane: ``measured = rate (predicted + fade late + width s^2 L)``.
 
     A spot that is wider by a little smooths what it removes, as diffusion does: L is the prediction's Laplacian. All
@@ -49,7 +49,7 @@ def traces(
     """
     signal = levelled(predicted_nm, mask)[mask]
     if mask.sum() < FEWEST or np.sqrt(np.mean(signal**2)) < MIN_SIGNAL_NM:
-        return Traces()
+        return WearIndicators()
     reach = spot_mm / pitch_mm
     predicted, late, measured = (
         scipy.ndimage.gaussian_filter(height, reach) for height in (predicted_nm, late_nm, measured_nm)
@@ -62,10 +62,10 @@ def traces(
 
     found = regressed([predicted, late, bent, *slopes], measured, mask, figures)
     (fade, width), (fade_sigma, width_sigma) = figures(found.factors), found.sigma
-    return Traces(float(fade), float(fade_sigma), float(width), float(width_sigma))
+    return WearIndicators(float(fade), float(fade_sigma), float(width), float(width_sigma))
 
 
-def half_width_mm(transfer: Transfer) -> float:
+def half_width_mm(transfer: SpotTransferFunction) -> float:
     """RMS half width of a spot along one direction: a transfer function falls from 1 by ``(2 pi s f)^2 / 2``."""
     frequency, modulus = transfer.frequency_per_mm, transfer.modulus
     few = (frequency > 0) & (modulus > 0.9)

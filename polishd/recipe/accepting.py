@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from polishd.model.errors import ConfigError
-from polishd.model.instrument import Unseen
+from polishd.model.instrument import UnmeasuredTerms
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.tolerance import Judged
 from polishd.process.absolute.poses import LEVEL, terms
 from polishd.process.metrics import zernike
 from polishd.process.tolerance import seen
-from polishd.process.trust import Demand, Errors, Noise, demands, of_told, true_rms_bound
+from polishd.process.trust import MapErrors, MapNoise, RemeasureAdvice, demands, errors_from_system_map, true_rms_bound
 from polishd.recipe.recipe import Recipe
 
 MOST_SAMPLES = 20_000
@@ -51,21 +51,21 @@ def bounded(
     return tuple(found)
 
 
-def errors_of(recipe: Recipe, *, periods: bool = False) -> Errors:
+def errors_of(recipe: Recipe, *, periods: bool = False) -> MapErrors:
     """Of one map, less the system map where there is one.
 
     ``periods``: of some periods only. How much noise they have nobody knows, so that it counts as figure.
     """
     instrument = recipe.instrument
     white = 0.0 if periods or instrument is None else instrument.repeatability_nm or 0.0
-    unseen = Unseen() if instrument is None else instrument.unseen
+    unseen = UnmeasuredTerms() if instrument is None else instrument.unseen
     priors = {(n, m): unseen.of(n, m) for n, m in terms(_degree(recipe))[LEVEL:]}
     if recipe.system is None:
-        return Errors(Noise(white), _degree(recipe), unseen_nm=priors, unseen_rest_nm=unseen.shorter_nm)
-    return of_told(recipe.system.told, Noise(white), priors)
+        return MapErrors(MapNoise(white), _degree(recipe), unseen_nm=priors, unseen_rest_nm=unseen.shorter_nm)
+    return errors_from_system_map(recipe.system.told, MapNoise(white), priors)
 
 
-def demanded(recipe: Recipe) -> tuple[Demand, ...]:
+def demanded(recipe: Recipe) -> tuple[RemeasureAdvice, ...]:
     """References without which no map of this instrument can be accepted: known before there is one."""
     if recipe.accept == "figure":
         return ()
@@ -73,7 +73,7 @@ def demanded(recipe: Recipe) -> tuple[Demand, ...]:
     return demands(errors_of(recipe), limit, without_power=_without_power(recipe))
 
 
-def why_never(recipe: Recipe) -> str:
+def reason_never_acceptable(recipe: Recipe) -> str:
     """Why no map can be accepted, and what to do; empty where one may."""
     if not (wanted := demanded(recipe)):
         return ""
@@ -88,7 +88,7 @@ def why_never(recipe: Recipe) -> str:
 
 def require_acceptable(recipe: Recipe) -> None:
     """ConfigError where no map could be accepted: polishing would be for nothing."""
-    if never := why_never(recipe):
+    if never := reason_never_acceptable(recipe):
         raise ConfigError(f"job.accept = {recipe.accept!r}: {never} (nothing was opened)")
 
 
@@ -97,7 +97,7 @@ def acceptance_words(recipe: Recipe) -> str:
     if recipe.accept == "figure":
         known = "the instrument's system map is off" if recipe.system is not None else NOT_KNOWN
         return f"as measured: {known}"
-    if never := why_never(recipe):
+    if never := reason_never_acceptable(recipe):
         return f"run will refuse: {never}"
     removed = ", power removed" if _without_power(recipe) else ""
     return f"by the one-sided 95 % bound of the true RMS, as its mount holds it{removed}"
@@ -108,7 +108,7 @@ def _without_power(recipe: Recipe) -> bool:
 
 
 def _degree(recipe: Recipe) -> int:
-    return Errors(Noise(0.0)).degree if recipe.system is None else recipe.system.told.degree
+    return MapErrors(MapNoise(0.0)).degree if recipe.system is None else recipe.system.told.degree
 
 
 def _some(mask: BoolArray) -> BoolArray:

@@ -13,10 +13,10 @@ from polishd.model.cycle import Outcome
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.finding import Finding
 from polishd.model.tolerance import holds
-from polishd.process.findings import diverged, worthless
+from polishd.process.findings import gain_too_small, has_diverged
 from polishd.process.forecast import Forecast
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def passes_used(recipe: Recipe) -> PassesUsed:
 def decide(
     recipe: Recipe,
     history: Sequence[float],
-    surface: Measured,
+    surface: MeasureResult,
     findings: Sequence[Finding],
     passes_left: int,
 ) -> Decision:
@@ -94,7 +94,7 @@ def decide(
     teaches = not corrects(recipe)
     if not teaches and holds(surface.judged):
         return Accept()
-    if not teaches and diverged(history, surface.figure_nm):
+    if not teaches and has_diverged(history, surface.figure_nm):
         return Diverge()
     if of_tool := [found.what for found in findings if found.stops == "cell"]:
         return ToolWorn("; ".join(of_tool))
@@ -110,4 +110,4 @@ def worthless_pass(recipe: Recipe, forecast: Forecast | None) -> Finding | None:
     """
     if forecast is None or not corrects(recipe):
         return None
-    return worthless(forecast, recipe.finding)
+    return gain_too_small(forecast, recipe.finding)

@@ -24,7 +24,7 @@ SPARE_FILES = 128
 
 
 @dataclass(frozen=True, slots=True)
-class Writes:
+class SpaceNeeded:
     """What is still to be written, MB, until a pass is over and its job, if it is the last."""
 
     state_mb: float
@@ -33,7 +33,7 @@ class Writes:
     """Into the run folder: ``executed.csv``, and in the end a copy of the job's rows, those of earlier passes too."""
 
     @classmethod
-    def of(cls, blocks: int, done: int = 0, before: int = 0) -> Writes:
+    def of(cls, blocks: int, done: int = 0, before: int = 0) -> SpaceNeeded:
         """Of a pass of so many blocks, ``done`` of them recorded, after ``before`` blocks of the job's other passes."""
         state = (blocks - done) * ROW_BYTES
         run = blocks * (CSV_BYTES + ROW_BYTES) + before * ROW_BYTES
@@ -41,7 +41,7 @@ class Writes:
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class FreeSpace:
     """One disk, as one figure of the daemon's health."""
 
     name: str
@@ -66,7 +66,7 @@ class Room:
         return self.left_mb >= self.needed_mb and self.has_inodes
 
 
-def rooms(state_dir: Path, run_dir: Path, writes: Writes) -> tuple[Room, Room]:
+def free_space(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> tuple[FreeSpace, FreeSpace]:
     """Of the state folder's disk and of the run folder's; both of the sum, where it is one disk. OSError."""
     state, run = _there(state_dir), _there(run_dir)
     state_mb, run_mb = writes.state_mb, writes.run_mb
@@ -82,14 +82,14 @@ def rooms(state_dir: Path, run_dir: Path, writes: Writes) -> tuple[Room, Room]:
 
 def require_room(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> None:
     """HostFault where a pass of so many blocks would fill a disk; a disk that cannot be asked refuses nothing."""
-    if said := why_not(state_dir, run_dir, blocks, before):
+    if said := disk_full_reason(state_dir, run_dir, blocks, before):
         raise HostFault(f"{said}; nothing was moved")
 
 
-def why_not(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str:
+def disk_full_reason(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str:
     """Which disk a pass of so many blocks would fill, and what to do; empty where there is room, or nobody can say."""
     try:
-        found = rooms(state_dir, run_dir, Writes.of(blocks, before=before))
+        found = free_space(state_dir, run_dir, SpaceNeeded.of(blocks, before=before))
     except OSError:
         return ""
     keys = {"state_disk_mb": "cell.state_dir", "run_disk_mb": "cell.run_dir"}
@@ -110,23 +110,23 @@ def why_not(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str
 
 def pass_words(state_dir: Path, run_dir: Path, blocks: int, passes: int) -> str:
     """What passes of so many blocks write, beside what there is."""
-    one, all_of_them = Writes.of(blocks), Writes.of(blocks, before=(passes - 1) * blocks)
+    one, all_of_them = SpaceNeeded.of(blocks), SpaceNeeded.of(blocks, before=(passes - 1) * blocks)
     sizes = (
         f"{ROW_BYTES} bytes of journal, {CSV_BYTES} of executed.csv and {ROW_BYTES} of the journal's copy a block: "
         f"{one.state_mb - SPARE_MB:.1f} MB and {one.run_mb - SPARE_MB:.1f} MB for a pass of {blocks}"
     )
-    if said := why_not(state_dir, run_dir, blocks):
+    if said := disk_full_reason(state_dir, run_dir, blocks):
         return f"{sizes}; run will refuse: {said}"
     journal_mb = passes * blocks * ROW_BYTES / MB
     rest_mb = all_of_them.run_mb - SPARE_MB + (passes - 1) * blocks * CSV_BYTES / MB
     return f"{sizes}; {journal_mb + rest_mb:.0f} MB for all {passes} passes of the job"
 
 
-def _room(name: str, folder: Path, needed_mb: float, needed_files: int) -> Room:
+def _room(name: str, folder: Path, needed_mb: float, needed_files: int) -> FreeSpace:
     disk = os.statvfs(folder)
     left_files = int(disk.f_favail) if disk.f_files else None
     left_mb = disk.f_bavail * disk.f_frsize / MB
-    return Room(f"{name}_mb", folder, left_mb, needed_mb, f"{name}_files", left_files, needed_files)
+    return FreeSpace(f"{name}_mb", folder, left_mb, needed_mb, f"{name}_files", left_files, needed_files)
 
 
 def _there(folder: Path) -> Path:

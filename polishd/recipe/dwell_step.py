@@ -12,15 +12,15 @@ import numpy as np
 
 from polishd.config.sections import DwellSection
 from polishd.hookspecs import RemovalAnswer
-from polishd.model.dwell import AS_PROGRAMMED, Certificate, DwellSolution, KeptStart, Start
+from polishd.model.dwell import AS_PROGRAMMED, DwellSolution, OptimalityCertificate, Start, WarmStart
 from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process import motion
 from polishd.process.dwell.budget import to_target, within_budget
 from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.curve import CurvePoint as Chosen
 from polishd.process.dwell.curve import Row, Solve, price_curve
-from polishd.process.dwell.curve import Solved as Chosen
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.proof import proved
@@ -31,12 +31,21 @@ from polishd.process.effect import Effect
 from polishd.process.several import split, together
 from polishd.process.tolerance import out_of_reach
 from polishd.recipe import foresight
-from polishd.recipe.limit import Limit
+from polishd.recipe.limit import CpuLimit
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured, Solved
-from polishd.recipe.rim import Whole, with_rim
-from polishd.recipe.staying import Staying
-from polishd.recipe.turns import Bounds, Leg, Round, Turn, leg_of, of_one, with_certificate, with_note
+from polishd.recipe.records import EstimatesInUse, MeasureResult, SolveResult
+from polishd.recipe.rim import FilledSurface, with_rim
+from polishd.recipe.staying import CachedEffect
+from polishd.recipe.turns import (
+    DwellBounds,
+    SolveRound,
+    ToolProblem,
+    ToolSubproblem,
+    single_tool,
+    tool_subproblem,
+    with_certificate,
+    with_note,
+)
 
 LEAST_COVERAGE = 0.9
 """A program that works less of the clear aperture than this is taken for another part's."""
@@ -56,28 +65,30 @@ KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
 """The worker is killed this much later: it may have two threads, and no solver looks at the time always."""
 
 
-def limit(recipe: Recipe) -> Limit:
+def limit(recipe: Recipe) -> CpuLimit:
     """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
-    return Limit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
+    return CpuLimit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
 
 
 def solve(
     recipe: Recipe,
     program: Program,
-    measured: Measured,
-    believed: Believed | None = None,
-    warm: KeptStart | None = None,
-) -> Solved:
+    measured: MeasureResult,
+    believed: EstimatesInUse | None = None,
+    warm: WarmStart | None = None,
+) -> SolveResult:
     """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_turns`."""
-    return solve_turns((Turn(recipe, program, believed),), measured, warm)[0]
+    return solve_turns((ToolProblem(recipe, program, believed),), measured, warm)[0]
 
 
-def solve_first(turns: Sequence[Turn], measured: Measured, warm: KeptStart | None = None) -> Solved:
+def solve_first(turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None) -> SolveResult:
     """Of all that the turns have to do the first one's; see `solve_turns`."""
     return solve_turns(turns, measured, warm)[0]
 
 
-def solve_turns(turns: Sequence[Turn], measured: Measured, warm: KeptStart | None = None) -> tuple[Solved, ...]:
+def solve_turns(
+    turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None
+) -> tuple[SolveResult, ...]:
     """Dwell of each tool for the removal that the measured surface wants of all, within what the machine can deliver.
 
     One problem for all tools: what the first leaves, it leaves for the others. Their recipes differ in tool and program
@@ -90,13 +101,13 @@ def solve_turns(turns: Sequence[Turn], measured: Measured, warm: KeptStart | Non
     time_limit = TimeLimit(recipe.dwell.within_s)
     for turn in turns:
         foresight.require_path_time(turn.recipe, turn.program)
-    legs = tuple(leg_of(turn, measured) for turn in turns)
+    legs = tuple(tool_subproblem(turn, measured) for turn in turns)
     step = _Step(recipe, legs, measured, time_limit)
     if recipe.dwell.choose == AS_PROGRAMMED:
         return (step.as_programmed(),)
     for leg in legs:
         _require_coverage(leg.program, leg.answer, measured)
-    bounds = Bounds(step.of_legs(Leg.least_s), step.of_legs(Leg.most_s))
+    bounds = DwellBounds(step.of_legs(ToolSubproblem.least_s), step.of_legs(ToolSubproblem.most_s))
     if len(legs) == 1:
         foresight.require_removal_time(recipe, measured, legs[0].answer, bounds.lower_s)
     found = step.round(bounds, warm, LAST_SHARE)
@@ -114,7 +125,7 @@ def solve_turns(turns: Sequence[Turn], measured: Measured, warm: KeptStart | Non
     return step.turns(found._replace(dwell=dwell), curve)
 
 
-def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measured) -> None:
+def _require_coverage(program: Program, answer: RemovalAnswer, measured: MeasureResult) -> None:
     """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
     right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
     none = negligible(answer.effect)
@@ -138,15 +149,15 @@ class _Step:
 
     recipe: Recipe
     """What all tools have in common of it."""
-    legs: tuple[Leg, ...]
-    measured: Measured
+    legs: tuple[ToolSubproblem, ...]
+    measured: MeasureResult
     time_limit: TimeLimit
 
-    def of_legs(self, value: Callable[[Leg], FloatArray]) -> FloatArray:
+    def of_legs(self, value: Callable[[ToolSubproblem], FloatArray]) -> FloatArray:
         """(n,) of all points, one tool's after the other's."""
         return np.concatenate([value(leg) for leg in self.legs])
 
-    def each(self, values: FloatArray) -> Iterator[tuple[Leg, FloatArray]]:
+    def each(self, values: FloatArray) -> Iterator[tuple[ToolSubproblem, FloatArray]]:
         """Each tool, with its own of those."""
         return zip(self.legs, split(values, [leg.program.n for leg in self.legs]), strict=True)
 
@@ -159,7 +170,7 @@ class _Step:
     def divide_by(self) -> FloatArray | None:
         """(n,) what the dwell solved is divided by; None: nothing."""
         none = all(leg.answer.divide_by is None for leg in self.legs)
-        return None if none else self.of_legs(Leg.divide_by)
+        return None if none else self.of_legs(ToolSubproblem.divide_by)
 
     @property
     def finest(self) -> RemovalAnswer:
@@ -173,7 +184,7 @@ class _Step:
     def dwell(self) -> DwellSection:
         return self.recipe.dwell
 
-    def round(self, bounds: Bounds, warm: Start | None, reserve: float = 0.0) -> Round:
+    def round(self, bounds: DwellBounds, warm: Start | None, reserve: float = 0.0) -> SolveRound:
         """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
         problem, divide_by = self.problem(bounds, warm), self.divide_by
         if self.dwell.choose == "least":
@@ -183,44 +194,44 @@ class _Step:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
         dwell = found if divide_by is None else _in_machine_time(found, divide_by)
-        asked = np.maximum(dwell.time_s - self.of_legs(Leg.unasked_s), 0.0)
+        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unasked_s), 0.0)
         expected = [motion.delivered_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(asked)]
-        return Round(problem, dwell, asked, np.concatenate(expected))
+        return SolveRound(problem, dwell, asked, np.concatenate(expected))
 
-    def as_programmed(self) -> Solved:
+    def as_programmed(self) -> SolveResult:
         """No solve: the program's own times, and what the machine makes of them."""
         (leg,) = self.legs
         asked = leg.program.time_s
         expected = motion.delivered_time_s(leg.program, asked, leg.envelope)
-        problem = self.problem(Bounds(expected, expected), None)
+        problem = self.problem(DwellBounds(expected, expected), None)
         how: dict[str, Any] = {"solver": AS_PROGRAMMED, "iterations": 0, "stopped": "as programmed"}
         dwell = certified(problem, expected, seconds=self.time_limit.cpu_s, **how)
-        return Solved(dwell, self.staying(leg), asked, expected, leg.believed)
+        return SolveResult(dwell, self.staying(leg), asked, expected, leg.believed)
 
-    def staying(self, leg: Leg) -> RemovalAnswer:
+    def staying(self, leg: ToolSubproblem) -> RemovalAnswer:
         """Its answer, whose effect stays in this process."""
-        return replace(leg.answer, effect=Staying(leg.answer.effect, self.measured.grid))
+        return replace(leg.answer, effect=CachedEffect(leg.answer.effect, self.measured.grid))
 
-    def turns(self, found: Round, curve: tuple[Row, ...]) -> tuple[Solved, ...]:
+    def turns(self, found: SolveRound, curve: tuple[Row, ...]) -> tuple[SolveResult, ...]:
         """What was found, for each tool."""
         if len(self.legs) == 1:
             (leg,) = self.legs
-            return (Solved(found.dwell, self.staying(leg), found.asked_s, found.expected_s, leg.believed, curve),)
+            return (SolveResult(found.dwell, self.staying(leg), found.asked_s, found.expected_s, leg.believed, curve),)
         own = (found.dwell.time_s, found.dwell.lower_s, found.dwell.upper_s, found.asked_s, found.expected_s)
         parts = zip(self.legs, *([times for _, times in self.each(values)] for values in own), strict=True)
         names = ", ".join(leg.recipe.turn.tool if leg.recipe.turn else "?" for leg in self.legs)
-        solved, left = list[Solved](), np.where(found.problem.solve_mask, found.problem.target_nm, np.nan)
+        solved, left = list[SolveResult](), np.where(found.problem.solve_mask, found.problem.target_nm, np.nan)
         for leg, time_s, lower_s, upper_s, asked_s, expected_s in parts:
             removal = leg.answer.removal_nm(time_s)
             left = left - removal
-            dwell = of_one(found, removal, left, (time_s, lower_s, upper_s))
+            dwell = single_tool(found, removal, left, (time_s, lower_s, upper_s))
             total = found.dwell.certificate
             joint = f"one problem for {names}: {total.predicted_rms_nm:.2f} nm RMS after the last of them"
             dwell = with_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
-            solved.append(Solved(dwell, self.staying(leg), asked_s, expected_s, leg.believed, curve))
+            solved.append(SolveResult(dwell, self.staying(leg), asked_s, expected_s, leg.believed, curve))
         return tuple(solved)
 
-    def problem(self, bounds: Bounds, warm: Start | None) -> DwellProblem:
+    def problem(self, bounds: DwellBounds, warm: Start | None) -> DwellProblem:
         """The solver's; of "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
         measured, surface = self.measured, self.surface
         scale = 1.0 if self.divide_by is None else self.divide_by
@@ -236,7 +247,7 @@ class _Step:
             upper_s=bounds.upper_s * scale,
             regularisation=self.regularisation,
             band_period_mm=self.recipe.job.lsf_period_mm,
-            warm=None if warm is None else KeptStart(warm.time_s * scale, warm.state),
+            warm=None if warm is None else WarmStart(warm.time_s * scale, warm.state),
         )
 
     @cached_property
@@ -244,7 +255,7 @@ class _Step:
         return regularisation_from_rho(self.effect, self.measured.solve_mask, self.dwell.regularisation)
 
     @cached_property
-    def surface(self) -> Whole:
+    def surface(self) -> FilledSurface:
         return with_rim(self.recipe, self.measured, self.finest)
 
     def chosen(self, problem: DwellProblem) -> Chosen:
@@ -344,7 +355,7 @@ def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSoluti
     return with_certificate(divided, dwell_total_s=float(time_s.sum()))
 
 
-def require_certificate(certificate: Certificate, recipe: Recipe) -> None:
+def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> None:
     """ComputeError unless the dwell is optimal as far as asked, within its bounds, and nobody found a better one."""
     wrong = []
     if not certificate.kkt_residual <= recipe.dwell.kkt_tolerance:

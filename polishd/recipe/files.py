@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from polishd.hookspecs import SurfaceReader, looks_like
-from polishd.model.errors import BadMap, ProgramError
+from polishd.model.errors import MapError, ProgramError
 from polishd.model.surface import SurfaceMap
 
 SNIFF_BYTES = 4096
@@ -29,9 +29,9 @@ def read_map(path: Path, readers: Collection[SurfaceReader]) -> SurfaceMap:
         with path.open("rb") as file:
             head = file.read(SNIFF_BYTES)
     except OSError as error:
-        raise BadMap(f"{path}: cannot be read: {error.strerror}; name a map file") from error
+        raise MapError(f"{path}: cannot be read: {error.strerror}; name a map file") from error
     if not head:
-        raise BadMap(f"{path}: the file is empty; export the map again")
+        raise MapError(f"{path}: the file is empty; export the map again")
     tried = []
     for reader in readers:
         surface = reader.surface_of(head, path)
@@ -39,4 +39,4 @@ def read_map(path: Path, readers: Collection[SurfaceReader]) -> SurfaceMap:
             return surface
         tried.append(reader.name)
     hint = looks_like(readers, head, path)
-    raise BadMap(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'}){hint}")
+    raise MapError(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'}){hint}")

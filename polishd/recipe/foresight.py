@@ -20,7 +20,7 @@ from polishd.process.path_compliance import path_compliance
 from polishd.process.tolerance import only_beyond
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 from polishd.recipe.steps import envelope_of
 
 SURE = 0.9
@@ -29,11 +29,11 @@ ROOM = 1.2
 """What a limit that is advised leaves above what is known to be needed."""
 
 
-def refusals(recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envelope], Sequence[str]]) -> list[str]:
+def precheck_plan(recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envelope], Sequence[str]]) -> list[str]:
     """Why `plan` or `run` would refuse a program whatever the map says: reach, landing, limits at the largest feed."""
-    plan = fastest(recipe, program)
+    plan = shortest_time_s(recipe, program)
     found = [*steps.violations(recipe, plan), *check_plan(plan, recipe.envelope)]
-    part = steps.as_polished(recipe, program)
+    part = steps.executed_surface(recipe, program)
     try:
         path_compliance(
             part, recipe.process, recipe.robot, recipe.placement, options=recipe.options, optic=recipe.optic
@@ -43,7 +43,7 @@ def refusals(recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envel
     return found
 
 
-def fastest(recipe: Recipe, program: Program) -> Plan:
+def shortest_time_s(recipe: Recipe, program: Program) -> Plan:
     """The program at the largest feed that the machine has, or at its own where dwells carry the time."""
     envelope = envelope_of(recipe, program)
     asked = np.zeros(program.n) if program.encoding == "dwell" else program.length_mm / envelope.max_feed_mm_s
@@ -96,7 +96,7 @@ def require_path_time(recipe: Recipe, program: Program) -> None:
         raise PlanRefused(_too_long(recipe, f"{program.name} at the largest feed takes", least))
 
 
-def require_removal_time(recipe: Recipe, measured: Measured, answer: RemovalAnswer, lower_s: FloatArray) -> None:
+def require_removal_time(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer, lower_s: FloatArray) -> None:
     """PlanRefused where the volume to be removed, at the largest rate on the path, takes longer than a pass may.
 
     Only where the least residual is asked for: the other choices of a dwell may take less time than that.
@@ -108,7 +108,7 @@ def require_removal_time(recipe: Recipe, measured: Measured, answer: RemovalAnsw
         raise PlanRefused(_too_long(recipe, "what this map wants removed takes at least", least))
 
 
-def removal_time_s(measured: Measured, answer: RemovalAnswer, lower_s: FloatArray) -> float:
+def removal_time_s(measured: MeasureResult, answer: RemovalAnswer, lower_s: FloatArray) -> float:
     """Seconds in which the point that removes most would remove what the surface wants of the clear aperture."""
     clear = measured.metric_mask
     piston = choose_piston_nm(measured.height_nm, clear, answer.removal_nm(lower_s))

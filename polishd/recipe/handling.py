@@ -10,7 +10,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.handling import StepSection, TouchOffSection
 from polishd.hookspecs import ProgramFormat
 from polishd.model.errors import ComputeError
-from polishd.model.handling import Between, Settle, Step, TouchOff
+from polishd.model.handling import BetweenPasses, HandlingStep, SettleRule, TouchOff
 from polishd.model.instrument import Instrument
 from polishd.model.surface import FloatArray
 from polishd.process import contact, optics, seat
@@ -51,12 +51,12 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
         rim_mm=config.outline().radius_mm,
         force_max_n=section.force_max_n,
     )
-    if not seat.told_apart(made):
+    if not seat.separate_seat_terms(made):
         raise config.error(key, "the three places lie on a line: no tilt can be told; move one of them")
     return made
 
 
-def between_of(config: CellConfig, instrument: Instrument | None) -> Between:
+def between_of(config: CellConfig, instrument: Instrument | None) -> BetweenPasses:
     """What happens between passes; ConfigError names the key."""
     section = config.between
     settle = None
@@ -68,15 +68,15 @@ def between_of(config: CellConfig, instrument: Instrument | None) -> Between:
                 "nobody knows when two maps agree: write the instrument's repeatability into its profile, "
                 "[repeatability] rms_nm = ...",
             )
-        settle = Settle(NOISE * noise_nm, section.settle.maps, section.settle.wait_s)
-    change = _step(config, section.change) or Step()
-    return Between(_step(config, section.clean), settle, _step(config, section.condition), change)
+        settle = SettleRule(NOISE * noise_nm, section.settle.maps, section.settle.wait_s)
+    change = _step(config, section.change) or HandlingStep()
+    return BetweenPasses(_step(config, section.clean), settle, _step(config, section.condition), change)
 
 
-def _step(config: CellConfig, section: StepSection | None) -> Step | None:
+def _step(config: CellConfig, section: StepSection | None) -> HandlingStep | None:
     if section is None:
         return None
-    return Step(section.person or "", section.command, config.base_dir, section.within_s)
+    return HandlingStep(section.person or "", section.command, config.base_dir, section.within_s)
 
 
 def _places_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Limit(NamedTuple):
+class CpuLimit(NamedTuple):
     """So many CPU seconds, and which key of the config gives more."""
 
     within_s: float

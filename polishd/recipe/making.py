@@ -7,17 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.config.places import did_you_mean, listed
-from polishd.config.profile import Profile, load_profile
+from polishd.config.places import did_you_mean, join_words
+from polishd.config.profile import InstrumentProfile, load_profile
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import Learner, RemovalModel, SurfaceReader
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
-from polishd.process.absolute import SystemMap, Told
+from polishd.process.absolute import AbsoluteTestResult, SystemMap
 from polishd.recipe.files import read_map
 from polishd.recipe.handling import between_of, touch_off_of
-from polishd.recipe.recipe import Recipe, Turn
+from polishd.recipe.recipe import Recipe, ToolStep
 
 OWN = "rate"
 """What a removal model learns that is asked for nothing else."""
@@ -50,7 +50,7 @@ def system_of(config: CellConfig, hooks: Hooks) -> SystemMap | None:
 
 
 def system_of_profile(
-    profile: Profile, readers: Collection[SurfaceReader], cell: str = "CELL.toml"
+    profile: InstrumentProfile, readers: Collection[SurfaceReader], cell: str = "CELL.toml"
 ) -> SystemMap | None:
     """The same of a profile; ``cell`` is the cell's file in what errors advise."""
     record, again = profile.system, f"polishd calibrate instrument {cell} makes another"
@@ -70,7 +70,7 @@ def system_of_profile(
         problem = f"{record.map} says of itself no instrument's own error, read by a profile; {again}"
         raise profile.error("system.map", problem)
     try:
-        return SystemMap(surface, Told.load(step.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(step.options["told"]))
     except (KeyError, TypeError, ValueError) as error:
         raise profile.error("system.map", f"{record.map} does not say how sure its terms are; {again}") from error
 
@@ -93,7 +93,7 @@ def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
     """A recipe for each tool, in the order in which they polish; one where the cell has one. ConfigError as below."""
     if not config.tools:
         return (make_recipe(config, hooks),)
-    turns = [Turn(name, tool.passes, tool.change_s) for name, tool in config.tools.items()]
+    turns = [ToolStep(name, tool.passes, tool.change_s) for name, tool in config.tools.items()]
     return tuple(replace(make_recipe(own, hooks), turn=turn) for own, turn in zip(config.turns, turns, strict=True))
 
 
@@ -143,7 +143,7 @@ def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
     ways = {**own, **model.learners}
     if process.learns not in ways:
         hint = did_you_mean(process.learns, ways)
-        problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {listed(ways)}"
+        problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {join_words(ways)}"
         raise config.error("process.learns", problem)
     way = ways[process.learns]
     return replace(model, beliefs=way.beliefs, learn=way.learn, later=way.later)
@@ -152,5 +152,5 @@ def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
 def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:
     if name not in records:
         hint = did_you_mean(name, records)
-        raise config.error(key, f"no loaded plugin has {name!r}{hint} The loaded plugins have: {listed(records)}")
+        raise config.error(key, f"no loaded plugin has {name!r}{hint} The loaded plugins have: {join_words(records)}")
     return records[name]

@@ -9,7 +9,7 @@ import numpy as np
 from polishd.config.cell import CellConfig
 from polishd.model.program import Program
 from polishd.process import contact
-from polishd.process.coverage import Coverage, coverage
+from polishd.process.coverage import PathCoverage, coverage
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
 
@@ -52,9 +52,9 @@ def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
     return said, ""
 
 
-def program_coverage(recipe: Recipe, program: Program) -> Coverage:
+def program_coverage(recipe: Recipe, program: Program) -> PathCoverage:
     """What the program covers of the recipe's part."""
-    placed = steps.as_polished(recipe, program)
+    placed = steps.executed_surface(recipe, program)
     return coverage(
         placed.start_mm,
         placed.end_mm,

@@ -9,21 +9,21 @@ from polishd.config.sections import DwellSection, JobSection, PartSection, Progr
 from polishd.config.tolerance import lines_of
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.finding import FindingLimits
-from polishd.model.handling import NOTHING, Between, TouchOff
+from polishd.model.handling import NOTHING, BetweenPasses, TouchOff
 from polishd.model.instrument import Instrument
 from polishd.model.limits import Envelope
 from polishd.model.outline import Outline
 from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import SurfaceMap
-from polishd.model.tolerance import Accept, Line
+from polishd.model.tolerance import Accept, ToleranceLine
 from polishd.process.absolute import SystemMap
 
 DEFAULT = FindingLimits()
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class ToolStep:
     """A tool's turn among several."""
 
     tool: str
@@ -62,14 +62,14 @@ class Recipe:
     solver: DwellSolver
     cross_check: DwellSolver | None
     finding: FindingLimits = DEFAULT
-    tolerance: tuple[Line, ...] = ()
+    tolerance: tuple[ToleranceLine, ...] = ()
     """The drawing's lines, where the job has no short form."""
     remembers: bool = False
     """A job begins with what the last one of its series has taught."""
     touch_off: TouchOff | None = None
     """How the part's seat is proved; None: nobody proves it."""
-    between: Between = NOTHING
-    turn: Turn | None = None
+    between: BetweenPasses = NOTHING
+    turn: ToolStep | None = None
     """Of the tool that it is for; None where the cell has one tool."""
     system: SystemMap | None = None
     """The instrument's own error, off each map; None: nobody has told it."""
@@ -83,7 +83,7 @@ class Recipe:
         return "bound" if known else "figure"
 
     @property
-    def lines(self) -> tuple[Line, ...]:
+    def lines(self) -> tuple[ToleranceLine, ...]:
         """What the part is judged by: it is accepted when all of them hold."""
         return lines_of(self.job, self.tolerance)
 

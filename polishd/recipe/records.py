@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.hookspecs import RemovalAnswer
-from polishd.model.beliefs import UNTAUGHT, Belief, Beliefs
-from polishd.model.cause import Named
-from polishd.model.dwell import Certificate, DwellSolution, KeptStart
-from polishd.model.finding import Shown
+from polishd.model.beliefs import UNTAUGHT, Estimate, Estimates
+from polishd.model.cause import Diagnosis
+from polishd.model.dwell import DwellSolution, OptimalityCertificate, WarmStart
+from polishd.model.finding import PassIndicators
 from polishd.model.program import IntArray, Plan, Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
 from polishd.model.tolerance import Judged
 from polishd.process.conditioning import Masks
 from polishd.process.forecast import UNEXPLAINED, Forecast
-from polishd.process.gate import Verdict
+from polishd.process.gate import RemovalCheckResult
 from polishd.process.registration.record import Registration
 from polishd.recipe.encoding import Arrays, arrays_of, as_json, facts_of, npz, record_of, table
 
@@ -36,7 +36,7 @@ Stored = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasureResult:
     """One measurement on the process grid, with the masks that are frozen over all cycles."""
 
     grid: Grid
@@ -119,10 +119,10 @@ def _grid(stored: NDArray[Any] | None) -> Grid | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Believed:
+class EstimatesInUse:
     """What the cycles have taught: of the removal, by its model's own record; and of the machine."""
 
-    removal: Beliefs = UNTAUGHT
+    removal: Estimates = UNTAUGHT
     block_overhead_s: float = 0.0
     """Time that a block takes beyond its motion."""
     unexplained: float = UNEXPLAINED
@@ -142,22 +142,22 @@ class Believed:
         return {**numbers, "removal": asdict(self.removal)}
 
     @classmethod
-    def load(cls, facts: Mapping[str, Any], initial: Beliefs) -> Self:
+    def load(cls, facts: Mapping[str, Any], initial: Estimates) -> Self:
         """From them again; ``initial`` is of the model's own kind. A job of an earlier polishd kept the two only."""
         if "removal" in facts:
             removal = record_of(type(initial), {**facts_of(initial), **facts["removal"]})
         else:
-            removal = replace(initial, rate=Belief(float(facts["rate"])))
+            removal = replace(initial, rate=Estimate(float(facts["rate"])))
         shares = float(facts.get("unexplained", UNEXPLAINED)), float(facts.get("ripple", 0.0))
         return cls(removal, float(facts["block_overhead_s"]), *shares)
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
+class ExecutedPass:
     """A pass, as learning takes it."""
 
-    before: Measured
-    after: Measured
+    before: MeasureResult
+    after: MeasureResult
     asked_s: FloatArray
     """(n,) time that was written into the program."""
     executed_s: FloatArray
@@ -168,7 +168,7 @@ class Pass:
     """RMS that its plan expected after it; None: not known."""
     forecast: Forecast | None = None
     """The same as a distribution, of what the map will show; None: of a pass of an earlier polishd."""
-    again: tuple[Named, ...] | None = None
+    again: tuple[Diagnosis, ...] | None = None
     """What maps of the part since the pass have named among themselves; None: there was one only."""
 
     @property
@@ -178,18 +178,18 @@ class Pass:
 
 
 @dataclass(frozen=True, slots=True)
-class Taught:
+class LearnResult:
     """What a pass taught, or why nothing is believed of it."""
 
-    believed: Believed
-    verdict: Verdict
+    believed: EstimatesInUse
+    verdict: RemovalCheckResult
     grid: Grid
     found: Mapping[str, Any] | None = None
     """How, by the removal model (``Lesson.found``); None where the gate stops."""
     notes: tuple[str, ...] = ()
-    shown: Shown | None = None
+    shown: PassIndicators | None = None
     """What the pass showed of its process; None where the gate stops."""
-    named: tuple[Named, ...] = ()
+    named: tuple[Diagnosis, ...] = ()
     """Which of the loop's assumptions failed."""
 
     @property
@@ -214,7 +214,7 @@ class Taught:
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
+class SolveResult:
     """A dwell solution with what it was derived from."""
 
     dwell: DwellSolution
@@ -224,7 +224,7 @@ class Solved:
     """(n,) time to write into the program: the dwell less what a block takes by itself."""
     expected_s: FloatArray
     """(n,) time that the machine is expected to deliver."""
-    believed: Believed
+    believed: EstimatesInUse
     curve: tuple[Mapping[str, Any], ...] = ()
     """Residual against time where it was asked for: a certified optimum a row (`dwell.curve.Solved.row`)."""
 
@@ -235,14 +235,14 @@ class Solved:
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
+class PlanResult:
     """What is kept of a plan: the next cycle learns from it, and its solve starts from it.
 
     Its arrays are those of ``plan.npz``, by name; points are in the part's frame.
     """
 
-    certificate: Certificate
-    believed: Believed
+    certificate: OptimalityCertificate
+    believed: EstimatesInUse
     """With which it was solved."""
     state: Stored
     """What its solver can start from again, by name."""
@@ -272,7 +272,7 @@ class Planned:
     """Of several the one that it is for; empty: the cell has one."""
 
     @classmethod
-    def of(cls, plan: Plan, solved: Solved, part: Program, forecast: Forecast, tool: str = "") -> Self:
+    def of(cls, plan: Plan, solved: SolveResult, part: Program, forecast: Forecast, tool: str = "") -> Self:
         """Of a plan, what it was solved as, its program in the part's frame, what is expected of it, and with which."""
         dwell, answer = solved.dwell, solved.answer
         return cls(
@@ -297,9 +297,9 @@ class Planned:
         )
 
     @property
-    def kept(self) -> KeptStart:
+    def kept(self) -> WarmStart:
         """What the next solve can start from."""
-        return KeptStart(self.time_s, self.state)
+        return WarmStart(self.time_s, self.state)
 
     def facts(self) -> dict[str, Any]:
         """What the journal knows of the pass that runs it."""
@@ -327,14 +327,14 @@ class Planned:
         return {"plan.npz": npz(arrays_of(self)), "dwell.csv": table(columns)}
 
     @classmethod
-    def load(cls, arrays: Stored, start: Stored, facts: Mapping[str, Any], initial: Beliefs) -> Self:
+    def load(cls, arrays: Stored, start: Stored, facts: Mapping[str, Any], initial: Estimates) -> Self:
         """From ``plan.npz``, what ``start`` gave, and the facts of its pass."""
         state = {name: value for name, value in start.items() if name != "time_s"}
-        rest = {"certificate": record_of(Certificate, facts["certificate"]), "state": state}
+        rest = {"certificate": record_of(OptimalityCertificate, facts["certificate"]), "state": state}
         expected = facts.get("forecast")
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         rest["tool"] = facts.get("tool", "")
-        return record_of(cls, {}, {**arrays, **rest, "believed": Believed.load(facts, initial)})
+        return record_of(cls, {}, {**arrays, **rest, "believed": EstimatesInUse.load(facts, initial)})
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:

@@ -11,7 +11,7 @@ from polishd.hookspecs import RemovalAnswer
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.edge.extension import extend
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 
 EXTENDED_WEIGHT = 0.01
 """What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
@@ -19,7 +19,7 @@ LEAST_SAMPLES = 3.0
 """The extension's cut-off spans this many samples at least."""
 
 
-class Whole(NamedTuple):
+class FilledSurface(NamedTuple):
     """A surface to solve for: what was measured, and what stands for the part's rim where nothing was."""
 
     height_nm: FloatArray
@@ -27,7 +27,7 @@ class Whole(NamedTuple):
     weight: FloatArray | None
 
 
-def with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whole:
+def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
     """The part's samples without data get extended heights at a small weight: else the dwell there is nobody's.
 
     Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
@@ -35,10 +35,10 @@ def with_rim(recipe: Recipe, measured: Measured, answer: RemovalAnswer) -> Whole
     mask, pitch = measured.solve_mask, measured.grid.pitch_mm
     gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
     if recipe.dwell.extension == "none" or not gap.any():
-        return Whole(measured.height_nm, mask, None)
+        return FilledSurface(measured.height_nm, mask, None)
     reach = max(float(scipy.ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
     own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
     cutoff = max(own, LEAST_SAMPLES * pitch)
     wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
     whole = mask | (wider.mask & gap)
-    return Whole(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
+    return FilledSurface(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.hookspecs import RemovalAnswer
-from polishd.model.beliefs import Belief
-from polishd.model.finding import Shown
+from polishd.model.beliefs import Estimate
+from polishd.model.finding import PassIndicators
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.edge.correctable import Transfer, correctable
-from polishd.process.gate import Verdict
-from polishd.process.traces import Traces, half_width_mm, traces
-from polishd.recipe.records import Measured, Pass
+from polishd.process.edge.correctable import SpotTransferFunction, correctable
+from polishd.process.gate import RemovalCheckResult
+from polishd.process.traces import WearIndicators, half_width_mm, traces
+from polishd.recipe.records import ExecutedPass, MeasureResult
 
 
-def shown_by(done: Pass, answer: RemovalAnswer, predicted_nm: FloatArray, verdict: Verdict, rate: float) -> Shown:
+def pass_indicators(
+    done: ExecutedPass, answer: RemovalAnswer, predicted_nm: FloatArray, verdict: RemovalCheckResult, rate: float
+) -> PassIndicators:
     """What a pass showed that the gate did not stop.
 
     Args:
@@ -25,19 +27,19 @@ def shown_by(done: Pass, answer: RemovalAnswer, predicted_nm: FloatArray, verdic
         rate: the removal rate that was believed.
     """
     grid, mask = done.before.grid, done.before.metric_mask
-    seen = Traces()
+    seen = WearIndicators()
     if verdict.tells_rate and answer.transfer is not None:
         late = answer.removal_nm(done.acted_s * _lateness(done.executed_s))
         spot_mm = half_width_mm(answer.transfer)
         measured = done.before.height_nm - done.after.height_nm
         seen = traces(predicted_nm, late, measured, mask, pitch_mm=grid.pitch_mm, spot_mm=spot_mm)
-    return Shown(
+    return PassIndicators(
         before_nm=float(done.before.height_nm[mask].std()),
         predicted_nm=done.predicted_rms_nm,
         after_nm=float(done.after.height_nm[mask].std()),
         within_reach_nm=_within_reach_nm(done.after, mask, grid, answer.transfer),
         contact_s=float(done.executed_s.sum()),
-        rate=Belief(rate * verdict.rate, rate * verdict.rate_sigma) if verdict.tells_rate else None,
+        rate=Estimate(rate * verdict.rate, rate * verdict.rate_sigma) if verdict.tells_rate else None,
         fade=_told(seen.fade, seen.fade_sigma),
         width=_told(seen.width, seen.width_sigma),
         expected_nm=None if done.forecast is None else (done.forecast.low_nm, done.forecast.high_nm),
@@ -51,12 +53,14 @@ def _lateness(time_s: FloatArray) -> FloatArray:
     return np.asarray((np.cumsum(time_s) - time_s / 2) / total - 0.5 if total > 0 else time_s, dtype=np.float64)
 
 
-def _within_reach_nm(after: Measured, mask: BoolArray, grid: Grid, spot: Transfer | None) -> float | None:
+def _within_reach_nm(
+    after: MeasureResult, mask: BoolArray, grid: Grid, spot: SpotTransferFunction | None
+) -> float | None:
     if spot is None:
         return None
     found = correctable(after.height_nm, mask, grid.pitch_mm, spot)
     return found.within_reach_rms_nm if found.resolved else found.rms_nm
 
 
-def _told(value: float, sigma: float) -> Belief | None:
-    return Belief(value, sigma) if np.isfinite(sigma) else None
+def _told(value: float, sigma: float) -> Estimate | None:
+    return Estimate(value, sigma) if np.isfinite(sigma) else None

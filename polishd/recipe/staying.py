@@ -11,7 +11,7 @@ from polishd.process.dwell.validation import negligible
 from polishd.process.effect import Effect
 
 
-class Staying:
+class CachedEffect:
     """An Effect that pickles as its name; the process that made it finds it again by that name, once."""
 
     _left: ClassVar[dict[str, Effect]] = {}
@@ -47,7 +47,7 @@ class Staying:
 
     def __reduce__(self) -> tuple[object, ...]:
         if self._effect is not None:
-            Staying._left = {self._name: self._effect}
+            CachedEffect._left = {self._name: self._effect}
         return _by_name, (self._name, self.grid)
 
     def _own(self) -> Effect:
@@ -56,5 +56,5 @@ class Staying:
         return self._effect
 
 
-def _by_name(name: str, grid: Grid) -> Staying:
-    return Staying(Staying._left.pop(name, None), grid, name)
+def _by_name(name: str, grid: Grid) -> CachedEffect:
+    return CachedEffect(CachedEffect._left.pop(name, None), grid, name)

@@ -9,8 +9,8 @@ import numpy as np
 import scipy
 
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
-from polishd.model.beliefs import Evidence, MapPixels
-from polishd.model.cause import Named
+from polishd.model.beliefs import MapPixels, PassEvidence
+from polishd.model.cause import Diagnosis
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError
 from polishd.model.limits import Envelope
@@ -30,9 +30,9 @@ from polishd.process.tolerance import judge, notes_of
 from polishd.recipe import accepting, figuring, forecasting
 from polishd.recipe.files import read_program_bytes
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import CENTRED, Believed, Measured, Pass, Solved, Taught
-from polishd.recipe.showing import shown_by
-from polishd.recipe.staying import Staying
+from polishd.recipe.records import CENTRED, EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, SolveResult
+from polishd.recipe.showing import pass_indicators
+from polishd.recipe.staying import CachedEffect
 
 ALIKE = 0.2
 """Share of a map's sample by which the part may lie elsewhere in the next one, the samples being taken for the same."""
@@ -45,14 +45,14 @@ def read_program(recipe: Recipe, path: Path) -> Program:
     return recipe.format.read(read_program_bytes(path), path.name)
 
 
-def believed_at_first(recipe: Recipe) -> Believed:
+def initial_estimates(recipe: Recipe) -> EstimatesInUse:
     """What is believed before anything was polished."""
-    return Believed(recipe.model.beliefs, recipe.envelope.block_overhead_s)
+    return EstimatesInUse(recipe.model.beliefs, recipe.envelope.block_overhead_s)
 
 
 def condition(
     recipe: Recipe, surface: SurfaceMap, masks: Masks | None = None, last: Registration | None = None
-) -> Measured:
+) -> MeasureResult:
     """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
 
     ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
@@ -85,7 +85,7 @@ def condition(
     judged = accepting.bounded(recipe, judged, figure, clear, clean.grid.pitch_mm)
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
     notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
-    return Measured(
+    return MeasureResult(
         part.grid,
         height,
         part.solve_mask,
@@ -101,7 +101,7 @@ def condition(
     )
 
 
-def expected(recipe: Recipe, before: Measured, residual_nm: FloatArray) -> Measured:
+def expected_removal(recipe: Recipe, before: MeasureResult, residual_nm: FloatArray) -> MeasureResult:
     """The measurement of a surface that a pass is expected to leave, (ny, nx) on the process grid: nobody's map."""
     stats = metrics.surface_stats(
         residual_nm,
@@ -114,20 +114,20 @@ def expected(recipe: Recipe, before: Measured, residual_nm: FloatArray) -> Measu
     return replace(before, height_nm=height, stats=stats, sha256="", notes=(), judged=(), spikes=0)
 
 
-def change_nm(recipe: Recipe, before: Measured, after: Measured) -> float:
+def map_change_nm(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> float:
     """RMS in the clear aperture of what changed from one measurement to the next, without its alignment."""
     changed = metrics.without(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
     return float(np.sqrt(np.mean(changed[before.metric_mask] ** 2)))
 
 
-def changed(recipe: Recipe, before: Measured, after: Measured) -> tuple[Named, ...]:
+def map_changes(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> tuple[Diagnosis, ...]:
     """What a measurement and a later one name, with no pass between."""
     grid, mask = before.grid, before.metric_mask
     lost_nm = before.height_nm - after.height_nm
-    return naming.of_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
+    return naming.diagnose_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
 
 
-def harmful(recipe: Recipe, moves: tuple[Named, ...]) -> tuple[Named, ...]:
+def harmful_changes(recipe: Recipe, moves: tuple[Diagnosis, ...]) -> tuple[Diagnosis, ...]:
     """Of what goes on changing from map to map that which the tolerance does not bear."""
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=MOST_DRIFT_NM)
     return naming.harmful(moves, wanted)
@@ -148,7 +148,7 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
     )
 
 
-def as_polished(recipe: Recipe, program: Program) -> Program:
+def executed_surface(recipe: Recipe, program: Program) -> Program:
     """The program in the part's frame, with the tool's axis: where it states none, the way the cell dips.
 
     ``run`` refuses a program that states none (``violations``), since the robot would not know.
@@ -164,15 +164,15 @@ def _states_no_axis(recipe: Recipe, program: Program) -> bool:
     return recipe.process.dip_deg > 0 and bool(np.all(program.axis == (0.0, 0.0, 1.0)))
 
 
-def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed | None = None) -> RemovalAnswer:
+def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: EstimatesInUse | None = None) -> RemovalAnswer:
     """Compliance, gamma and effect along the program, on the process grid, by what is believed: None before a pass."""
-    return recipe.model.effect(request_of(recipe, program, grid, believed or believed_at_first(recipe)))
+    return recipe.model.effect(request_of(recipe, program, grid, believed or initial_estimates(recipe)))
 
 
-def request_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed) -> RemovalRequest:
+def request_of(recipe: Recipe, program: Program, grid: Grid, believed: EstimatesInUse) -> RemovalRequest:
     """What a removal model is asked for a program."""
     return RemovalRequest(
-        program=as_polished(recipe, program),
+        program=executed_surface(recipe, program),
         grid=grid,
         process=recipe.process,
         robot=recipe.robot,
@@ -187,7 +187,7 @@ def request_of(recipe: Recipe, program: Program, grid: Grid, believed: Believed)
     )
 
 
-def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> Taught:
+def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: EstimatesInUse) -> LearnResult:
     """Compare predicted with measured removal of the last pass.
 
     Nothing is learned from it where the gate stops, nor where another map must tell first (`Taught.doubted`).
@@ -204,11 +204,11 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
     verdict = gate.judge(predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown, most_shift_mm=miss)
     left = leftover(measured, mask, grid.pitch_mm, predicted, removal=unknown)
     removed_nm = float(np.sqrt(np.mean(predicted[mask] ** 2)))
-    named = naming.of_pass(verdict, left, removed_nm, done.again, miss)
-    taught = Taught(believed, verdict, grid, named=named)
+    named = naming.diagnose_pass(verdict, left, removed_nm, done.again, miss)
+    taught = LearnResult(believed, verdict, grid, named=named)
     if verdict.stop or taught.doubted:
         return taught
-    evidence = Evidence(
+    evidence = PassEvidence(
         beliefs=believed.removal,
         executed_s=done.executed_s,
         predicted_nm=verdict.predicted_nm,
@@ -229,17 +229,17 @@ def learn(recipe: Recipe, program: Program, done: Pass, believed: Believed) -> T
         return replace(taught, verdict=stopped, notes=lesson.notes)
     envelope = envelope_of(recipe, program, believed)
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
-    shown = shown_by(done, answer, predicted, verdict, believed.rate)
+    shown = pass_indicators(done, answer, predicted, verdict, believed.rate)
     rest, ripple = None, believed.ripple
     if recipe.dwell.choose != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
         rest = unexplained(predicted, measured, mask, forecasting.noise_nm(recipe, done.after))
         ripple = forecasting.ripple(recipe, done.before, done.after, removed_nm)
-    learned = Believed(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)
+    learned = EstimatesInUse(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)
     notes = (*(one.words for one in taught.named), *lesson.notes)
     return replace(taught, believed=learned, found=lesson.found, notes=notes, shown=shown)
 
 
-def _pixels(before: Measured, after: Measured) -> MapPixels | None:
+def _pixels(before: MeasureResult, after: MeasureResult) -> MapPixels | None:
     """Of both maps, where the part lay alike in both."""
     grid, lies, was = after.map_grid, after.registration, before.registration
     if grid is None or before.map_grid != grid:
@@ -261,7 +261,7 @@ def _change_noise_nm(recipe: Recipe) -> float | None:
     return None if one is None else 2**0.5 * one
 
 
-def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan:
+def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) -> Plan:
     """The rewritten program, read back from its own bytes, with what it is expected to do."""
     text = recipe.format.rewrite(program, solved.asked_s)
     rewritten = recipe.format.read(text, name)
@@ -269,10 +269,10 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
     expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.believed))
     answer = solved.answer
-    if isinstance(answer.effect, Staying) and not answer.effect.here:  # the worker that solved is no more
+    if isinstance(answer.effect, CachedEffect) and not answer.effect.here:  # the worker that solved is no more
         answer = effect_of(recipe, program, answer.effect.grid, solved.believed)
     effect = answer.effect
-    share = effect.negligible if isinstance(effect, Staying) else negligible(effect)
+    share = effect.negligible if isinstance(effect, CachedEffect) else negligible(effect)
     return Plan(
         program=rewritten,
         approach_blocks=int(rewritten.block[0]),
@@ -283,7 +283,7 @@ def rewrite(recipe: Recipe, program: Program, solved: Solved, name: str) -> Plan
     )
 
 
-def envelope_of(recipe: Recipe, program: Program, believed: Believed | None = None) -> Envelope:
+def envelope_of(recipe: Recipe, program: Program, believed: EstimatesInUse | None = None) -> Envelope:
     """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
     envelope = recipe.envelope
     if believed is not None and believed.block_overhead_s:

@@ -16,31 +16,31 @@ from polishd.process import motion
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.metrics import band_rms
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured
-from polishd.recipe.steps import believed_at_first, effect_of, envelope_of
+from polishd.recipe.records import EstimatesInUse, MeasureResult
+from polishd.recipe.steps import effect_of, envelope_of, initial_estimates
 
 
-class Turn(NamedTuple):
+class ToolProblem(NamedTuple):
     """A tool's turn: with what recipe, along which program, and by what is believed of it (None: as at first)."""
 
     recipe: Recipe
     program: Program
-    believed: Believed | None = None
+    believed: EstimatesInUse | None = None
 
 
-class Bounds(NamedTuple):
+class DwellBounds(NamedTuple):
     """Time that the machine can give each timed point, (n,) s."""
 
     lower_s: FloatArray
     upper_s: FloatArray
 
-    def raised(self, least_s: FloatArray) -> Bounds:
+    def raised(self, least_s: FloatArray) -> DwellBounds:
         """The lower one at least this, the upper one never below it."""
         lower = np.maximum(self.lower_s, least_s)
-        return Bounds(lower, np.maximum(self.upper_s, lower))
+        return DwellBounds(lower, np.maximum(self.upper_s, lower))
 
 
-class Round(NamedTuple):
+class SolveRound(NamedTuple):
     """A solved problem, and what the machine makes of it."""
 
     problem: DwellProblem
@@ -50,12 +50,12 @@ class Round(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class ToolSubproblem:
     """A tool's turn with its effect."""
 
     recipe: Recipe
     program: Program
-    believed: Believed
+    believed: EstimatesInUse
     answer: RemovalAnswer
     envelope: Envelope
 
@@ -78,15 +78,15 @@ class Leg:
         return np.ones(self.program.n) if self.answer.divide_by is None else self.answer.divide_by
 
 
-def leg_of(turn: Turn, measured: Measured) -> Leg:
+def tool_subproblem(turn: ToolProblem, measured: MeasureResult) -> ToolSubproblem:
     """Of a turn and the surface that it finds."""
-    believed = turn.believed or believed_at_first(turn.recipe)
+    believed = turn.believed or initial_estimates(turn.recipe)
     answer = effect_of(turn.recipe, turn.program, measured.grid, believed)
-    return Leg(turn.recipe, turn.program, believed, answer, envelope_of(turn.recipe, turn.program, believed))
+    return ToolSubproblem(turn.recipe, turn.program, believed, answer, envelope_of(turn.recipe, turn.program, believed))
 
 
-def of_one(
-    found: Round, removal_nm: FloatArray, left_nm: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray]
+def single_tool(
+    found: SolveRound, removal_nm: FloatArray, left_nm: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray]
 ) -> DwellSolution:
     """Of several tools' solution one's: its times and bounds, what it removes, and what is left after it."""
     time_s, lower_s, upper_s = own

@@ -19,36 +19,36 @@ from polishd.config.shop import ShopFile
 from polishd.door import server as door
 from polishd.door.certificates import Certificate
 from polishd.door.finite import json_object, require_unicode
-from polishd.door.guard import Guard, hosts_of, refusal
-from polishd.door.limits import Rate
+from polishd.door.guard import RequestGuard, hosts_of, refusal
+from polishd.door.limits import RateLimiter
 from polishd.door.server import HANDLERS, answered
-from polishd.door.sessions import Sessions, address_of, forged
-from polishd.door.users import Role, Users
+from polishd.door.sessions import SessionStore, address_of, forged
+from polishd.door.users import Role, UserFile
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.shop import feed, parts, views
-from polishd.shop.database import Database, Transaction
+from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.jobs import digests, part_of
 
 BODY_BYTES = 16 << 20
 """Of a report, or of a job with its files."""
 
-Work = Callable[[Transaction, str, dict[str, Any]], Any]
+Work = Callable[[DatabaseTransaction, str, dict[str, Any]], Any]
 """One whole transaction: (it, who asks, what was sent) -> what is answered."""
 
 
-def cells_of(shop: ShopFile) -> Users:
+def cells_of(shop: ShopFile) -> UserFile:
     """Names of its cells, and hashes of their tokens."""
-    return Users(shop.state_dir / "shop-cells.json")
+    return UserFile(shop.state_dir / "shop-cells.json")
 
 
-def people_of(shop: ShopFile) -> Users:
+def people_of(shop: ShopFile) -> UserFile:
     """The same of its people and programs."""
-    return Users(shop.state_dir / "shop-users.json" if shop.web.users is None else shop.resolve(shop.web.users))
+    return UserFile(shop.state_dir / "shop-users.json" if shop.web.users is None else shop.resolve(shop.web.users))
 
 
-def application(shop: ShopFile, database: Database, certificate: Certificate | None = None) -> Guard:
+def application(shop: ShopFile, database: Database, certificate: Certificate | None = None) -> RequestGuard:
     """Of that shop; ``certificate``: the one by which it is served."""
-    cells, people, rate = Sessions(cells_of(shop)), Sessions(people_of(shop)), Rate()
+    cells, people, rate = SessionStore(cells_of(shop)), SessionStore(people_of(shop)), RateLimiter()
 
     def of_cell(path: str, work: Work) -> Route:
         return Route(f"/api/cell/{path}", _endpoint(database, cells, rate, Role.WATCH, work), methods=["POST"])
@@ -57,7 +57,7 @@ def application(shop: ShopFile, database: Database, certificate: Certificate | N
         method = "GET" if role is Role.WATCH else "POST"
         return Route(f"/api/{path}", _endpoint(database, people, rate, role, work), methods=[method])
 
-    def status(sql: Transaction, _who: str, _said: dict[str, Any]) -> Any:
+    def status(sql: DatabaseTransaction, _who: str, _said: dict[str, Any]) -> Any:
         tls = None if certificate is None else certificate.facts()
         return {"shop": shop.shop.name, "certificate": tls, **views.status(sql, cells_of(shop))}
 
@@ -74,7 +74,7 @@ def application(shop: ShopFile, database: Database, certificate: Certificate | N
         of_people("release", _release, Role.OPERATE),
         of_people("remove", _remove, Role.OPERATE),
     ]
-    return Guard(Starlette(routes=routes, exception_handlers=HANDLERS), hosts_of(shop.web), BODY_BYTES)
+    return RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), hosts_of(shop.web), BODY_BYTES)
 
 
 def serve(shop: ShopFile) -> None:
@@ -88,7 +88,7 @@ def serve(shop: ShopFile) -> None:
 
 
 def _endpoint(
-    database: Database, sessions: Sessions, rate: Rate, role: Role, work: Work
+    database: Database, sessions: SessionStore, rate: RateLimiter, role: Role, work: Work
 ) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         try:
@@ -118,9 +118,9 @@ async def _worked(database: Database, work: Work, who: str, body: bytes) -> Any:
     return found if isinstance(found, Response) else {"ok": True, **found}
 
 
-def _report(sql: Transaction, cell: str, said: dict[str, Any]) -> Any:
+def _report(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
     try:
-        report = feed.Report(**said)
+        report = feed.CellReport(**said)
         upto = feed.take(sql, cell, report)
         word = parts.report(sql, cell, report.journal, report.claims)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
@@ -129,19 +129,19 @@ def _report(sql: Transaction, cell: str, said: dict[str, Any]) -> Any:
     return {"upto": upto, **told, "offers": feed.offers(sql, cell)}
 
 
-def _refuse(sql: Transaction, cell: str, said: dict[str, Any]) -> Any:
+def _refuse(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
     parts.refuse(sql, cell, _text(said, "request"), _text(said, "why")[:2000])
     return {}
 
 
-def _file(sql: Transaction, _cell: str, said: dict[str, Any]) -> Any:
+def _file(sql: DatabaseTransaction, _cell: str, said: dict[str, Any]) -> Any:
     found = sql.row("SELECT content FROM file WHERE sha256 = ?", _text(said, "sha256"))
     if found is None:
         raise ConfigError("there is no file of that hash")
     return Response(found["content"], media_type="application/octet-stream")
 
 
-def _add(sql: Transaction, who: str, said: dict[str, Any]) -> Any:
+def _add(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
     files = said.get("files", {})
     if not isinstance(files, dict):
         raise ConfigError("files is an object: base64 of each content by its name")
@@ -156,12 +156,12 @@ def _add(sql: Transaction, who: str, said: dict[str, Any]) -> Any:
     return {"added": part.job}
 
 
-def _release(sql: Transaction, who: str, said: dict[str, Any]) -> Any:
+def _release(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
     gone = said.get("cell_is_gone", False) is True
     return {"said": parts.release(sql, _text(said, "job"), who, str(said.get("why", ""))[:500], gone=gone)}
 
 
-def _remove(sql: Transaction, who: str, said: dict[str, Any]) -> Any:
+def _remove(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
     parts.remove(sql, _text(said, "job"), who, str(said.get("why", ""))[:500])
     return {}
 

@@ -37,7 +37,7 @@ class Database:
         self._connection.close()
 
     @contextmanager
-    def transaction(self) -> Iterator[Transaction]:
+    def transaction(self) -> Iterator[DatabaseTransaction]:
         """All of it, durable at the end of this block, or nothing. LinkError where the disk, or its turn, fails.
 
         ConfigError where a row does not go with the others.
@@ -46,7 +46,7 @@ class Database:
             try:
                 self._connection.execute("BEGIN IMMEDIATE")
                 try:
-                    yield Transaction(self._connection)
+                    yield DatabaseTransaction(self._connection)
                 except BaseException:
                     self._connection.execute("ROLLBACK")
                     raise
@@ -59,7 +59,7 @@ class Database:
                 raise LinkError(f"the shop's database: {error}; nothing of this was taken; look at its disk") from error
 
 
-class Transaction:
+class DatabaseTransaction:
     """What is read and written as one."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:

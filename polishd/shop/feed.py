@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from polishd.model.errors import ConfigError
-from polishd.shop.database import Transaction
+from polishd.shop.database import DatabaseTransaction
 
 JOB = ("job", "name", "part_id", "started", "ended", "outcome", "detail")
 PASS = ("job", "cycle", "program_sha256", "started", "ended", "how", "facts")
@@ -20,7 +20,7 @@ EVENT = ("seq", "job", "at", "cycle", "name", "data")
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class CellReport:
     """What a cell tells at once: of events those with numbers ``first`` to ``last``, and rows as they are now."""
 
     journal: str
@@ -50,7 +50,7 @@ class Report:
                 raise TypeError(f"{name} is no {kind.__name__}")
 
 
-def take(sql: Transaction, cell: str, report: Report) -> int:
+def take(sql: DatabaseTransaction, cell: str, report: CellReport) -> int:
     """Take what is not known yet; the number of the last event that is known now.
 
     One that begins beyond that is not taken: the cell begins again where the shop is. ConfigError where the journal is
@@ -82,7 +82,7 @@ def take(sql: Transaction, cell: str, report: Report) -> int:
     return report.last
 
 
-def offers(sql: Transaction, cell: str) -> list[dict[str, Any]]:
+def offers(sql: DatabaseTransaction, cell: str) -> list[dict[str, Any]]:
     """What other cells have learned of each recipe: the latest."""
     rows = sql.rows(
         "SELECT recipe, cell, job, of_cycle, at_s, rate, sigma, max(at_s) FROM lesson WHERE cell != ? GROUP BY recipe",
@@ -92,7 +92,7 @@ def offers(sql: Transaction, cell: str) -> list[dict[str, Any]]:
 
 
 def _rows(
-    sql: Transaction, table: str, columns: Sequence[str], key: Mapping[str, Any], rows: Sequence[Sequence[Any]]
+    sql: DatabaseTransaction, table: str, columns: Sequence[str], key: Mapping[str, Any], rows: Sequence[Sequence[Any]]
 ) -> None:
     for values in rows:
         sql.insert(f"INSERT OR REPLACE INTO {table}", {**key, **dict(zip(columns, values, strict=True))})

@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 
 from polishd.config.job_file import JobFile
-from polishd.config.places import listed
+from polishd.config.places import join_words
 from polishd.model.errors import ConfigError
 from polishd.shop.parts import NewPart
 
@@ -42,7 +42,7 @@ def part_of(content: str, files: Mapping[str, bytes]) -> NewPart:
     wanted = {one for _, named in file.named(fragment) for one in (named if isinstance(named, list) else [named])}
     known = {f"/{name}" for name in files}
     if any(not FLAT.fullmatch(name) for name in files) or wanted != known:
-        came = f"its files are {listed(sorted(wanted))}, and with it came {listed(sorted(known))}"
+        came = f"its files are {join_words(sorted(wanted))}, and with it came {join_words(sorted(known))}"
         raise ConfigError(f"{source.file}: {came}; send each, by a name without folders")
     return NewPart(str(fragment["job"]["id"]), str(fragment["part"]["id"]), content, files)
 

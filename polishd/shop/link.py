@@ -18,14 +18,14 @@ from typing import Any
 from polishd.config.cell import CellConfig
 from polishd.config.shop_link import ShopLinkSection
 from polishd.daemon import client
-from polishd.daemon.checking import judged_jobs
+from polishd.daemon.checking import check_jobs
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.daemon.lock import locked
 from polishd.files import make_folder, write_atomic
 from polishd.hooks.loader import Hooks
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError, TokenRefused
 from polishd.shop import told
-from polishd.shop.wire import Wire
+from polishd.shop.wire import ShopClient
 
 log = logging.getLogger(__name__)
 
@@ -38,13 +38,13 @@ NOT_NOW = frozenset({"starting", "held", "finished"})
 FOLDER = "shop"
 
 
-class Link:
+class ShopLink:
     """Of one cell; ``turn`` is one report, and what follows from it."""
 
     def __init__(self, config: CellConfig, hooks: Hooks, section: ShopLinkSection) -> None:
         """ConfigError where there is no token."""
         self._config, self._hooks, self._section = config, hooks, section
-        self._wire = Wire(section, config.base_dir)
+        self._wire = ShopClient(section, config.base_dir)
         self._folder = config.state_dir / FOLDER
         self._upto = 0
         self._open: list[str] = []
@@ -137,7 +137,7 @@ class Link:
             return False
         path = self._written(request, part)
         try:
-            judged_jobs(self._config, self._hooks, [path], self._judged)
+            check_jobs(self._config, self._hooks, [path], self._judged)
             self._add(request, path, part["content"])
         except LinkError:
             raise

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from polishd.model.errors import ConfigError
-from polishd.shop.database import Transaction
+from polishd.shop.database import DatabaseTransaction
 
 WAITING, UNDER_WAY, REMOVED, UNKNOWN = "waiting", "under way", "removed", "unknown"
 """What a cell says of a claim, beside the verdict on its part; unknown: its queue never had it."""
@@ -35,7 +35,7 @@ class NewPart:
 
 
 @dataclass(slots=True)
-class Word:
+class AssignmentAnswer:
     """What a cell is told of its claims."""
 
     stands: list[str] = field(default_factory=list)
@@ -43,7 +43,7 @@ class Word:
     lost: list[str] = field(default_factory=list)
 
 
-def add(sql: Transaction, parts: Sequence[NewPart], by: str, digests: Sequence[Mapping[str, str]]) -> None:
+def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Sequence[Mapping[str, str]]) -> None:
     """Put them at the end, all or none; ConfigError where a job or its part is there already.
 
     ``digests``: of each part, SHA-256 of its files by name.
@@ -66,7 +66,7 @@ def add(sql: Transaction, parts: Sequence[NewPart], by: str, digests: Sequence[M
         sql.word(by, "added", part.job)
 
 
-def claim(sql: Transaction, cell: str, request: str) -> dict[str, Any]:
+def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
     """A part for a cell; the same one whenever it asks by that request. ``{"part": None}`` where there is none for it.
 
     ``over``: that request has had its part, and it was given back or ended: ask by another one.
@@ -92,16 +92,18 @@ def claim(sql: Transaction, cell: str, request: str) -> dict[str, Any]:
     return _given(sql, request, part["id"])
 
 
-def refuse(sql: Transaction, cell: str, request: str, why: str) -> None:
+def refuse(sql: DatabaseTransaction, cell: str, request: str, why: str) -> None:
     """The cell cannot work it, and has not put it into its queue: it is for another one."""
     found = _open(sql, cell, request)
     if found is not None and found["state"] == "given":
         _free(sql, request, REFUSED, cell, why)
 
 
-def report(sql: Transaction, cell: str, journal: str, claims: Mapping[str, Mapping[str, str]]) -> Word:
+def report(
+    sql: DatabaseTransaction, cell: str, journal: str, claims: Mapping[str, Mapping[str, str]]
+) -> AssignmentAnswer:
     """What the cell's own queue says of its claims; what holds for each."""
-    word = Word()
+    word = AssignmentAnswer()
     for request, said in claims.items():
         found = _open(sql, cell, request)
         if found is None:
@@ -116,7 +118,7 @@ def report(sql: Transaction, cell: str, journal: str, claims: Mapping[str, Mappi
     return word
 
 
-def release(sql: Transaction, job: str, by: str, why: str, *, gone: bool) -> str:
+def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool) -> str:
     """Another cell shall have it; what became of that, in words. ConfigError where there is nothing to release.
 
     A cell that may have begun it is asked first. ``gone``: a person says that the cell is gone, and has nothing of it.
@@ -145,7 +147,7 @@ def release(sql: Transaction, job: str, by: str, why: str, *, gone: bool) -> str
     return f"{job}: {cell} is asked to give it back, and keeps it until it has; polishd shop list shows it"
 
 
-def remove(sql: Transaction, job: str, by: str, why: str) -> None:
+def remove(sql: DatabaseTransaction, job: str, by: str, why: str) -> None:
     """Take one out that waits, or that was put aside. ConfigError where a cell has it."""
     if _part(sql, job)["state"] not in {"waiting", "aside"}:
         raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was put aside, can be taken out")
@@ -153,7 +155,7 @@ def remove(sql: Transaction, job: str, by: str, why: str) -> None:
     sql.word(by, "removed", job, "", why)
 
 
-def _heard(sql: Transaction, found: Mapping[str, Any], said: Mapping[str, str], journal: str) -> None:
+def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str, str], journal: str) -> None:
     """Of a claim that is open."""
     request, cell, state, reason = found["request"], found["cell"], said["state"], said.get("reason", "")
     if state == UNKNOWN:
@@ -177,7 +179,7 @@ def _heard(sql: Transaction, found: Mapping[str, Any], said: Mapping[str, str], 
         sql.word(cell, state, found["job"], cell, reason)
 
 
-def _came_back(sql: Transaction, cell: str, request: str, state: str) -> None:
+def _came_back(sql: DatabaseTransaction, cell: str, request: str, state: str) -> None:
     """A claim that is over is still in its queue: it is said once, for whoever looks after it."""
     sql_job = (
         "SELECT part.job FROM claim JOIN part ON part.id = claim.part WHERE request = ? AND cell = ? AND how = 'gone'"
@@ -188,7 +190,7 @@ def _came_back(sql: Transaction, cell: str, request: str, state: str) -> None:
         sql.word(cell, "came back, and had begun it", found["job"], cell, "look which cell has the part")
 
 
-def _free(sql: Transaction, request: str, how: str, who: str, why: str = "") -> None:
+def _free(sql: DatabaseTransaction, request: str, how: str, who: str, why: str = "") -> None:
     """The claim is over, and its part waits for another cell."""
     sql.run("UPDATE claim SET ended = ?, how = ? WHERE request = ?", time.time(), how, request)
     found = sql.row("SELECT part, cell, job FROM claim JOIN part ON part.id = claim.part WHERE request = ?", request)
@@ -202,14 +204,14 @@ def _free(sql: Transaction, request: str, how: str, who: str, why: str = "") -> 
     sql.word(who, how, found["job"], found["cell"], why)
 
 
-def _given(sql: Transaction, request: str, part: int) -> dict[str, Any]:
+def _given(sql: DatabaseTransaction, request: str, part: int) -> dict[str, Any]:
     row = sql.row("SELECT job, part_id, content, files FROM part WHERE id = ?", part)
     if row is None:
         raise ConfigError("there is no such part")
     return {"part": {**row, "files": json.loads(row["files"])}, "request": request}
 
 
-def _open(sql: Transaction, cell: str, request: str) -> dict[str, Any] | None:
+def _open(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any] | None:
     return sql.row(
         "SELECT request, claim.cell, claim.part, claim.state, claim.back, part.job FROM claim "
         "JOIN part ON part.id = claim.part WHERE request = ? AND cell = ? AND claim.ended IS NULL",
@@ -217,7 +219,7 @@ def _open(sql: Transaction, cell: str, request: str) -> dict[str, Any] | None:
     )
 
 
-def _part(sql: Transaction, job: str) -> dict[str, Any]:
+def _part(sql: DatabaseTransaction, job: str) -> dict[str, Any]:
     found = sql.row("SELECT id, state FROM part WHERE job = ?", job)
     if found is None:
         raise ConfigError(f"there is no part {job!r} in this shop; polishd shop list shows all")

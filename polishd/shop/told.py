@@ -12,8 +12,8 @@ from typing import Any
 
 from polishd.daemon.history import read_only
 from polishd.daemon.offers import FORGOTTEN
-from polishd.model.events import Progress, RateOffered
-from polishd.shop.feed import Report
+from polishd.model.events import PassProgressed, ShopRateReceived
+from polishd.shop.feed import CellReport
 
 MOST_EVENTS = 500
 """In one report."""
@@ -27,7 +27,7 @@ _MAPS = "SELECT job, cycle, taken, stats FROM map WHERE job = ? ORDER BY id"
 
 def read_report(
     state_dir: Path, upto: int, now: dict[str, Any], also: Sequence[str], asking: str
-) -> tuple[Report, bool] | None:
+) -> tuple[CellReport, bool] | None:
     """What comes after that event, and whether that is not all; None where the journal is still empty.
 
     ``also``: claims of which the shop wants to know though they may have ended; ``asking``: the request of which nobody
@@ -45,14 +45,14 @@ def read_report(
         touched = {row[1] for row in rows} | {journal.execute("SELECT ifnull(max(id), 0) FROM job").fetchone()[0]}
         passes = _of(journal, _PASSES, touched)
         jobs = _of(journal, _JOBS, touched)
-        return Report(
+        return CellReport(
             journal=_hash(first),
             first=upto + 1,
             last=rows[-1][0] if rows else upto,
             before=_hash(before[0]) if before else "",
             tail=_hash(rows[-1]) if rows else "",
             now=now,
-            events=[row for row in rows if row[4] != Progress.name],
+            events=[row for row in rows if row[4] != PassProgressed.name],
             jobs=jobs,
             passes=passes,
             maps=_of(journal, _MAPS, touched),
@@ -61,7 +61,7 @@ def read_report(
         ), more
 
 
-def facts(report: Report) -> dict[str, Any]:
+def facts(report: CellReport) -> dict[str, Any]:
     """As it is sent."""
     return asdict(report)
 
@@ -86,7 +86,7 @@ def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
         "SELECT max(json_extract(data, '$.at_s')) FROM event WHERE name = ? AND json_extract(data, '$.recipe') = ? "
         "AND id > ifnull((SELECT max(id) FROM event WHERE name = ?), 0)"
     )
-    (at_s,) = journal.execute(sql, (RateOffered.name, offer["recipe"], FORGOTTEN)).fetchone()
+    (at_s,) = journal.execute(sql, (ShopRateReceived.name, offer["recipe"], FORGOTTEN)).fetchone()
     return at_s is not None and offer["at_s"] < at_s + AGAIN_S
 
 

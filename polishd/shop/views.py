@@ -8,13 +8,13 @@ from collections.abc import Iterable
 from operator import itemgetter
 from typing import Any
 
-from polishd.shop.database import Transaction
+from polishd.shop.database import DatabaseTransaction
 
 UNHEARD_S = 60.0
 """A cell that has said nothing for so long is told to be away."""
 
 
-def status(sql: Transaction, names: Iterable[str]) -> dict[str, Any]:
+def status(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
     """Its cells, what each does and for how long it has said nothing, and how many parts are where.
 
     ``names``: of cells that have a token; one that has never reported has None in the place of ``heard_s``.
@@ -37,7 +37,7 @@ def status(sql: Transaction, names: Iterable[str]) -> dict[str, Any]:
     return {"cells": sorted(cells, key=itemgetter("cell")), "parts": parts}
 
 
-def parts(sql: Transaction) -> dict[str, Any]:
+def parts(sql: DatabaseTransaction) -> dict[str, Any]:
     """All parts in the order in which they came, and whose each is; then what was decided, and who wanted it."""
     rows = sql.rows(
         "SELECT part.job, part.part_id, part.state, part.added, part.by, part.verdict, part.reason, part.ended, "
@@ -52,12 +52,12 @@ def parts(sql: Transaction) -> dict[str, Any]:
     return {"parts": [{**row, "not_for": why.get(row["job"], "")} for row in rows]}
 
 
-def words(sql: Transaction, most: int = 1000) -> list[dict[str, Any]]:
+def words(sql: DatabaseTransaction, most: int = 1000) -> list[dict[str, Any]]:
     """What the shop decided, and who wanted it, the last ones."""
     return sql.rows("SELECT * FROM (SELECT * FROM word ORDER BY id DESC LIMIT ?) ORDER BY id", most)
 
 
-def history(sql: Transaction) -> dict[str, Any]:
+def history(sql: DatabaseTransaction) -> dict[str, Any]:
     """All jobs of all cells, in the order in which they began."""
     maps: dict[tuple[str, ...], list[float]] = {}
     for row in sql.rows("SELECT cell, journal, job, stats FROM map ORDER BY cell, journal, job, cycle"):
@@ -73,10 +73,10 @@ def history(sql: Transaction) -> dict[str, Any]:
     return {"jobs": jobs}
 
 
-def lessons(sql: Transaction) -> dict[str, Any]:
+def lessons(sql: DatabaseTransaction) -> dict[str, Any]:
     """What each cell has learned last of each recipe."""
     return {"lessons": sql.rows("SELECT * FROM lesson ORDER BY recipe, at_s")}
 
 
-def _count(sql: Transaction, query: str, *values: Any) -> int:
+def _count(sql: DatabaseTransaction, query: str, *values: Any) -> int:
     return int(sql.rows(query, *values)[0]["n"])

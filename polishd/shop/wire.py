@@ -30,7 +30,7 @@ UNKNOWN_ISSUER, OTHER_NAME = (18, 19, 20, 21), (62, 64)
 """OpenSSL's numbers of why a certificate is not believed (X509_V_ERR_...)."""
 
 
-class Wire:
+class ShopClient:
     """One request after the other; each on a connection of its own. No proxy, no redirection."""
 
     def __init__(self, section: ShopLinkSection, base_dir: Path) -> None:

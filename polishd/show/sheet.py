@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 
-class Figure(NamedTuple):
+class ReportValue(NamedTuple):
     """A number of the report, and where a program finds it."""
 
     text: str
@@ -18,7 +18,7 @@ class Figure(NamedTuple):
     value: float
 
     @classmethod
-    def of(cls, answer: Mapping[str, Any], key: str, form: str) -> Figure | str:
+    def of(cls, answer: Mapping[str, Any], key: str, form: str) -> ReportValue | str:
         """What stands there, in this format; a dash where there is nothing, or no finite number."""
         found: Any = answer
         for step in key.split("."):
@@ -31,7 +31,7 @@ class Figure(NamedTuple):
         return cls(format(found, f"z{form}" if form.endswith("f") else form), key, found)
 
 
-Cell = Figure | str
+Cell = ReportValue | str
 
 
 class Table(NamedTuple):
@@ -57,7 +57,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class DocumentSection:
     """A part of a report: its tables, then its notes, then its pictures."""
 
     title: str
@@ -72,13 +72,13 @@ class Chapter:
 
     title: str
     facts: Sequence[tuple[str, str]]
-    parts: Sequence[Part]
+    parts: Sequence[DocumentSection]
     verdict: str = ""
     good: bool = True
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class ReportDocument:
     """A whole report."""
 
     title: str

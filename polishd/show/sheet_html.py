@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from polishd.show.sheet import Sheet
+from polishd.show.sheet import ReportDocument
 
 
 def templates(*folders: Path) -> Environment:
@@ -21,6 +21,6 @@ def templates(*folders: Path) -> Environment:
     )
 
 
-def html(sheet: Sheet) -> str:
+def html(sheet: ReportDocument) -> str:
     """The page. Each figure is a ``<data>`` element: its text for people, its value and key for programs."""
     return templates().get_template("sheet.html.jinja").render(sheet=sheet)

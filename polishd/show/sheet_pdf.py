@@ -16,7 +16,7 @@ from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from polishd.show.sheet import Cell, Chapter, Figure, Part, Picture, Sheet, Table
+from polishd.show.sheet import Cell, Chapter, DocumentSection, Picture, ReportDocument, ReportValue, Table
 from polishd.show.style import INK, MUTED, RC, RULE, polishd_style
 
 WIDE_IN, HIGH_IN = 8.27, 11.69
@@ -33,12 +33,12 @@ GOOD, BAD = ("#e3f4ec", "#00664a"), ("#fbe8df", "#9c3f00")
 """Ground and ink of a verdict."""
 
 
-def pdf(sheet: Sheet) -> bytes:
+def pdf(sheet: ReportDocument) -> bytes:
     """The report's pages."""
     return paged(sheet)[0]
 
 
-def paged(sheet: Sheet) -> tuple[bytes, int]:
+def paged(sheet: ReportDocument) -> tuple[bytes, int]:
     """The report's pages, and how many there are."""
     target = io.BytesIO()
     with polishd_style(), PdfPages(target, metadata={"Title": sheet.title, "Creator": sheet.footer}) as written:
@@ -105,7 +105,7 @@ class _Pages:
         page.text(x, y, _written(words), color=ink, **style)
         self.y_in -= 0.12
 
-    def part(self, part: Part) -> None:
+    def part(self, part: DocumentSection) -> None:
         """Its title is never the last line of a page."""
         self.room(1.2 if not part.pictures or part.tables else 3.0)
         self.y_in -= 0.12
@@ -190,7 +190,7 @@ def _written(words: str) -> str:
 
 
 def _words(cell: Cell) -> str:
-    return cell.text if isinstance(cell, Figure) else cell
+    return cell.text if isinstance(cell, ReportValue) else cell
 
 
 def _widths(rows: Sequence[Sequence[str]]) -> list[float]:

@@ -12,7 +12,7 @@ from typing import Any
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.model.errors import PolishdError
 from polishd.sim_backends.runtime import Start, as_hardware, read_config, run_device
-from polishd.sim_backends.supervisor import DEVICES, Supervisor
+from polishd.sim_backends.supervisor import DEVICES, SimSupervisor
 from polishd.sim_backends.truth import stream
 
 CAN = ("slcan", "socketcand")
@@ -71,7 +71,7 @@ def main() -> int:
 async def _run(start: Start, device: str | None) -> int:
     if device is None:
         arguments = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
-        return await Supervisor(start, arguments).run()
+        return await SimSupervisor(start, arguments).run()
     as_hardware()
     if device == "plant":
         from polishd.sim_backends.plant.server import main as plant

@@ -28,7 +28,7 @@ def slcan_frame(line: bytes) -> Frame | None:
 
 
 @dataclass(slots=True)
-class Slcan:
+class SlcanHost:
     """An adapter: lines ended by CR; nothing of the bus is heard before ``O``."""
 
     on_frame: Callable[[int, bytes], list[Frame]]
@@ -62,7 +62,7 @@ class Slcan:
 
 
 @dataclass(slots=True)
-class Socketcand:
+class SocketcandHost:
     """One socketcand connection in raw mode."""
 
     on_frame: Callable[[int, bytes], list[Frame]]

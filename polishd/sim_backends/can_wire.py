@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from polishd.sim_backends.can_hosts import Frame, Slcan, Socketcand
-from polishd.sim_backends.faults.outlet import Outlet
-from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.wire import Feed, Wire
+from polishd.sim_backends.can_hosts import Frame, SlcanHost, SocketcandHost
+from polishd.sim_backends.faults.outlet import FaultyLink
+from polishd.sim_backends.runtime import SimRuntime
+from polishd.sim_backends.wire import Feed, SimWire
 
 ADAPTER_BAUD = 1_000_000
 """Of the slcan adapter's serial side."""
@@ -18,22 +18,22 @@ ADAPTER_BAUD = 1_000_000
 class CanWire:
     """The bus of one simulated device."""
 
-    runtime: Runtime
+    runtime: SimRuntime
     kind: str
     """``slcan`` or ``socketcand``."""
     port: int
     on_frame: Callable[[int, bytes], list[Frame]]
     """Hears a host's frame; what the device answers at once."""
-    hosts: list[tuple[Slcan | Socketcand, Outlet]] = field(default_factory=list)
+    hosts: list[tuple[SlcanHost | SocketcandHost, FaultyLink]] = field(default_factory=list)
 
     async def open(self) -> None:
         """Be reachable, and say where."""
-        wire = Wire(self.runtime, self._connected)
+        wire = SimWire(self.runtime, self._connected)
         if self.kind == "slcan":
             wire.open_pty(ADAPTER_BAUD)
             wire.ready(f"slcan:{self.runtime.start.state / self.runtime.name}?bitrate=500000")
         else:
-            wire.ready(f"socketcand://{await wire.open_tcp(self.port, Socketcand.greeting)}/can0")
+            wire.ready(f"socketcand://{await wire.open_tcp(self.port, SocketcandHost.greeting)}/can0")
 
     def say(self, frames: list[Frame]) -> None:
         """Each host hears the bus once it has opened it: before that, a client waits for an answer."""
@@ -42,8 +42,8 @@ class CanWire:
                 if heard := host.send([frame]):
                     outlet.send(heard)
 
-    def _connected(self, outlet: Outlet) -> Feed:
-        host = (Slcan if self.kind == "slcan" else Socketcand)(self.on_frame)
+    def _connected(self, outlet: FaultyLink) -> Feed:
+        host = (SlcanHost if self.kind == "slcan" else SocketcandHost)(self.on_frame)
         self.hosts.append((host, outlet))
         outlet.on_closed = lambda: self.hosts.remove((host, outlet))
 

@@ -17,8 +17,8 @@ from polishd.config.simulator import SimConfig
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends import metropro
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.runtime import Runtime, replace
-from polishd.sim_backends.seeing import as_measured, as_seen
+from polishd.sim_backends.runtime import SimRuntime, replace
+from polishd.sim_backends.seeing import add_imaging_errors, add_instrument_errors
 from polishd.sim_backends.truth import stream
 
 POLL_S = 0.03
@@ -26,10 +26,10 @@ CHUNKS = 20
 
 
 @dataclass(slots=True)
-class Interferometer:
+class SimInterferometer:
     """One instrument and its folder."""
 
-    runtime: Runtime
+    runtime: SimRuntime
     folder: Path
     rng: np.random.Generator
     maps: asyncio.Queue[FloatArray] = field(default_factory=asyncio.Queue)
@@ -57,7 +57,9 @@ class Interferometer:
         """Measure and write."""
         start = self.runtime.start
         faults = start.config.interferometer.faults
-        measured = as_measured(true_nm, start.config, self.pitch_mm, self.rng) + self.rng.uniform(-200.0, 200.0)
+        measured = add_instrument_errors(true_nm, start.config, self.pitch_mm, self.rng) + self.rng.uniform(
+            -200.0, 200.0
+        )
         if faults.wrong_part_first:
             await self.write("wrong", self._file(np.where(np.isfinite(measured), -measured, np.nan), "OTHER-7"))
         if faults.duplicate_first and self.last:
@@ -98,7 +100,7 @@ def write_artefact(config: SimConfig, path: Path, rng: np.random.Generator) -> N
         down = (grid.y_mm - bump.y_mm) / bump.sigma_y_mm
         height += bump.height_nm * np.outer(np.exp(-0.5 * down**2), np.exp(-0.5 * across**2))
     height[grid.radius_mm() > artefact.diameter_mm / 2] = np.nan
-    seen = as_seen(height, config.interferometer.faults)
+    seen = add_imaging_errors(height, config.interferometer.faults)
     replace(path, _pack(seen, pitch, artefact.part_id, (0, 0)))
 
 
@@ -117,11 +119,11 @@ def _pack(height_nm: FloatArray, pitch_mm: float, part: str, origin_px: tuple[in
     )
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     folder = runtime.start.state / "maps"
     folder.mkdir(exist_ok=True)
-    instrument = Interferometer(runtime, folder, stream(runtime.start.seed + runtime.boot_count, "interferometer"))
+    instrument = SimInterferometer(runtime, folder, stream(runtime.start.seed + runtime.boot_count, "interferometer"))
     x, y = runtime.link.welcome["origin_px"]
     instrument.origin, instrument.pitch_mm = (x, y), float(runtime.link.welcome["pitch_mm"])
     instrument.part = runtime.link.welcome["part"]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
 
 MAGICS = (0x881B036F, 0x881B0370, 0x881B0371)
@@ -70,19 +70,19 @@ def pack(data: DatMap) -> bytes:
 def unpack(data: bytes, name: str = "map") -> DatMap:
     """Read a complete file; BadMap says what is wrong."""
     if len(data) < HEADER or struct.unpack_from(">I", data)[0] not in MAGICS:
-        raise BadMap(f"{name}: not a MetroPro file")
+        raise MapError(f"{name}: not a MetroPro file")
     (header,) = struct.unpack_from(">i", data, 6)
     width, height, buckets = struct.unpack_from(">hhh", data, 52)
     x, y, columns, rows = struct.unpack_from(">hhhh", data, 64)
     intensity = 2 * width * height * buckets
     if len(data) != header + intensity + 4 * rows * columns or rows * columns == 0:
-        raise BadMap(f"{name}: {len(data)} bytes are not what the header announces")
+        raise MapError(f"{name}: {len(data)} bytes are not what the header announces")
     scale, wavelength = struct.unpack_from(">ff", data, 164)
     (obliquity,) = struct.unpack_from(">f", data, 176)
     (pitch_m,) = struct.unpack_from(">f", data, 184)
     resolution = RESOLUTION.get(struct.unpack_from(">h", data, 218)[0])
     if resolution is None:
-        raise BadMap(f"{name}: unknown phase resolution")
+        raise MapError(f"{name}: unknown phase resolution")
     sign = -1.0 if struct.unpack_from(">h", data, 232)[0] else 1.0
     raw = np.frombuffer(data, dtype=">i4", offset=header + intensity).reshape(rows, columns)
     nm = np.where(raw >= MISSING, np.nan, raw * (sign * scale * wavelength * obliquity / resolution * 1e9))

@@ -8,18 +8,18 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from polishd.config.simulator import ForceSensor, Loader, Monitor
+from polishd.config.simulator import SimForceSensorSection, SimLoaderSection, SimMonitorSection
 from polishd.sim_backends.actuator.ascii import MAX_LINE, body, line
-from polishd.sim_backends.faults.outlet import Outlet
-from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.wire import Feed, Wire
+from polishd.sim_backends.faults.outlet import FaultyLink
+from polishd.sim_backends.runtime import SimRuntime
+from polishd.sim_backends.wire import Feed, SimWire
 
-OnLines = ForceSensor | Monitor | Loader
+OnLines = SimForceSensorSection | SimMonitorSection | SimLoaderSection
 Answer = Callable[[str], str]
 """What is answered to a request."""
 
 
-class Machine(Protocol):
+class LineDeviceModel(Protocol):
     """What the line is asked about."""
 
     def step(self, now_s: float) -> None:
@@ -45,10 +45,10 @@ class NumberedSlave:
         self._buffer = self._buffer[-MAX_LINE:]
 
 
-async def serve(runtime: Runtime, config: OnLines, machine: Machine, answer: Answer, tick_s: float) -> None:
+async def serve(runtime: SimRuntime, config: OnLines, machine: LineDeviceModel, answer: Answer, tick_s: float) -> None:
     """Answer for the machine, for good; it is brought to the present before each answer, and every ``tick_s``."""
 
-    def receiver(outlet: Outlet) -> Feed:
+    def receiver(outlet: FaultyLink) -> Feed:
         slave = NumberedSlave(answer)
 
         def feed(data: bytes) -> None:
@@ -58,7 +58,7 @@ async def serve(runtime: Runtime, config: OnLines, machine: Machine, answer: Ans
 
         return feed
 
-    wire = Wire(runtime, receiver)
+    wire = SimWire(runtime, receiver)
     wire.ready(await wire.open_line(config))
     while True:
         machine.step(time.monotonic())

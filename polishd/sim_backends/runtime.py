@@ -20,7 +20,7 @@ from typing import Any
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.sim_backends import bus
 from polishd.sim_backends.faults.links import require_possible
-from polishd.sim_backends.faults.script import Script
+from polishd.sim_backends.faults.script import FaultScript
 
 LOOPBACK = "127.0.0.1"
 PARENT_S = 0.2
@@ -54,7 +54,7 @@ class Start:
 
 
 @dataclass(slots=True)
-class Runtime:
+class SimRuntime:
     """A running device process."""
 
     name: str
@@ -66,11 +66,11 @@ class Runtime:
     boot_id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     on_again: list[Callable[[], object]] = field(default_factory=list)
     """Who keeps a copy of what SIM.toml says: called when it was read again."""
-    script: Script = field(init=False)
+    script: FaultScript = field(init=False)
 
     def __post_init__(self) -> None:
         """With the faults of its own."""
-        self.script = Script(self.name, self.start.seed, self.link.event, reboot=self.reboot)
+        self.script = FaultScript(self.name, self.start.seed, self.link.event, reboot=self.reboot)
 
     def begin_script(self) -> None:
         """From now on the faults of SIM.toml happen."""
@@ -131,7 +131,7 @@ class Runtime:
         os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
 
 
-Device = Callable[[Runtime], Coroutine[Any, Any, None]]
+Device = Callable[[SimRuntime], Coroutine[Any, Any, None]]
 
 
 def as_hardware() -> None:
@@ -180,7 +180,7 @@ async def run_device(name: str, start: Start, device: Device, **hello: Any) -> N
     """Connect to the plant, run the device until the end of the process, the plant or the parent."""
     link = await bus.connect(start.state, name, **hello)
     async with asyncio.TaskGroup() as group:
-        runtime = Runtime(name, start, _power_up(start.state, name), link, group)
+        runtime = SimRuntime(name, start, _power_up(start.state, name), link, group)
         link.on_force = runtime.script.feel
         runtime.button(signal.SIGHUP, runtime.again)
         group.create_task(_until_plant_ends(runtime))
@@ -196,7 +196,7 @@ def cancel_all() -> None:
         task.cancel()
 
 
-async def _until_plant_ends(runtime: Runtime) -> None:
+async def _until_plant_ends(runtime: SimRuntime) -> None:
     await runtime.link.run()
     runtime.stop.set()
 

@@ -10,7 +10,7 @@ from polishd.model.surface import FloatArray
 from polishd.sim_backends.truth import stream
 
 
-def as_measured(
+def add_instrument_errors(
     true_nm: FloatArray,
     config: SimConfig,
     pitch_mm: float,
@@ -25,7 +25,7 @@ def as_measured(
     belongs to it goes with it.
     """
     errors = config.interferometer.errors
-    height = _imaged(_shifted(np.rot90(as_held(true_nm, config), quarters), shift_px), errors)
+    height = _imaged(_shifted(np.rot90(add_mount_errors(true_nm, config), quarters), shift_px), errors)
     x, y = _places(height)
     noise = config.truth.map_noise_nm * rng.standard_normal(height.shape)
     if errors.retrace_nm_per_urad or errors.slope_noise_nm_per_urad:
@@ -44,17 +44,17 @@ def as_measured(
     if errors.dead_pixels:
         dead = stream(0, "dead pixels").random(height.shape) < errors.dead_pixels  # of the camera: always the same
         height = np.where(dead, np.nan, height)
-    return as_seen(height, config.interferometer.faults)
+    return add_imaging_errors(height, config.interferometer.faults)
 
 
-def as_held(true_nm: FloatArray, config: SimConfig) -> FloatArray:
+def add_mount_errors(true_nm: FloatArray, config: SimConfig) -> FloatArray:
     """True heights with the print of a mount that turns with the part: no map of it, however turned, is without."""
     errors = config.interferometer.errors
     held = errors.mount_turns and not errors.mount_anew
     return true_nm + _trefoil(true_nm, errors.mount_nm) if held else true_nm
 
 
-def as_seen(height_nm: FloatArray, faults: MapFaults) -> FloatArray:
+def add_imaging_errors(height_nm: FloatArray, faults: MapFaults) -> FloatArray:
     """What an instrument with these faults gives for true heights, (rows, columns)."""
     lying = np.rot90(height_nm[:, ::-1] if faults.mirror else height_nm, faults.rotation_deg // 90)
     return np.asarray(lying * (faults.sign * faults.factor))

@@ -19,7 +19,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(slots=True)
-class Supervisor:
+class SimSupervisor:
     """The parent of one simulated cell."""
 
     start: Start

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from polishd.config.simulator import Line
+from polishd.config.simulator import SimLineSection
 from polishd.sim_backends.faults.links import protocols
-from polishd.sim_backends.faults.outlet import Outlet
-from polishd.sim_backends.faults.script import Way
-from polishd.sim_backends.runtime import LOOPBACK, Runtime
+from polishd.sim_backends.faults.outlet import FaultyLink
+from polishd.sim_backends.faults.script import LinkDirection
+from polishd.sim_backends.runtime import LOOPBACK, SimRuntime
 
 MAX_UNSENT = 8 << 20
 """Bytes that a peer may leave unread before it is cut off."""
@@ -26,11 +26,11 @@ Feed = Callable[[bytes], None]
 
 
 @dataclass(slots=True)
-class Wire:
+class SimWire:
     """Opens one link of a device, and pulls its plug where that is asked for."""
 
-    runtime: Runtime
-    receiver: Callable[[Outlet], Feed]
+    runtime: SimRuntime
+    receiver: Callable[[FaultyLink], Feed]
     """Makes the receiver of one connection, which answers through the outlet."""
     link: str = ""
     """Its name, where the device has several."""
@@ -43,12 +43,12 @@ class Wire:
         """From now on its faults may come."""
         self.runtime.script.unplug.append((self.link, self.pull, self.plug))
 
-    def outlet(self, write: Callable[[bytes], None], direction: str, **more: Any) -> Outlet:
+    def outlet(self, write: Callable[[bytes], None], direction: str, **more: Any) -> FaultyLink:
         """One direction of a connection, with its faults."""
         protocol = protocols(self.runtime.start.config, self.runtime.name)[self.link]
-        return Outlet(write, self.runtime.script, Way(self.link, protocol, direction), **more)
+        return FaultyLink(write, self.runtime.script, LinkDirection(self.link, protocol, direction), **more)
 
-    def inlet(self, outlet: Outlet) -> Outlet:
+    def inlet(self, outlet: FaultyLink) -> FaultyLink:
         """The other direction of the connection that has this outlet."""
         return self.outlet(self.receiver(outlet), "to_device")
 
@@ -71,9 +71,9 @@ class Wire:
 
     async def open_tcp(self, port: int, greeting: bytes = b"") -> str:
         """A TCP port on loopback; returns ``host:port``."""
-        return f"{LOOPBACK}:{await self.runtime.serve(lambda: Connection(self, greeting), port)}"
+        return f"{LOOPBACK}:{await self.runtime.serve(lambda: SimTcpConnection(self, greeting), port)}"
 
-    async def open_line(self, config: Line) -> str:
+    async def open_line(self, config: SimLineSection) -> str:
         """Whichever line the section asks for; returns the endpoint."""
         if config.kind == "tcp":
             return f"tcp://{await self.open_tcp(config.port)}"
@@ -104,10 +104,10 @@ class Wire:
             cut()
 
 
-class Connection(asyncio.Protocol):
+class SimTcpConnection(asyncio.Protocol):
     """One TCP connection to a device."""
 
-    def __init__(self, wire: Wire, greeting: bytes = b"") -> None:
+    def __init__(self, wire: SimWire, greeting: bytes = b"") -> None:
         self._wire, self._greeting = wire, greeting
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

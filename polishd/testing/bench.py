@@ -25,7 +25,7 @@ from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, DeviceClaimed, PolishdError
 from polishd.ports.address_claims import KeptClaims
 from polishd.ports.devices import Device
-from polishd.testing.rig import Rig, Scope
+from polishd.testing.rig import Rig, TestScope
 from polishd.testing.stand_in import require_simulated, stand_ins
 from polishd.threads import run_loop
 
@@ -57,7 +57,7 @@ NEEDED = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class HilRequest:
     """What a person wants tried."""
 
     cell: Path
@@ -79,7 +79,7 @@ class CellDevice:
     config: CellConfig
     hooks: Hooks
     device: str
-    scope: Scope
+    scope: TestScope
 
     @property
     def __name__(self) -> str:
@@ -98,10 +98,10 @@ class CellDevice:
 
 
 @dataclass(frozen=True)
-class Bench:
+class HilBench:
     """A cell that the suites may use, and nobody else."""
 
-    asked: Asked
+    asked: HilRequest
     config: CellConfig
     hooks: Hooks
 
@@ -111,13 +111,13 @@ class Bench:
         scope = self.scope()
         return [CellDevice(self.config, self.hooks, name, scope) for name in names]
 
-    def scope(self) -> Scope:
+    def scope(self) -> TestScope:
         """What is asked of the devices: what the cell's own job asks, never harder, and nothing beyond its limits."""
         process, asked = self.config.process, self.asked
-        return Scope(
+        return TestScope(
             force_n=min(process.force_n, asked.max_force_n or process.force_n),
             most_n=None,
-            band=max(self.config.limits.force_band, Scope().band),
+            band=max(self.config.limits.force_band, TestScope().band),
             period_s=None,
             rpm=process.rpm,
             most_rpm=None,
@@ -162,10 +162,10 @@ class Bench:
         return said
 
 
-def asked_in(config: pytest.Config) -> Asked:
+def asked_in(config: pytest.Config) -> HilRequest:
     """What the options of pytest ask for."""
     simulate = str(config.getoption("--hil-simulate"))
-    return Asked(
+    return HilRequest(
         cell=config.getoption("--cell"),
         level=Level.of(config.getoption("--hil-level")),
         max_force_n=config.getoption("--hil-max-force"),
@@ -175,7 +175,7 @@ def asked_in(config: pytest.Config) -> Asked:
     )
 
 
-def foreseen(asked: Asked) -> Bench:
+def foreseen(asked: HilRequest) -> HilBench:
     """The cell as it would be tried, to say what will move: nothing is opened or started. Config- or PluginError."""
     _require(asked)
     config = load_config(asked.cell)
@@ -184,11 +184,11 @@ def foreseen(asked: Asked) -> Bench:
         place(asked.record, config)
     hooks = plugins_of(config)
     hooks.report.require()
-    return Bench(asked, config, hooks)
+    return HilBench(asked, config, hooks)
 
 
 @contextmanager
-def bench(asked: Asked) -> Iterator[Bench]:
+def bench(asked: HilRequest) -> Iterator[HilBench]:
     """The cell, locked against daemons, its stand-ins running, its addresses claimed; errors before the suites."""
     config = foreseen(asked).config
     with (
@@ -206,7 +206,7 @@ def bench(asked: Asked) -> Iterator[Bench]:
         try:
             run_loop(_claim(config, hooks, claims))
             with recording_to(place(asked.record, config), config) if asked.record else nullcontext():
-                yield Bench(asked, config, hooks)
+                yield HilBench(asked, config, hooks)
         finally:
             claims.release()
 
@@ -231,7 +231,7 @@ async def _claim(config: CellConfig, hooks: Hooks, claims: KeptClaims) -> None:
                 await device.close()
 
 
-def _one_cycle(asked: Asked, config: CellConfig, scratch: Path) -> dict[str, Any]:
+def _one_cycle(asked: HilRequest, config: CellConfig, scratch: Path) -> dict[str, Any]:
     """What to lay over the cell's config for it: what it learns is forgotten, what it did stays in a run folder."""
     if asked.level < Level.CYCLE:
         return {}
@@ -243,7 +243,7 @@ def _one_cycle(asked: Asked, config: CellConfig, scratch: Path) -> dict[str, Any
     }
 
 
-def _require(asked: Asked) -> None:
+def _require(asked: HilRequest) -> None:
     if asked.level >= Level.CONTACT and asked.max_force_n is None:
         raise ConfigError("from --level contact on --max-force NEWTONS is needed: nothing is pressed harder")
     if asked.max_force_n is not None and not 0.0 < asked.max_force_n < 1000.0:
@@ -265,7 +265,7 @@ def _repeated(motion: Path) -> Any:
     return lambda number: lines[number % len(lines)]
 
 
-def words(bench: Bench) -> Sequence[str]:
+def words(bench: HilBench) -> Sequence[str]:
     """The same, a line each."""
     level = bench.asked.level.name.lower().replace("_", "-")
     rows = [f"{name} ({what.strip()}): {happens}" for name, what, happens in bench.does()]

@@ -13,7 +13,7 @@ from polishd.api import DeviceContext, DeviceError, DeviceType, PluginError
 from polishd.hooks.checks import misspelt_hooks, wrong_version
 from polishd.ports.devices import Device
 from polishd.testing.peer import started
-from polishd.testing.rig import USUAL, Rig, Scope
+from polishd.testing.rig import USUAL, Rig, TestScope
 
 ENDPOINT = "{endpoint}"
 
@@ -30,7 +30,7 @@ class DriverCase:
     """The keys of its section besides ``type``; ``"{endpoint}"`` in a text is where the simulator answers."""
     simulator: Sequence[str] = ()
     """Command line of the simulator (polishd.testing.peer); none: the options name a real device."""
-    scope: Scope = USUAL
+    scope: TestScope = USUAL
     whole_file: bool = False
     """Of a robot: it takes its program in one piece, so that nobody waits for credit."""
     soon_s: float = 60.0

@@ -25,7 +25,7 @@ END_S = 5.0
 
 
 @dataclass
-class Peer:
+class ReplayPeer:
     """A running simulator."""
 
     process: Popen[bytes]
@@ -70,10 +70,10 @@ class Peer:
 
 
 @asynccontextmanager
-async def started(command: Sequence[str]) -> AsyncIterator[Peer]:
+async def started(command: Sequence[str]) -> AsyncIterator[ReplayPeer]:
     """The simulator of that command line, for the time of the block; DeviceFault where it does not come up."""
     with Popen(list(command), stdout=PIPE, stdin=DEVNULL) as process:  # noqa: ASYNC220 -- it is not waited for
-        peer = Peer(process, process.stdout.fileno() if process.stdout else -1)
+        peer = ReplayPeer(process, process.stdout.fileno() if process.stdout else -1)
         os.set_blocking(peer.output, False)
         try:
             await _until_up(peer, " ".join(command))
@@ -82,7 +82,7 @@ async def started(command: Sequence[str]) -> AsyncIterator[Peer]:
             await asyncio.to_thread(_end, process)
 
 
-async def _until_up(peer: Peer, command: str) -> None:
+async def _until_up(peer: ReplayPeer, command: str) -> None:
     up = asyncio.Event()
 
     def hear() -> None:

@@ -108,9 +108,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
     device = _device(item)
     if device is None or BENCH not in item.config.stash:
         return (yield)
-    from polishd.ports.tap import talking_to
+    from polishd.ports.tap import record_sent
 
-    with talking_to(device):
+    with record_sent(device):
         return (yield)
 
 

@@ -15,17 +15,17 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Passed
+from polishd.ports.tap import WireMessage
 from polishd.ports.wire_file import Recording, read_recording
-from polishd.testing.replay_script import Exchange, Script, exchanges
+from polishd.testing.replay_script import RecordedExchange, ReplayScript, exchanges
 
 Send = Callable[[bytes], None]
 
 
-class Link:
+class ReplayLink:
     """One end of a wire, as the recording has it."""
 
-    def __init__(self, script: Script, *, paced: bool) -> None:
+    def __init__(self, script: ReplayScript, *, paced: bool) -> None:
         self.endpoint = ""
         """The address for the driver's options."""
         self.mismatch: AssertionError | None = None
@@ -66,7 +66,7 @@ class Link:
         self.end()
         self._close()
 
-    def _serve(self, exchange: Exchange, asked: bytes) -> None:
+    def _serve(self, exchange: RecordedExchange, asked: bytes) -> None:
         came = exchange.came if self._paced else [(0.0, b"".join(data for _, data in exchange.came))]
         for after_s, data in came:
             self._later(after_s, self._answer, exchange, data, asked)
@@ -81,13 +81,13 @@ class Link:
         self._timers = [timer for timer in self._timers if timer.when() > self._loop.time()]
         self._timers.append(self._loop.call_later(after_s, act, *given))
 
-    def _answer(self, exchange: Exchange, data: bytes, asked: bytes) -> None:
+    def _answer(self, exchange: RecordedExchange, data: bytes, asked: bytes) -> None:
         if data:
             self._send(self._script.dialect.answer(data, exchange.out, asked) if asked else data)
 
 
 @asynccontextmanager
-async def replayed(recording: Path, role: str, *, link: str = "", paced: bool = False) -> AsyncIterator[Link]:
+async def replayed(recording: Path, role: str, *, link: str = "", paced: bool = False) -> AsyncIterator[ReplayLink]:
     """That device's end of its link, for the time of the block: TCP for TCP, a pseudo-terminal for serial and CAN.
 
     ``link``: which one, of a device that has several. ``paced``: answers take as long as they took; else none.
@@ -99,10 +99,10 @@ async def replayed(recording: Path, role: str, *, link: str = "", paced: bool = 
     found = await asyncio.to_thread(read_recording, recording)
     name, passed = _of_link(found, role, link)
     on_bus = name.startswith(("slcan:", "socketcand:"))
-    script = Script(
+    script = ReplayScript(
         f"{recording.name}, {role} on {name}", exchanges([_slcan(one) for one in passed] if on_bus else passed)
     )
-    served = Link(script, paced=paced)
+    served = ReplayLink(script, paced=paced)
     serving = _tcp(served) if name.startswith("tcp:") else _pty(served, on_bus=on_bus)
     try:
         async with serving:
@@ -115,7 +115,7 @@ async def replayed(recording: Path, role: str, *, link: str = "", paced: bool = 
             raise served.mismatch
 
 
-def _of_link(recording: Recording, role: str, link: str) -> tuple[str, list[tuple[int, Passed]]]:
+def _of_link(recording: Recording, role: str, link: str) -> tuple[str, list[tuple[int, WireMessage]]]:
     passed = recording.of(role)
     links = list(dict.fromkeys(one.link for _, one in passed))
     if link not in links and (link or len(links) > 1):
@@ -128,17 +128,17 @@ def _of_link(recording: Recording, role: str, link: str) -> tuple[str, list[tupl
     return name, [(line, one) for line, one in passed if one.link == name]
 
 
-def _slcan(numbered: tuple[int, Passed]) -> tuple[int, Passed]:
+def _slcan(numbered: tuple[int, WireMessage]) -> tuple[int, WireMessage]:
     """A frame as a serial adapter writes it."""
     line, one = numbered
     if one.identifier is None:
         return numbered
     text = b"t%03X%d%b\r" % (one.identifier, len(one.data), one.data.hex().upper().encode())
-    return line, Passed(one.at_s, one.role, one.link, one.way, text)
+    return line, WireMessage(one.at_s, one.role, one.link, one.way, text)
 
 
 @asynccontextmanager
-async def _tcp(served: Link) -> AsyncIterator[None]:
+async def _tcp(served: ReplayLink) -> AsyncIterator[None]:
     class Peer(asyncio.Protocol):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             assert isinstance(transport, asyncio.Transport)  # noqa: S101 -- asyncio's own promise
@@ -154,7 +154,7 @@ async def _tcp(served: Link) -> AsyncIterator[None]:
 
 
 @asynccontextmanager
-async def _pty(served: Link, *, on_bus: bool) -> AsyncIterator[None]:
+async def _pty(served: ReplayLink, *, on_bus: bool) -> AsyncIterator[None]:
     ours, theirs = os.openpty()  # theirs stays open: a driver may come again
     tty.setraw(theirs)
     os.set_blocking(ours, False)

@@ -13,22 +13,22 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from polishd.api import DeviceRefused, Identity, LinkError
+from polishd.api import DeviceIdentity, DeviceRefused, LinkError
 from polishd.config.controller_profile import Value
 from polishd.drivers.handover.recorded import DELIVERED
-from polishd.drivers.handover.variables import Reading
+from polishd.drivers.handover.variables import VariableSnapshot
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Passed
+from polishd.ports.tap import WireMessage
 from polishd.ports.wire_file import read_recording
-from polishd.testing.replay_script import OWN_ENDS, Exchange, Script
+from polishd.testing.replay_script import OWN_ENDS, RecordedExchange, ReplayScript
 
 READ, BEAT = b"a reading", b"heartbeat"
 CUT_OFF = "the recording ends here"
 
-Numbered = Sequence[tuple[int, Passed]]
+Numbered = Sequence[tuple[int, WireMessage]]
 
 
-class Orders:
+class ReplayVariableDialect:
     """A Dialect: readings, and values that are written; which heartbeat it is nobody minds."""
 
     def cut(self, data: bytes) -> int | None:
@@ -44,7 +44,7 @@ class Orders:
         return recorded
 
 
-class Controller:
+class RecordedController:
     """What the recording has of one. As ``Delivery``, it takes the files that were delivered then."""
 
     def __init__(self, name: str, variables: Numbered, files: Numbered) -> None:
@@ -57,7 +57,7 @@ class Controller:
         found = self._exchanges()
         self._timed = frozenset({BEAT, *(one.out for one in found if _taken_back(one.out))})
         """Keys of what is written when its time is over, whatever else is ordered meanwhile."""
-        self._script = Script(name, found, Orders(), frozenset({READ, *self._timed}))
+        self._script = ReplayScript(name, found, ReplayVariableDialect(), frozenset({READ, *self._timed}))
         self.mismatch: AssertionError | None = None
         """The first one; the link is lost over it, and the block raises it."""
 
@@ -86,9 +86,9 @@ class Controller:
 
     def is_early(self, message: bytes) -> bool:
         """Whether it is recorded, but only of a later time, and was due by the driver's clock alone."""
-        return Orders().key(message) in self._timed and not self._script.has(message)
+        return ReplayVariableDialect().key(message) in self._timed and not self._script.has(message)
 
-    def asked(self, message: bytes) -> tuple[Passed, str]:
+    def asked(self, message: bytes) -> tuple[WireMessage, str]:
         """What is recorded of it, and how the link was lost upon it."""
         try:
             line = self._script.asked(message).line
@@ -96,22 +96,22 @@ class Controller:
             raise self.differs(error) from error
         return self._passed[line], self._ends.get(line, "")
 
-    def _exchanges(self) -> list[Exchange]:
-        found: list[Exchange] = []
+    def _exchanges(self) -> list[RecordedExchange]:
+        found: list[RecordedExchange] = []
         for line, one in self._passed.items():
             if one.way == "end":
                 if found and one.why not in OWN_ENDS:
                     self._ends[found[-1].line] = one.why
                 continue
             out = {"open": b"", "in": READ}.get(one.way)
-            found.append(Exchange(line, one.at_s, _written(one.values or {}) if out is None else out))
+            found.append(RecordedExchange(line, one.at_s, _written(one.values or {}) if out is None else out))
         return found
 
 
 class Replayed:
     """A Variables of it."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: RecordedController) -> None:
         self._controller = controller
         self._lost = "is not open"
 
@@ -124,18 +124,18 @@ class Replayed:
         """See Variables."""
         self._lost = "is not open"
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Variables. Who answered is not recorded."""
         self._require()
-        return Identity("recorded", "controller", "", "")
+        return DeviceIdentity("recorded", "controller", "", "")
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         """See Variables."""
         one = self._asked(READ)
         values = {
             name: value for name, value in (one.values or {}).items() if isinstance(value, bool | int | float | str)
         }
-        return Reading(one.at_s if one.clock_s is None else one.clock_s, values, one.changed_s or {})
+        return VariableSnapshot(one.at_s if one.clock_s is None else one.clock_s, values, one.changed_s or {})
 
     async def write(self, values: Mapping[str, Value]) -> None:
         """See Variables. A first heartbeat or an order's taking back comes when it is due: sooner than then, maybe."""
@@ -144,7 +144,7 @@ class Replayed:
         else:
             self._asked(_written(values))
 
-    def _asked(self, message: bytes) -> Passed:
+    def _asked(self, message: bytes) -> WireMessage:
         self._require()
         one, self._lost = self._controller.asked(message)
         return one
@@ -155,7 +155,7 @@ class Replayed:
 
 
 @asynccontextmanager
-async def replayed_controller(recording: Path, role: str) -> AsyncIterator[Controller]:
+async def replayed_controller(recording: Path, role: str) -> AsyncIterator[RecordedController]:
     """The controller of that device, for the time of the block. Readings come as the driver asks for them.
 
     Raises:
@@ -171,7 +171,7 @@ async def replayed_controller(recording: Path, role: str) -> AsyncIterator[Contr
             f"{recording}: {role} is recorded as bytes, not as a controller's variables; replayed plays it"
         )
     delivered = [(line, one) for line, one in passed if one.link in files]
-    controller = Controller(f"{recording.name}, {role} on {variables[0][1].link}", variables, delivered)
+    controller = RecordedController(f"{recording.name}, {role} on {variables[0][1].link}", variables, delivered)
     try:
         yield controller
     finally:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from polishd.drivers.transport import numbered
-from polishd.ports.tap import Passed
+from polishd.ports.tap import WireMessage
 
 OWN_ENDS = ("the connection is closed", "the line is closed", "the bus is closed")
 """The driver closed it; whatever else ended a link is done again."""
@@ -17,7 +17,7 @@ SHOWN = 48
 
 
 @dataclass
-class Exchange:
+class RecordedExchange:
     """A request, or nothing where a link was opened, and what came until the next one."""
 
     line: int
@@ -30,7 +30,7 @@ class Exchange:
     """The link was lost upon it."""
 
 
-class Dialect(Protocol):
+class ReplayDialect(Protocol):
     """What of a message is its number, which is another one each time."""
 
     def cut(self, data: bytes) -> int | None:
@@ -67,7 +67,7 @@ class ModbusTcp:
         return done + recorded
 
 
-class NumberedLines:
+class NumberedLinesDialect:
     """``$number,body*checksum``."""
 
     def cut(self, data: bytes) -> int | None:
@@ -90,7 +90,7 @@ class NumberedLines:
         return b"".join(lines)
 
 
-class Plain:
+class UnnumberedDialect:
     """No numbers. Where a message ends only the recording knows."""
 
     def __init__(self, outs: Sequence[bytes]) -> None:
@@ -112,12 +112,12 @@ class Plain:
         return recorded
 
 
-def exchanges(passed: Sequence[tuple[int, Passed]]) -> list[Exchange]:
+def exchanges(passed: Sequence[tuple[int, WireMessage]]) -> list[RecordedExchange]:
     """Of one link, with the lines of its records."""
-    found: list[Exchange] = []
+    found: list[RecordedExchange] = []
     for line, one in passed:
         if one.way in ("open", "out") or not found:
-            found.append(Exchange(line, one.at_s, one.data if one.way == "out" else b""))
+            found.append(RecordedExchange(line, one.at_s, one.data if one.way == "out" else b""))
         if one.way == "in":
             found[-1].came.append((one.at_s - found[-1].at_s, one.data))
         elif one.way == "end":
@@ -125,14 +125,14 @@ def exchanges(passed: Sequence[tuple[int, Passed]]) -> list[Exchange]:
     return found
 
 
-class Script:
+class ReplayScript:
     """Where in its recording a link is."""
 
     def __init__(
         self,
         name: str,
-        found: Sequence[Exchange],
-        dialect: Dialect | None = None,
+        found: Sequence[RecordedExchange],
+        dialect: ReplayDialect | None = None,
         polls: frozenset[bytes] | None = None,
     ) -> None:
         """``name`` for messages. ``polls``: keys of what may come more or less often; without them, what does so."""
@@ -143,14 +143,14 @@ class Script:
         self._again = polls
         self._polls = polls or {key for key, times in Counter(self._keys).items() if times > 1}
 
-    def opened(self) -> Exchange | None:
+    def opened(self) -> RecordedExchange | None:
         """What came when the link was opened, before anything was asked."""
         ahead = self._ahead(b"")
         if ahead is None:
             ahead = self._behind(b"")
         return None if ahead is None else self._at(ahead)
 
-    def asked(self, message: bytes) -> Exchange:
+    def asked(self, message: bytes) -> RecordedExchange:
         """The exchange that a whole message of the driver is of; AssertionError where there is none."""
         key = self.dialect.key(message)
         found = self._ahead(key)
@@ -165,7 +165,7 @@ class Script:
         key = self.dialect.key(message)
         return self._ahead(key) is not None or self._behind(key) is not None
 
-    def _at(self, found: int) -> Exchange:
+    def _at(self, found: int) -> RecordedExchange:
         self._next = max(self._next, found + 1)
         return self._found[found]
 
@@ -186,12 +186,12 @@ class Script:
         return f"the recording has {_shown(left[0].out)} (line {left[0].line})" if left else "the recording ends here"
 
 
-def _dialect(outs: Sequence[bytes]) -> Dialect:
+def _dialect(outs: Sequence[bytes]) -> ReplayDialect:
     if outs and all(len(out) > 7 and out[2:4] == b"\0\0" and ModbusTcp().cut(out) == len(out) for out in outs):
         return ModbusTcp()
     if outs and all(numbered.decode(out.removesuffix(b"\n")) is not None for out in outs):
-        return NumberedLines()
-    return Plain(outs)
+        return NumberedLinesDialect()
+    return UnnumberedDialect(outs)
 
 
 def _shown(message: bytes) -> str:

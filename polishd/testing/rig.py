@@ -26,7 +26,7 @@ def _line(number: int) -> bytes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scope:
+class TestScope:
     """What a suite may ask of a device."""
 
     force_n: float = 12.0
@@ -55,7 +55,7 @@ class Scope:
     """Loader: one that it has not."""
 
 
-USUAL = Scope()
+USUAL = TestScope()
 
 
 @dataclass
@@ -71,7 +71,7 @@ class Rig(Generic[D]):
     """The machine itself, not the driver: it exerts nothing and stands still."""
     whole_file: bool = False
     """A robot that takes its program in one piece: nobody waits for credit."""
-    scope: Scope = USUAL
+    scope: TestScope = USUAL
     soon_s: float = SOON_S
     """What takes longer hangs."""
 

@@ -16,11 +16,11 @@ from polishd.daemon import client
 from polishd.door.certificates import Certificate
 from polishd.door.finite import json_object, require_unicode
 from polishd.door.guard import Json, refusal
-from polishd.door.limits import Rate, Shares
-from polishd.door.sessions import COOKIE, Session, Sessions, address_of, foreign_origin
+from polishd.door.limits import RateLimiter, Shares
+from polishd.door.sessions import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
-from polishd.web.disk import Disk
-from polishd.web.orders import Orders
+from polishd.web.disk import RunData
+from polishd.web.orders import CommandForwarder
 from polishd.web.watcher import Watcher
 
 MOST_REASON = 500
@@ -34,15 +34,15 @@ MAPS = ("measured", "predicted", "removal")
 class Api:
     """Of one cell."""
 
-    def __init__(self, config: CellConfig, sessions: Sessions, certificate: Certificate | None = None) -> None:
+    def __init__(self, config: CellConfig, sessions: SessionStore, certificate: Certificate | None = None) -> None:
         self._config, self.sessions, self._certificate = config, sessions, certificate
-        self._disk, self._orders = Disk(config.state_dir), Orders(config.state_dir)
+        self._disk, self._orders = RunData(config.state_dir), CommandForwarder(config.state_dir)
         self.watcher = Watcher(config.state_dir)
         self._streams = Shares(MOST_OF_USER, MOST_WATCHERS)
 
     # who asks
 
-    async def sign_in(self, request: Request, rate: Rate) -> Response:
+    async def sign_in(self, request: Request, rate: RateLimiter) -> Response:
         """A cookie for a token."""
         if foreign_origin(request):
             return refusal(403, "it comes from another site's page")
@@ -60,79 +60,79 @@ class Api:
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", secure=secure, path="/")
         return answer
 
-    async def who(self, _request: Request, session: Session) -> Any:
+    async def who(self, _request: Request, session: HttpSession) -> Any:
         """Name, role, and what the page sends along."""
         return _who(session)
 
-    async def sign_out(self, request: Request, _session: Session) -> Any:
+    async def sign_out(self, request: Request, _session: HttpSession) -> Any:
         """The cookie is worth nothing any more."""
         self.sessions.end(request)
         return {}
 
     # what is so
 
-    async def state(self, _request: Request, _session: Session) -> Any:
+    async def state(self, _request: Request, _session: HttpSession) -> Any:
         """From memory."""
         return {"cell": self._config.cell.name, **self.watcher.state()}
 
-    async def health(self, _request: Request, _session: Session) -> Any:
+    async def health(self, _request: Request, _session: HttpSession) -> Any:
         """The same, less; and how the TLS certificate of this server is, null where it has none."""
         state = self.watcher.state()
         live = state["live"] or {}
         known = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
         return {**known, "certificate": None if self._certificate is None else self._certificate.facts()}
 
-    async def queue(self, _request: Request, _session: Session) -> Any:
+    async def queue(self, _request: Request, _session: HttpSession) -> Any:
         """As the daemon has it."""
         return await self._asked("job_list")
 
-    async def jobs(self, _request: Request, _session: Session) -> Any:
+    async def jobs(self, _request: Request, _session: HttpSession) -> Any:
         """All."""
         return {"jobs": await asyncio.to_thread(self._disk.jobs)}
 
-    async def cycles(self, request: Request, _session: Session) -> Any:
+    async def cycles(self, request: Request, _session: HttpSession) -> Any:
         """Of one job."""
         return {"cycles": await asyncio.to_thread(self._disk.cycles, _number(request, "job"))}
 
-    async def map(self, request: Request, _session: Session) -> Any:
+    async def map(self, request: Request, _session: HttpSession) -> Any:
         """As an array."""
         kind = request.path_params["kind"]
         if kind not in MAPS:
             raise ConfigError("there is no such map: measured, predicted or removal")
         return await asyncio.to_thread(self._disk.map, *_cycle(request), kind)
 
-    async def psd(self, request: Request, _session: Session) -> Any:
+    async def psd(self, request: Request, _session: HttpSession) -> Any:
         """Of a measured map."""
         return await asyncio.to_thread(self._disk.psd, *_cycle(request))
 
-    async def plan(self, request: Request, _session: Session) -> Any:
+    async def plan(self, request: Request, _session: HttpSession) -> Any:
         """Points, dwell, compliance, gamma."""
         return await asyncio.to_thread(self._disk.plan, *_cycle(request))
 
-    async def certificate(self, request: Request, _session: Session) -> Any:
+    async def certificate(self, request: Request, _session: HttpSession) -> Any:
         """Of a plan's dwell."""
         return await asyncio.to_thread(self._disk.certificate, *_cycle(request))
 
-    async def history(self, _request: Request, _session: Session) -> Any:
+    async def history(self, _request: Request, _session: HttpSession) -> Any:
         """Of all parts."""
         return {"jobs": await asyncio.to_thread(self._disk.history)}
 
-    async def journal(self, request: Request, _session: Session) -> Any:
+    async def journal(self, request: Request, _session: HttpSession) -> Any:
         """What happened, and who ordered it."""
         before = request.query_params.get("before")
         if before is not None and not (before.isascii() and before.isdecimal() and int(before[:17]) <= MOST_NUMBER):
             raise ConfigError("before is the number of an event")
         return {"events": await asyncio.to_thread(self._disk.events, None if before is None else int(before))}
 
-    async def alarms(self, _request: Request, _session: Session) -> Any:
+    async def alarms(self, _request: Request, _session: HttpSession) -> Any:
         """That nobody has acknowledged."""
         return {"alarms": await asyncio.to_thread(self._disk.alarms)}
 
-    async def config(self, _request: Request, _session: Session) -> Any:
+    async def config(self, _request: Request, _session: HttpSession) -> Any:
         """All values in force; what is secret stands in no config."""
         return self._config.effective()
 
-    async def events(self, _request: Request, session: Session) -> Any:
+    async def events(self, _request: Request, session: HttpSession) -> Any:
         """For as long as the page is there."""
         if (why := self._streams.refusal(session.user.name)) is not None:
             return refusal(*why)
@@ -146,7 +146,7 @@ class Api:
 
     # what is wanted
 
-    async def safe_order(self, request: Request, session: Session) -> Any:
+    async def safe_order(self, request: Request, session: HttpSession) -> Any:
         """Hold or stop."""
         verb = request.url.path.rpartition("/")[2]
         try:
@@ -155,30 +155,30 @@ class Api:
             reason = ""
         return await self._ordered(verb, {"reason": reason, "by": _by(session)}, joined=True)
 
-    async def resume(self, request: Request, session: Session) -> Any:
+    async def resume(self, request: Request, session: HttpSession) -> Any:
         """Go on."""
         reason = _reason(await _json(request))
         return await self._ordered("resume", {"reason": reason, "by": _by(session)})
 
-    async def approve(self, request: Request, session: Session) -> Any:
+    async def approve(self, request: Request, session: HttpSession) -> Any:
         """That plan, and no other."""
         program = _text(await _json(request), "program_sha256")
         return await self._ordered("approve", {"program_sha256": program, "by": _by(session)})
 
-    async def acknowledge(self, request: Request, session: Session) -> Any:
+    async def acknowledge(self, request: Request, session: HttpSession) -> Any:
         """Those alarms."""
         said = (await _json(request)).get("alarms")
         if not isinstance(said, list) or not all(map(_whole, said)):
             raise ConfigError("alarms must be given: a list of their numbers")
         return await self._ordered("acknowledge", {"alarms": [int(one) for one in said], "by": _by(session)})
 
-    async def move(self, request: Request, session: Session) -> Any:
+    async def move(self, request: Request, session: HttpSession) -> Any:
         """A job that waits."""
         said = await _json(request)
         args = {"job": _text(said, "job"), "where": _text(said, "where"), "other": _text(said, "other", "")}
         return await self._ordered("job_move", {**args, "by": _by(session)})
 
-    async def remove(self, request: Request, session: Session) -> Any:
+    async def remove(self, request: Request, session: HttpSession) -> Any:
         """A job that waits, or over which the cell is held."""
         said = await _json(request)
         args = {"job": _text(said, "job"), "reason": _reason(said)}
@@ -218,11 +218,11 @@ def _failed(error: PolishdError) -> JSONResponse:
     return refusal(status, str(error))
 
 
-def _who(session: Session) -> dict[str, Any]:
+def _who(session: HttpSession) -> dict[str, Any]:
     return {"ok": True, "name": session.user.name, "role": session.user.role.value, "csrf": session.csrf}
 
 
-def _by(session: Session) -> str:
+def _by(session: HttpSession) -> str:
     return f"{session.user.name} (web)"
 
 

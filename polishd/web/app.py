@@ -15,16 +15,16 @@ from starlette.types import ASGIApp
 from polishd.config.cell import CellConfig
 from polishd.door import server as door
 from polishd.door.certificates import Certificate
-from polishd.door.guard import Guard, Json, hosts_of, refusal
-from polishd.door.limits import Rate
+from polishd.door.guard import Json, RequestGuard, hosts_of, refusal
+from polishd.door.limits import RateLimiter
 from polishd.door.server import HANDLERS, answered
-from polishd.door.sessions import Sessions, address_of, forged
-from polishd.door.users import Role, Users, users_path
+from polishd.door.sessions import SessionStore, address_of, forged
+from polishd.door.users import Role, UserFile, users_path
 from polishd.model.errors import PolishdError
 from polishd.web.api import Api
 from polishd.web.openapi import document
-from polishd.web.routes import ROUTES, Route
-from polishd.web.watcher import watching
+from polishd.web.routes import ROUTES, ApiRoute
+from polishd.web.watcher import polling_daemon
 
 FILES = {
     "/": ("index.html", "text/html"),
@@ -38,12 +38,12 @@ FILES = {
 
 def application(config: CellConfig, certificate: Certificate | None = None) -> ASGIApp:
     """Of that cell; its users are read as they are at each request. ``certificate``: the one by which it is served."""
-    sessions = Sessions(Users(users_path(config)))
-    api, rate = Api(config, sessions, certificate), Rate()
+    sessions = SessionStore(UserFile(users_path(config)))
+    api, rate = Api(config, sessions, certificate), RateLimiter()
 
     @asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
-        async with watching(config.state_dir) as watcher:
+        async with polling_daemon(config.state_dir) as watcher:
             api.watcher = watcher
             yield
 
@@ -61,20 +61,20 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
         *(Path(path, _file(*file), methods=["GET"]) for path, file in FILES.items()),
     ]
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=HANDLERS)
-    return Guard(app, hosts_of(config.web))
+    return RequestGuard(app, hosts_of(config.web))
 
 
 def serve(config: CellConfig) -> None:
     """Until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without users."""
     web = config.web
-    if not web.loopback and not Users(users_path(config)):
+    if not web.loopback and not UserFile(users_path(config)):
         raise config.error("web.address", "is beyond this computer, and there are no users; add one: polishd web "
                            "CELL.toml --add-user NAME --role ROLE")  # fmt: skip
     certificate = Certificate.of(config, web)
     door.serve(application(config, certificate), web, certificate)
 
 
-def _endpoint(api: Api, rate: Rate, route: Route) -> Callable[[Request], Awaitable[Response]]:
+def _endpoint(api: Api, rate: RateLimiter, route: ApiRoute) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         try:
             session = api.sessions.of(request, exempt=route.exempt)
@@ -94,7 +94,7 @@ def _endpoint(api: Api, rate: Rate, route: Route) -> Callable[[Request], Awaitab
     return answer
 
 
-def _metrics(config: CellConfig) -> Iterator[Route]:
+def _metrics(config: CellConfig) -> Iterator[ApiRoute]:
     """One, where they are wanted. ConfigError where their library is missing."""
     if not config.web.metrics:
         return
@@ -104,7 +104,7 @@ def _metrics(config: CellConfig) -> Iterator[Route]:
         raise config.error("web.metrics", "needs prometheus-client, which is not installed: pip install "
                            "'polishd[metrics]', or leave it out") from error  # fmt: skip
     metrics = Metrics(config)
-    yield Route("GET", "/metrics", Role.WATCH, "figures for Prometheus", metrics.answer)
+    yield ApiRoute("GET", "/metrics", Role.WATCH, "figures for Prometheus", metrics.answer)
 
 
 def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:

@@ -38,7 +38,7 @@ ALARMS: Mapping[str, tuple[str, str, str]] = {
 """By event: how severe, which of its fields says what, and what to do where the event itself does not say."""
 
 
-class Disk:
+class RunData:
     """Of one cell."""
 
     def __init__(self, state_dir: Path) -> None:

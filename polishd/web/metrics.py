@@ -22,12 +22,12 @@ from starlette.responses import Response
 from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.daemon.history import naming_damage
-from polishd.door.sessions import Session
-from polishd.model.cycle import Outcome, Phase
+from polishd.door.sessions import HttpSession
+from polishd.model.cycle import CyclePhase, Outcome
 from polishd.model.errors import PolishdError
 from polishd.model.tolerance import judged_of
 from polishd.web.api import Api
-from polishd.web.disk import Disk
+from polishd.web.disk import RunData
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ AGES = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # the registry keeps it by its identity
-class Snapshot(Collector):
+class MetricsSnapshot(Collector):
     """What is known in one moment, as families of metrics."""
 
     cell: str
@@ -90,11 +90,11 @@ class Metrics:
     """Of one cell; one look at its journal a second serves all who scrape."""
 
     def __init__(self, config: CellConfig) -> None:
-        self._cell, self._disk, self._state_dir = config.cell.name, Disk(config.state_dir), config.state_dir
+        self._cell, self._disk, self._state_dir = config.cell.name, RunData(config.state_dir), config.state_dir
         self._turn = asyncio.Lock()
         self._text, self._made_s = b"", float("-inf")
 
-    async def answer(self, api: Api, _request: Request, _session: Session) -> Response:
+    async def answer(self, api: Api, _request: Request, _session: HttpSession) -> Response:
         """In the text format, version 0.0.4, which every Prometheus reads."""
         async with self._turn:
             if time.monotonic() - self._made_s >= FRESH_S:
@@ -105,13 +105,13 @@ class Metrics:
     def _look(self, state: Mapping[str, Any]) -> bytes:
         try:
             with naming_damage(self._state_dir):
-                return _exposed(Snapshot(self._cell, state, self._disk.tally(), self._disk.alarms()))
+                return _exposed(MetricsSnapshot(self._cell, state, self._disk.tally(), self._disk.alarms()))
         except PolishdError as error:
             log.warning("metrics without the journal: %s", error)
-            return _exposed(Snapshot(self._cell, state, None))
+            return _exposed(MetricsSnapshot(self._cell, state, None))
 
 
-def _exposed(found: Snapshot) -> bytes:
+def _exposed(found: MetricsSnapshot) -> bytes:
     registry = CollectorRegistry(auto_describe=False)
     registry.register(found)
     return generate_latest(registry)
@@ -122,7 +122,7 @@ def _doing(live: Mapping[str, Any]) -> Iterator[Metric]:
     yield _of("polishd_cell_state", "What the daemon does: 1 for the state that it is in.",
               {name: name == state for name in STATES}, ("state",))  # fmt: skip
     yield _of("polishd_cycle_phase", "Phase of the cycle: 1 for the one under way.",
-              {one.value: one.value == phase for one in Phase}, ("phase",))  # fmt: skip
+              {one.value: one.value == phase for one in CyclePhase}, ("phase",))  # fmt: skip
     if live.get("cycle") is not None:
         yield _one("polishd_job_cycle", "Number of the cycle under way; the first is 0.", live["cycle"])
     yield _one("polishd_tool_pressing", "1: the tool is on the part.", bool(live.get("pressing")))

@@ -7,7 +7,7 @@ from typing import Any
 
 from polishd import __version__
 from polishd.web.api import MAPS, MOST_NUMBER
-from polishd.web.routes import ROUTES, Route
+from polishd.web.routes import ROUTES, ApiRoute
 
 ERROR = {"type": "object", "properties": {"ok": {"type": "boolean"}, "error": {"type": "string"}}}
 NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
@@ -56,7 +56,7 @@ def open_path(path: str) -> str:
     return re.sub(r":int}", "}", path)
 
 
-def _operation(route: Route) -> dict[str, Any]:
+def _operation(route: ApiRoute) -> dict[str, Any]:
     names = re.findall(r"{(\w+)(:int)?}", route.path)
     found: dict[str, Any] = {
         "summary": route.what,

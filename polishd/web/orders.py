@@ -15,7 +15,7 @@ TOLD_S = 5.0
 """After so long whoever ordered is told that it is not obeyed yet; the order stands."""
 
 
-class Orders:
+class CommandForwarder:
     """Those of one cell."""
 
     def __init__(self, state_dir: Path) -> None:

@@ -141,7 +141,7 @@ class Watcher:
 
 
 @asynccontextmanager
-async def watching(state_dir: Path) -> AsyncIterator[Watcher]:
+async def polling_daemon(state_dir: Path) -> AsyncIterator[Watcher]:
     """A watcher that watches inside this block."""
     watcher = Watcher(state_dir)
     watcher._start(asyncio.get_running_loop())

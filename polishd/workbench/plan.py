@@ -22,7 +22,7 @@ from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.instrument import as_profiled
 from polishd.recipe import disk, dwell_step, steps
-from polishd.recipe.accepting import why_never
+from polishd.recipe.accepting import reason_never_acceptable
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.files import read_map
 from polishd.recipe.folder import RunFolder
@@ -30,8 +30,8 @@ from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.making import make_recipes
 from polishd.recipe.program_fit import Covers, judged
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured, Planned, Solved, figures
-from polishd.recipe.turns import Turn
+from polishd.recipe.records import MeasureResult, PlanResult, SolveResult, figures
+from polishd.recipe.turns import ToolProblem
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ class _Pass:
 
     recipe: Recipe
     program: Program
-    measured: Measured
+    measured: MeasureResult
     """The surface that it finds: of the second tool what the first is expected to leave."""
-    solved: Solved
+    solved: SolveResult
     plan: Plan
-    planned: Planned
+    planned: PlanResult
 
     def files(self) -> dict[str, bytes]:
         """All that the plan's folder holds of it."""
@@ -80,17 +80,17 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
     recipe = recipes[0]
-    turns = [Turn(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
+    turns = [ToolProblem(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
     measured = steps.condition(recipe, surface)
     passes = _passes(turns, measured, hooks)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
-    notes += [f"run will refuse: {never}"] if (never := why_never(recipe)) else []
+    notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []
     notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes]
     notes += [note for one in passes for note in one.notes(config.program.covers)]
     blocks = max(len(one.plan.segments) for one in passes)
     run_dir = config.run_dir or config.state_dir
-    notes += [f"run will refuse: {full}"] if (full := disk.why_not(config.state_dir, run_dir, blocks)) else []
+    notes += [f"run will refuse: {full}"] if (full := disk.disk_full_reason(config.state_dir, run_dir, blocks)) else []
     summary = {**_summary(recipe, passes), "job": config.job.id, "run_dir": str(out), "notes": notes, **_writes(blocks)}
     with _appearing(out) as folder:
         for number, one in enumerate(passes):
@@ -103,7 +103,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     return summary
 
 
-def _passes(turns: Sequence[Turn], measured: Measured, hooks: Hooks) -> list[_Pass]:
+def _passes(turns: Sequence[ToolProblem], measured: MeasureResult, hooks: Hooks) -> list[_Pass]:
     found, vetoes, finds = list[_Pass](), list[str](), measured
     for turn, solved in zip(turns, dwell_step.solve_turns(turns, measured), strict=True):
         recipe, program, _ = turn
@@ -111,9 +111,9 @@ def _passes(turns: Sequence[Turn], measured: Measured, hooks: Hooks) -> list[_Pa
         plan = steps.rewrite(recipe, program, solved, program.name)
         vetoes += [f"  {_of_tool(recipe)}{veto}" for veto in hooks.check_plan(plan, recipe.envelope)]
         expected = forecast_of(recipe, finds, plan, solved.believed)
-        planned = Planned.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
+        planned = PlanResult.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
         found.append(_Pass(recipe, program, finds, solved, plan, planned))
-        finds = steps.expected(recipe, finds, solved.dwell.residual_nm)
+        finds = steps.expected_removal(recipe, finds, solved.dwell.residual_nm)
     if vetoes:
         raise PlanRefused("\n".join(["the plan was refused, nothing was written:", *vetoes]))
     return found

@@ -23,8 +23,8 @@ import pytest
 
 from polishd.api import DeviceContext, SurfaceMap
 from polishd.plugins.interferometer import files, taken
-from polishd.plugins.interferometer.files import Settled
-from polishd.plugins.interferometer.folder import FolderOptions, Waiting, WatchedFolder
+from polishd.plugins.interferometer.files import SettledFiles
+from polishd.plugins.interferometer.folder import FolderOptions, MapWait, WatchedFolder
 from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.sim_backends.metropro import DatMap, pack
 
@@ -120,7 +120,7 @@ class World:
     queue: list[tuple[float, int, Iterator[Step], Callable[[], None]]] = field(default_factory=list)
     numbers: Iterator[int] = field(default_factory=itertools.count)
     device: WatchedFolder | None = None
-    wait: Waiting | None = None
+    wait: MapWait | None = None
 
     @property
     def maps(self) -> Path:
@@ -208,7 +208,7 @@ class World:
             self.boot()
         assert self.device is not None
         if self.wait is None:
-            self.wait = Waiting(self.journal[-1], Settled(3, STABLE_S))
+            self.wait = MapWait(self.journal[-1], SettledFiles(3, STABLE_S))
         try:
             found = self.device._poll(self.wait, self.now_s)
         except Killed:

@@ -23,7 +23,7 @@ REASONS = {
     "other": ("WrongPart: it shows part",),
     "old": ("StaleMap: out of order", "StaleMap: stale", "StaleMap: duplicate"),
     "good": ("StaleMap: duplicate", "StaleMap: stale", "StaleMap: out of order"),
-    None: ("BadMap",),
+    None: ("MapError",),
 }
 """What the reason of a quarantined file says, by what it holds; None: nothing that was written whole."""
 

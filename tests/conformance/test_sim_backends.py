@@ -24,20 +24,20 @@ from typing import Any
 
 import pytest
 
-from polishd.api import DeviceRefused, Executed, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
+from polishd.api import DeviceRefused, ExecutedBlock, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
 from polishd.config.controller_profile import load_controller_profile
 from polishd.console.demo_files import free_port
 from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profiled import make
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
-from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp, parse_address
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
-from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.sample import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from polishd.testing.rig import Rig
 from polishd.testing.suites.actuator import ActuatorRig
@@ -204,7 +204,7 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield known
 
 
-def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | Handover:
+def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | PlcRobot:
     """The driver of a cell's robot."""
     running = cells.get(place.cell)
     match place.cell:
@@ -212,11 +212,11 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
             ports = tomllib.loads(running.toml.read_text())["robot"]
             addresses = Addresses.of(address.host, address.port, ports["dashboard_port"], ports["primary_port"])
             # its controller's clock is the simulated one: a busy machine is silent for seconds of that
-            return UniversalRobot(addresses, Settings(Registers(), 10 * PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+            return UniversalRobot(addresses, Settings(UrRegisters(), 10 * PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
         case "handover_modbus":
             profile = load_controller_profile("plc-modbus", Path())
             make_link = partial(Modbus, address, profile.variables, profile.silence_s)
-            return Handover("simulated PLC", profile, make_link, Folder(running.state / "programs"))
+            return PlcRobot("simulated PLC", profile, make_link, Folder(running.state / "programs"))
     return RobotLink(address)
 
 
@@ -235,7 +235,7 @@ def connect(cells: Cells, place: Place) -> Any:
             return make.actuator(shipped("line_drive.toml"), address, PATIENT)
         case Tcp() if place.cell == "profiles":
             return make.spindle(shipped("delta_ms300"), address, PATIENT_SPINDLE)
-        case Slcan() | Socketcand():
+        case SlcanAddress() | SocketcandAddress():
             return SpindleCan(address, SpindleTimes(silence_s=1.5))
         case SerialLine() if place.cell == "ascii":
             return voice_coil_serial(address, PATIENT)
@@ -368,7 +368,7 @@ async def test_a_device_that_was_booted_again_says_so(any_device: Rig[Any], cell
 # the robot
 
 
-async def executed(robot: Robot, count: int) -> list[Executed]:
+async def executed(robot: Robot, count: int) -> list[ExecutedBlock]:
     """The first records."""
     found = []
     async with asyncio.timeout(SOON_S):

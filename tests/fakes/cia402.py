@@ -11,13 +11,13 @@ import numpy as np
 
 from polishd.api import ActuatorTimes, SpindleTimes
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
-from polishd.drivers.cia402.axis import Place
+from polishd.drivers.cia402.axis import CanNodeAddress
 from polishd.drivers.cia402.dictionary import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.motor import Motor
-from polishd.sim_backends.cia402.node import Axis, Node
+from polishd.sim_backends.cia402.node import Node, SimAxis
 from polishd.sim_backends.cia402.objects import Objects
 from polishd.sim_backends.cia402.power import Power
 
@@ -68,7 +68,7 @@ class FakeCoil:
 class SimDrive:
     """A node that ticks by itself. ``treat`` says what becomes of each frame that it sends."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimAxis) -> None:
         self.send: Callable[[int, bytes], None] = lambda identifier, data: None
         self.treat: Callable[[Frame], Iterable[Frame]] = lambda frame: [frame]
         self.instead: dict[bytes, bytes] = {}
@@ -124,12 +124,12 @@ def sim_coil() -> tuple[SimDrive, FakeCoil]:
     return SimDrive(coil), coil
 
 
-def place(bus: Slcan | Socketcand, silence_s: float, watchdog_s: float) -> Place:
+def place(bus: SlcanAddress | SocketcandAddress, silence_s: float, watchdog_s: float) -> CanNodeAddress:
     """Where that drive is."""
-    return Place(bus, NODE, CONTROLLER, silence_s, watchdog_s)
+    return CanNodeAddress(bus, NODE, CONTROLLER, silence_s, watchdog_s)
 
 
-def cia402_spindle(bus: Slcan | Socketcand, times: SpindleTimes, eds: Path = EDS) -> Cia402Spindle:
+def cia402_spindle(bus: SlcanAddress | SocketcandAddress, times: SpindleTimes, eds: Path = EDS) -> Cia402Spindle:
     """Its driver."""
     scale = SpindleScale(
         0.1, max_rpm=6500.0, acceleration_rpm_s=20_000.0, deceleration_rpm_s=20_000.0, quick_stop_rpm_s=20_000.0
@@ -137,7 +137,7 @@ def cia402_spindle(bus: Slcan | Socketcand, times: SpindleTimes, eds: Path = EDS
     return Cia402Spindle(place(bus, times.silence_s, times.watchdog_s), read_dictionary(eds, NODE), scale, times)
 
 
-def cia402_actuator(bus: Slcan | Socketcand, times: ActuatorTimes, **scale: object) -> Cia402Actuator:
+def cia402_actuator(bus: SlcanAddress | SocketcandAddress, times: ActuatorTimes, **scale: object) -> Cia402Actuator:
     """Its driver."""
     scaled = ActuatorScale(N_PER_PERMILLE, 0.001, balance_n=BALANCE_N, travel_mm_s=5.0, **scale)
     return Cia402Actuator(place(bus, times.silence_s, times.watchdog_s), read_dictionary(EDS, NODE), scaled, times)

@@ -14,10 +14,10 @@ from functools import partial
 from polishd.daemon.cell import Cell
 from polishd.daemon.signals import Signals
 from polishd.model.devices import (
+    DeviceIdentity,
     DeviceStatus,
-    Executed,
+    ExecutedBlock,
     ForceSample,
-    Identity,
     MapRefusal,
     RobotProgress,
     RobotState,
@@ -101,9 +101,9 @@ class FakeDevice:
         self.is_open = False
         await self.did("close")
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         await self.did("identify")
-        return Identity("fake", self.name, "1", "0")
+        return DeviceIdentity("fake", self.name, "1", "0")
 
     async def status(self) -> DeviceStatus:
         await self.did("status")
@@ -162,9 +162,9 @@ class FakeRobot(FakeDevice):
         told = (self.plan_sha256, len(self.loaded), self.done, self.buffer_s, self.boot_id, "fake", self.override)
         return RobotProgress(state, *told)
 
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         for seq in range(from_seq, self.done):
-            yield Executed(seq, float(seq), seq + 1.0)
+            yield ExecutedBlock(seq, float(seq), seq + 1.0)
         while self.done != self.ends_at:
             while self.done >= len(self.loaded) or self._is_held():
                 self._changed.clear()
@@ -175,7 +175,7 @@ class FakeRobot(FakeDevice):
             begun_s = self.clock.at_s
             self.clock.advance(seconds)
             self.done += 1
-            yield Executed(block.seq, begun_s, begun_s + seconds)
+            yield ExecutedBlock(block.seq, begun_s, begun_s + seconds)
 
     async def hold(self) -> None:
         await self.did("hold")

@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import Identity, LinkError
+from polishd.api import DeviceIdentity, LinkError
 from polishd.config.controller_profile import ControllerProfile, Value, load_controller_profile
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from polishd.drivers.handover.opcua import OpcUa
-from polishd.drivers.handover.variables import Reading, of_kind, watched
+from polishd.drivers.handover.variables import VariableSnapshot, of_kind, watched
 from polishd.sim_backends.handover.ads import AMS_PORT, TCP_PORT, AdsServer
 from polishd.sim_backends.handover.plc import Plc
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.path import Limits
 
 HOST = f"127.{40 + os.getpid() % 80}.{os.getpid() // 80 % 250}.1"
@@ -43,8 +43,8 @@ class FakePlc:
         self.folder = folder
         self.events: list[str] = []
         limits = Limits(1000.0, 0.002, 30.0, 100.0, 100.0, speed)
-        config = Robot(x_mm=(-1e4, 1e4), **{"report_ms": 10.0, "watchdog_s": 8.0, **robot})
-        self.plc = Plc(config, Motion(limits, (0.0, 0.0, 60.0, 0.0, 0.0)), folder, _anywhere, self._report, "boot-1")
+        config = SimRobotSection(x_mm=(-1e4, 1e4), **{"report_ms": 10.0, "watchdog_s": 8.0, **robot})
+        self.plc = Plc(config, SimMotion(limits, (0.0, 0.0, 60.0, 0.0, 0.0)), folder, _anywhere, self._report, "boot-1")
         self.plc.tick(time.monotonic())
         self.silent = self.dead = False
         self.override = 100.0
@@ -85,15 +85,15 @@ class Direct:
     async def close(self) -> None:
         self._open = False
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         await self._answers()
-        return Identity("test", "PLC", "1", "1")
+        return DeviceIdentity("test", "PLC", "1", "1")
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         await self._answers()
         shown = {**self._fake.plc.shown, "feed_override": self._fake.override}
         values = {name: of_kind(point.type, shown[name], name) for name, point in self._watched.items()}
-        return Reading(time.monotonic(), values)
+        return VariableSnapshot(time.monotonic(), values)
 
     async def write(self, values: Mapping[str, Value]) -> None:
         await self._answers()
@@ -207,10 +207,10 @@ async def cycling(fake: FakePlc) -> AsyncIterator[FakePlc]:
 
 
 @asynccontextmanager
-async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[Handover]:
+async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[PlcRobot]:
     """A closed driver at its PLC."""
     async with cycling(fake):
-        device = Handover("test PLC", profile, lambda: Direct(fake, profile), Folder(fake.folder))
+        device = PlcRobot("test PLC", profile, lambda: Direct(fake, profile), Folder(fake.folder))
         try:
             yield device
         finally:
@@ -218,7 +218,7 @@ async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIt
 
 
 @asynccontextmanager
-async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[tuple[Handover, Relay]]:
+async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[tuple[PlcRobot, Relay]]:
     """A closed driver, with a socket and a server between."""
     from polishd.sim_backends.handover.opcua import served
 
@@ -227,7 +227,7 @@ async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> Asy
         relay.server = await asyncio.start_server(relay.connected, "127.0.0.1", 0)
         url = f"opc.tcp://127.0.0.1:{relay.server.sockets[0].getsockname()[1]}"
         make = lambda: OpcUa(url, profile.variables, profile.silence_s)  # noqa: E731
-        device = Handover("test PLC", profile, make, Folder(fake.folder))
+        device = PlcRobot("test PLC", profile, make, Folder(fake.folder))
         try:
             yield device, relay
         finally:
@@ -237,7 +237,7 @@ async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> Asy
 
 
 @asynccontextmanager
-async def over_ads(fake: FakePlc) -> AsyncIterator[tuple[Handover, Callable[[], None]]]:
+async def over_ads(fake: FakePlc) -> AsyncIterator[tuple[PlcRobot, Callable[[], None]]]:
     """A closed driver with ADS between, and what cuts it off for good."""
     profile = load_controller_profile("plc-ads", Path())
 
@@ -249,7 +249,7 @@ async def over_ads(fake: FakePlc) -> AsyncIterator[tuple[Handover, Callable[[], 
                 one.abort()
 
         make = lambda: Ads(HOST, NETID, AMS_PORT, profile.variables, profile.silence_s)  # noqa: E731
-        device = Handover("test PLC", profile, make, Folder(fake.folder))
+        device = PlcRobot("test PLC", profile, make, Folder(fake.folder))
         try:
             yield device, cut
         finally:

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from polishd.sim_backends.profiled.machine import Gauge, Inverter, Machine
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.machine import Gauge, Inverter, ProfileDeviceModel
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 from polishd.sim_backends.profiled.slave import by_profile
 from tests.fakes.actuator import Coil
 from tests.fakes.wires import Peer
@@ -18,9 +18,11 @@ IDENTITY = {"vendor": "Fake", "model": "F-1", "serial": "42", "firmware": "1.2",
 class ProfiledPeer(Peer):
     """Answers as the profile says; its machine goes on whenever somebody looks."""
 
-    def __init__(self, profile: Path, make: Callable[[Sheet], Machine], *, tcp: bool = False, unit: int = 1) -> None:
+    def __init__(
+        self, profile: Path, make: Callable[[SimDeviceProfile], ProfileDeviceModel], *, tcp: bool = False, unit: int = 1
+    ) -> None:
         super().__init__()
-        self.sheet = Sheet.read(profile)
+        self.sheet = SimDeviceProfile.read(profile)
         self.machine = make(self.sheet)
         self.requests: list[bytes] = []
         self._slave = by_profile(self.sheet, self.machine, unit, tcp=tcp)
@@ -41,7 +43,7 @@ class IdealDrive:
 
     STATES = ("retracted", "extending", "contact", "retracting", "fault")
 
-    def __init__(self, sheet: Sheet) -> None:
+    def __init__(self, sheet: SimDeviceProfile) -> None:
         self.coil = Coil()
         self._engages = "engage" in sheet.raw["orders"]
         self._beats = "beat" in sheet.raw["orders"]
@@ -83,7 +85,7 @@ class IdealDrive:
         self.coil.update()
 
 
-def inverter(sheet: Sheet) -> Inverter:
+def inverter(sheet: SimDeviceProfile) -> Inverter:
     """A quick one."""
     return Inverter(
         lambda *_a, **_k: None,
@@ -96,6 +98,6 @@ def inverter(sheet: Sheet) -> Inverter:
     )
 
 
-def gauge(pressed_n: Callable[[], float]) -> Callable[[Sheet], Gauge]:
+def gauge(pressed_n: Callable[[], float]) -> Callable[[SimDeviceProfile], Gauge]:
     """On which so much presses."""
     return lambda _sheet: Gauge(pressed_n, IDENTITY)

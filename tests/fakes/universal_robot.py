@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.driver import Addresses
 from polishd.sim_backends.universal_robots import dashboard, primary
-from polishd.sim_backends.universal_robots.arm import Arm
+from polishd.sim_backends.universal_robots.arm import UrArm
 from polishd.sim_backends.universal_robots.dashboard import Dashboard
-from polishd.sim_backends.universal_robots.machine import Machine
-from polishd.sim_backends.universal_robots.rtde import Held, RtdeClient
+from polishd.sim_backends.universal_robots.machine import UrController
+from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
 from tests.fakes.wires import Filter, unchanged
 
 LOOPBACK = "127.0.0.1"
@@ -27,13 +27,13 @@ class FakeController:
     """One machine. Time passes by a task of its own, from ``start`` to ``close``."""
 
     def __init__(self, *, speed: float = 1.0, overhead_s: float = 0.002, cycle_s: float = 0.008) -> None:
-        arm = Arm.at((0.0, 0.0, 60.0, 0.0, 0.0))
-        self.machine = Machine(Robot(), arm, cycle_s, overhead_s, speed, time.monotonic())
+        arm = UrArm.at((0.0, 0.0, 60.0, 0.0, 0.0))
+        self.machine = UrController(SimRobotSection(), arm, cycle_s, overhead_s, speed, time.monotonic())
         self.machine.complain = self._complain
         self.filter: Filter = unchanged
         """What becomes of the bytes of RTDE on their way out."""
         self.silent = False
-        self.held = Held()
+        self.held = InputOwnership()
         self.clients: list[RtdeClient] = []
         self.scripts: list[str] = []
         self.wires = [_Wire(self, self._rtde), _Wire(self, self._dashboard), _Wire(self, self._primary)]

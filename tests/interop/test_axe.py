@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polishd.config.cell import load_config
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from tests.interop.peers import NODE_MODULES, Peer
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys
@@ -42,7 +42,7 @@ def test_no_state_of_the_page_has_a_serious_fault(tmp_path: Path, axe: str) -> N
     found: dict[str, list[str]] = {}
     with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
-        token = Users(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
+        token = UserFile(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
         with web_of(files) as url, browsing(tmp_path / "browser") as page:
             page.go(url)
             page.until("!document.getElementById('sign-in').hidden")

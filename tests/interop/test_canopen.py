@@ -15,10 +15,10 @@ import canopen
 import pytest
 
 from polishd.api import SpindleTimes
-from polishd.drivers.cia402.axis import Place
+from polishd.drivers.cia402.axis import CanNodeAddress
 from polishd.drivers.cia402.dictionary import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
-from polishd.drivers.transport.address import Socketcand, parse_address
+from polishd.drivers.transport.address import SocketcandAddress, parse_address
 from tests.fakes.canopen_node import LATCH_UP_UNITS
 from tests.fakes.cia402 import EDS
 from tests.interop.peers import Peer
@@ -74,7 +74,7 @@ class Hub(asyncio.Protocol):
 
 
 @pytest.fixture
-async def local_node() -> AsyncIterator[Socketcand]:
+async def local_node() -> AsyncIterator[SocketcandAddress]:
     """canopen's LocalNode in a process of its own; the address of its bus."""
     clients: set[Hub] = set()
     server = await asyncio.get_running_loop().create_server(lambda: Hub(clients), "127.0.0.1", 0)
@@ -86,7 +86,7 @@ async def local_node() -> AsyncIterator[Socketcand]:
     assert process.stdout is not None
     async with asyncio.timeout(SOON_S):
         assert await process.stdout.readline() == b"ready\n"
-    yield Socketcand("127.0.0.1", port, "can0")
+    yield SocketcandAddress("127.0.0.1", port, "can0")
     process.kill()
     await process.wait()
     server.close()
@@ -94,8 +94,8 @@ async def local_node() -> AsyncIterator[Socketcand]:
         client._transport.abort()
 
 
-async def test_our_driver_works_canopens_own_node(local_node: Socketcand) -> None:
-    place = Place(local_node, 5, 0x45, silence_s=5.0, watchdog_s=5.0)
+async def test_our_driver_works_canopens_own_node(local_node: SocketcandAddress) -> None:
+    place = CanNodeAddress(local_node, 5, 0x45, silence_s=5.0, watchdog_s=5.0)
     scale = SpindleScale(0.1, max_rpm=2000.0)
     spindle = Cia402Spindle(place, read_dictionary(EDS, 5), scale, SpindleTimes(silence_s=5.0))
     await spindle.open()
@@ -134,7 +134,7 @@ def running(tmp_path: Path) -> Iterator[Cell]:
 def own_client(endpoint: str) -> Iterator[canopen.RemoteNode]:
     """canopen's client on that bus."""
     address = parse_address(endpoint, ROOT)
-    assert isinstance(address, Socketcand)
+    assert isinstance(address, SocketcandAddress)
     network = canopen.Network()
 
     def connected() -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.handover.remote import Place, Sftp
+from polishd.drivers.handover.remote import RemoteFolder, Sftp
 from tests.interop.delivery import refuses, takes_programs
 from tests.interop.devices import free_port
 from tests.interop.peers import Peer
@@ -68,9 +68,9 @@ async def test_it_takes_programs_and_refuses_strangers(tmp_path: Path, monkeypat
     folder.mkdir()
     with server(tmp_path) as port:
         monkeypatch.setenv("HOME", str(tmp_path / "home"))
-        place = Place("127.0.0.1", port, getpass.getuser(), "", str(folder))
+        place = RemoteFolder("127.0.0.1", port, getpass.getuser(), "", str(folder))
         await takes_programs(Sftp(place, known), folder)
-        nowhere = Place("127.0.0.1", port, getpass.getuser(), "", str(folder / "none"))
+        nowhere = RemoteFolder("127.0.0.1", port, getpass.getuser(), "", str(folder / "none"))
         await refuses(Sftp(nowhere, known), folder, "No such file")
         key(tmp_path / "other")
         known.write_text(f"[127.0.0.1]:{port} {(tmp_path / 'other.pub').read_text()}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from polishd.drivers.handover.remote import Place, Sftp
+from polishd.drivers.handover.remote import RemoteFolder, Sftp
 from tests.interop.delivery import PASSWORD, USER, refuses, takes_programs
 from tests.interop.peers import Peer, program
 
@@ -18,8 +18,10 @@ async def test_it_takes_programs_and_refuses_strangers(tmp_path: Path) -> None:
     with program("sftp_server.py", tmp_path, USER, PASSWORD) as peer:
         port = peer.greeting["port"]
         known.write_text(f"[127.0.0.1]:{port} {peer.greeting['key']}\n")
-        await takes_programs(Sftp(Place("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder)
-        await refuses(Sftp(Place("127.0.0.1", port, USER, "other", "nc"), known), folder, "cannot be put there")
-        await refuses(Sftp(Place("127.0.0.1", port, USER, PASSWORD, "none"), known), folder, "cannot be put there")
+        await takes_programs(Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder)
+        await refuses(Sftp(RemoteFolder("127.0.0.1", port, USER, "other", "nc"), known), folder, "cannot be put there")
+        await refuses(
+            Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "none"), known), folder, "cannot be put there"
+        )
         known.write_text("")
-        await refuses(Sftp(Place("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder, "cannot be put there")
+        await refuses(Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder, "cannot be put there")

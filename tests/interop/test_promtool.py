@@ -7,7 +7,7 @@ import subprocess
 from prometheus_client.core import CollectorRegistry
 from prometheus_client.exposition import generate_latest
 
-from polishd.web.metrics import Snapshot
+from polishd.web.metrics import MetricsSnapshot
 from tests.interop.peers import Peer
 from tests.unit.web.test_metrics import ALL, TALLY
 
@@ -17,7 +17,9 @@ pytestmark = PEER.needed
 
 def test_it_finds_nothing_wrong_with_our_metrics() -> None:
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(Snapshot("cell", {"daemon": "up", "age_s": 0.1, "live": ALL}, TALLY, [{"severity": "alarm"}]))
+    registry.register(
+        MetricsSnapshot("cell", {"daemon": "up", "age_s": 0.1, "live": ALL}, TALLY, [{"severity": "alarm"}])
+    )
     said = subprocess.run(
         ["promtool", "check", "metrics"], input=generate_latest(registry), capture_output=True, check=False
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import write_demo
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from tests.interop.peers import BUILT, Peer
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, web_of
@@ -29,7 +29,7 @@ def test_nothing_that_it_asks_is_a_fault_and_all_answers_are_as_documented(tmp_p
     files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
     files.cell.write_text(with_keys(files.cell.read_text(), FREE))
     config = load_config(files.cell)
-    token = Users(users_path(config)).add("anna", Role.ENGINEER)
+    token = UserFile(users_path(config)).add("anna", Role.ENGINEER)
     left_out = [f"--exclude-path={path}" for path in NOT_ASKED]
     with answering(config.state_dir) as daemon, web_of(files) as url:
         command = [PROGRAM, "run", f"{url}api/openapi.json", f"--header=Authorization: Bearer {token}"]

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from polishd.api import DeviceFault, Executed, RobotTimes
+from polishd.api import DeviceFault, ExecutedBlock, RobotTimes
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
-from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.sample import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from tests.interop.peers import Peer
 from tests.programs import plan_of
@@ -55,7 +55,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 @pytest.fixture
 async def robot(running: Cell) -> AsyncIterator[UniversalRobot]:
-    device = UniversalRobot(Addresses.of(HOST, RTDE, DASHBOARD, PRIMARY), Settings(Registers(), 8.0), TIMES)
+    device = UniversalRobot(Addresses.of(HOST, RTDE, DASHBOARD, PRIMARY), Settings(UrRegisters(), 8.0), TIMES)
     await device.open()
     yield device
     await device.make_safe()
@@ -92,7 +92,7 @@ async def load(robot: UniversalRobot) -> None:
     await robot.send(plan.segments)
 
 
-async def executed(robot: UniversalRobot, count: int) -> list[Executed]:
+async def executed(robot: UniversalRobot, count: int) -> list[ExecutedBlock]:
     found = []
     async for one in robot.executed():
         found.append(one)

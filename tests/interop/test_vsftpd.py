@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.handover.remote import Ftp, Place
+from polishd.drivers.handover.remote import Ftp, RemoteFolder
 from tests.interop.delivery import refuses, takes_programs
 from tests.interop.devices import free_port
 from tests.interop.peers import Peer
@@ -76,6 +76,8 @@ def folder() -> Iterator[Path]:
 
 async def test_it_takes_programs_and_refuses_where_nobody_may_write(folder: Path) -> None:
     with server(folder) as port:
-        await takes_programs(Ftp(Place("127.0.0.1", port, "ftp", "robot", "nc")), folder / "root" / "nc")
-        await refuses(Ftp(Place("127.0.0.1", port, "ftp", "robot", "")), folder / "root", "cannot be put there")
-        await refuses(Ftp(Place("127.0.0.1", port, "root", "wrong", "nc")), folder / "root" / "nc", "cannot be put")
+        await takes_programs(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "nc")), folder / "root" / "nc")
+        await refuses(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "")), folder / "root", "cannot be put there")
+        await refuses(
+            Ftp(RemoteFolder("127.0.0.1", port, "root", "wrong", "nc")), folder / "root" / "nc", "cannot be put"
+        )

@@ -15,7 +15,7 @@ import pytest
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import DemoFiles
-from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.process.paths.apertures import over_outline
 from polishd.process.paths.raster import raster
@@ -146,7 +146,7 @@ def dwell_program(config: CellConfig) -> bytes:
     points = raster(over_outline(config.outline()), DWELL_PITCH_MM, DWELL_PITCH_MM)
     axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
     to = dialect(next(iter(config.dialect_paths), config.program.format))
-    assert isinstance(to, Dialect)
+    assert isinstance(to, GcodeDialect)
     return path_program(points, axes, RAPID_MM_MIN, "dwells", encoding="dwell", dwell_s=0.2, to=to)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import Executed, LinkError, Plan
+from polishd.api import ExecutedBlock, LinkError, Plan
 from polishd.daemon.progress import ProgressLimits
 from polishd.daemon.stream import CHUNK as DAEMON_CHUNK
 from polishd.daemon.stream import streaming
@@ -65,14 +65,14 @@ async def keep_running(robot: RobotLink, plan: Plan) -> None:
         await asyncio.sleep(0.02)
 
 
-async def follow(robot: RobotLink, seen: list[Executed]) -> None:
+async def follow(robot: RobotLink, seen: list[ExecutedBlock]) -> None:
     async for one in robot.executed(len(seen)):
         seen.append(one)  # noqa: PERF401
 
 
-async def carry_through(robot: RobotLink, plan: Plan) -> list[Executed]:
+async def carry_through(robot: RobotLink, plan: Plan) -> list[ExecutedBlock]:
     """Open again after each loss of the link, and go on from what the robot says it has; all that was executed."""
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     lost = 0
     while len(seen) < len(plan.segments):
         try:
@@ -87,7 +87,9 @@ async def carry_through(robot: RobotLink, plan: Plan) -> list[Executed]:
     return seen
 
 
-async def campaign(folder: Path, blocks: int, cut_every: int, seed: int) -> tuple[Witness, Plan, list[Executed], int]:
+async def campaign(
+    folder: Path, blocks: int, cut_every: int, seed: int
+) -> tuple[Witness, Plan, list[ExecutedBlock], int]:
     plan = zigzag(blocks, 0.1, 600.0)
     async with (
         witnessed_robot(folder, speed=25.0) as witness,

@@ -16,10 +16,10 @@ import pytest
 from polishd.api import ActuatorTimes, ForceSample, SpindleTimes
 from polishd.console.simulator import simulated_cell
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
-from polishd.drivers.cia402.axis import Place
+from polishd.drivers.cia402.axis import CanNodeAddress
 from polishd.drivers.cia402.dictionary import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
-from polishd.drivers.transport.address import Slcan, Socketcand, parse_address
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, parse_address
 from tests.fakes.cia402 import EDS
 from tests.patience import SOON_S
 from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, with_keys, write_small
@@ -79,16 +79,16 @@ def running(tmp_path: Path) -> Iterator[Cell]:
 def drivers(running: Cell) -> tuple[Cia402Spindle, Cia402Actuator]:
     """Ours, on that cell's wires."""
     spindle_bus, actuator_bus = (parse_address(running.endpoints[name], ROOT) for name in ("spindle", "actuator"))
-    assert isinstance(spindle_bus, Socketcand)
-    assert isinstance(actuator_bus, Slcan)
+    assert isinstance(spindle_bus, SocketcandAddress)
+    assert isinstance(actuator_bus, SlcanAddress)
     spindle = Cia402Spindle(
-        Place(spindle_bus, 5, 0x45, silence_s=3.0, watchdog_s=1.0),
+        CanNodeAddress(spindle_bus, 5, 0x45, silence_s=3.0, watchdog_s=1.0),
         read_dictionary(EDS, 5),
         SpindleScale(0.1),
         SpindleTimes(silence_s=3.0),
     )
     actuator = Cia402Actuator(
-        Place(actuator_bus, 6, 0x46, silence_s=3.0, watchdog_s=1.0),
+        CanNodeAddress(actuator_bus, 6, 0x46, silence_s=3.0, watchdog_s=1.0),
         read_dictionary(EDS, 6),
         ActuatorScale(0.05, 0.001, balance_n=2.0),
         ActuatorTimes(silence_s=3.0),

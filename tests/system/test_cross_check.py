@@ -23,7 +23,7 @@ from polishd.process import conditioning, contact
 from polishd.process import frames as controller_frames
 from polishd.process.compliance import depth_ratio
 from polishd.process.compliance import equivalent_compliance as controller_compliance
-from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.dynamic_tif import effect_matrix, tif_at_point
 from polishd.process.path_compliance import path_compliance
 from polishd.process.registration.record import Registration
 from polishd.process.robot import tip_compliance_mm_per_n
@@ -134,7 +134,7 @@ def test_the_effect_matrix_is_what_the_plant_removes(name: str) -> None:
     grid = Grid(221, 221, 0.5)
     program = program_at(POSES, process.dip_deg)
     compliance = path_compliance(program, process, ROBOT, PLACEMENT).compliance_mm_per_n
-    spots = corrected_spot("exact", depth_ratio(compliance, process, contact.hertz_depth_mm(process)))
+    spots = tif_at_point("exact", depth_ratio(compliance, process, contact.hertz_depth_mm(process)))
     effect = effect_matrix(grid, HertzSpot(process), program, spots.depth_ratio, spots.factor)
     world = Frames(PLANT)
     tips, axes = world.in_part(np.array([[x, y, 0.0, process.dip_deg, c] for x, y, c in POSES]))

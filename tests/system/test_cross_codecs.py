@@ -28,12 +28,12 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from polishd.api import BadMap, Executed, SurfaceMap
+from polishd.api import ExecutedBlock, MapError, SurfaceMap
 from polishd.drivers.profiled import codec, meaning
 from polishd.drivers.profiled.actuator import reading_of
 from polishd.drivers.profiled.modbus_link import REFUSALS
 from polishd.drivers.robot_link import messages
-from polishd.drivers.robot_link.frames import FrameReader, Kind, encode
+from polishd.drivers.robot_link.frames import FrameReader, FrameType, encode
 from polishd.drivers.spindle_can import codec as spindle_codec
 from polishd.drivers.transport import numbered
 from polishd.model.surface import FloatArray
@@ -42,8 +42,8 @@ from polishd.process.plausible import EARLIEST
 from polishd.sim_backends import metropro as writer
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
 from polishd.sim_backends.actuator.coil import VoiceCoil
-from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, crc16, rtu
-from polishd.sim_backends.can_hosts import Slcan, Socketcand, slcan_frame, slcan_line
+from polishd.sim_backends.actuator.modbus import CoilRegisters, RtuSlave, crc16, rtu
+from polishd.sim_backends.can_hosts import SlcanHost, SocketcandHost, slcan_frame, slcan_line
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.spindle.drive import Drive
 from tests.fakes.devices_by_profile import shipped
@@ -81,27 +81,27 @@ def pieces(data: bytes, cuts: list[int]) -> Iterator[bytes]:
 # the robot link
 
 
-@pytest.mark.parametrize(("name", "kind"), [("ACCEPTED", Kind.ACCEPTED), ("EXECUTED", Kind.EXECUTED)])
-def test_link_vectors_from_the_robot(name: str, kind: Kind) -> None:
+@pytest.mark.parametrize(("name", "kind"), [("ACCEPTED", FrameType.ACCEPTED), ("EXECUTED", FrameType.EXECUTED)])
+def test_link_vectors_from_the_robot(name: str, kind: FrameType) -> None:
     frame = bytes.fromhex(vectors("robot_link")[name])
     payload = frame[8:-4]
     assert f.pack(kind, payload) == encode(kind, payload) == frame
-    if kind == Kind.ACCEPTED:
+    if kind == FrameType.ACCEPTED:
         assert messages.accepted(payload) == (9, 512, 2.5)
     else:
         assert f.pack_executed([(7, 1.0, 1.5)]) == frame
-        assert messages.executed(payload) == [Executed(7, 1.0, 1.5)]
+        assert messages.executed(payload) == [ExecutedBlock(7, 1.0, 1.5)]
 
 
 def test_link_vectors_to_the_robot() -> None:
     page = {name: bytes.fromhex(value) for name, value in vectors("robot_link").items()}
     hello = {"protocol": 1, "role": "writer", "client": "t", "executed_from": 0, "lease": ""}
-    assert messages.command(Kind.HELLO, hello) == f.pack_json(f.HELLO, hello) == page["HELLO"]
+    assert messages.command(FrameType.HELLO, hello) == f.pack_json(f.HELLO, hello) == page["HELLO"]
     assert messages.blocks(7, [b"G1 X1 F60", b"M2"]) == f.pack_blocks(7, [b"G1 X1 F60", b"M2"]) == page["BLOCKS"]
 
 
 def test_both_number_the_frames_alike() -> None:
-    assert {kind.name: int(kind) for kind in Kind} == {kind.name: getattr(f, kind.name) for kind in Kind}
+    assert {kind.name: int(kind) for kind in FrameType} == {kind.name: getattr(f, kind.name) for kind in FrameType}
 
 
 @given(st.lists(st.tuples(U32, LINES), min_size=1, max_size=4), st.lists(U16, max_size=8), st.binary(max_size=9))
@@ -116,10 +116,12 @@ def test_blocks_of_the_driver_reach_the_controller(
 
 
 @given(
-    st.sampled_from([Kind.HELLO, Kind.LOAD, Kind.RESUME, Kind.HOLD, Kind.ABORT, Kind.PING]),
+    st.sampled_from(
+        [FrameType.HELLO, FrameType.LOAD, FrameType.RESUME, FrameType.HOLD, FrameType.ABORT, FrameType.PING]
+    ),
     st.dictionaries(TEXT, st.none() | st.integers(-(2**53), 2**53) | TEXT | st.booleans(), max_size=5),
 )
-def test_commands_of_the_driver_reach_the_controller(kind: Kind, content: dict[str, Any]) -> None:
+def test_commands_of_the_driver_reach_the_controller(kind: FrameType, content: dict[str, Any]) -> None:
     ((found, payload),) = f.Splitter().feed(messages.command(kind, content))
     assert found == kind
     assert f.unpack_json(payload) == content
@@ -132,7 +134,9 @@ def test_records_of_the_controller_reach_the_driver(
     link = FrameReader()
     wire = b"".join(map(f.pack_executed, sent))
     found = [frame for piece in pieces(wire, cuts) for frame in link.feed(piece)]
-    assert [messages.executed(frame.payload) for frame in found] == [[Executed(*one) for one in some] for some in sent]
+    assert [messages.executed(frame.payload) for frame in found] == [
+        [ExecutedBlock(*one) for one in some] for some in sent
+    ]
     assert link.skipped == 0
 
 
@@ -156,7 +160,7 @@ def test_neither_side_acts_on_a_frame_with_one_wrong_bit(
     good = f.pack_executed([(1, 2.0, 3.0)])
     after = good * 2 + bytes(1 << 10)
     assert f.pack_executed(records) not in [
-        encode(Kind.EXECUTED, one.payload) for one in FrameReader().feed(bytes(wire))
+        encode(FrameType.EXECUTED, one.payload) for one in FrameReader().feed(bytes(wire))
     ]
     ours, theirs = FrameReader().feed(bytes(wire) + after), list(f.Splitter().feed(bytes(wire) + after))
     assert [(one.kind, one.payload) for one in ours] == theirs, "and both find the same frames after it"
@@ -181,11 +185,11 @@ def coil() -> VoiceCoil:
     return VoiceCoil(np.random.default_rng(0), lambda *_a, **_k: None, 0.0)
 
 
-def table(of: VoiceCoil | None = None, boots: int = 3) -> Registers:
-    return Registers(of or coil(), "polishd", "simulated VC50", "SIM-V1", "1.0", boots)
+def table(of: VoiceCoil | None = None, boots: int = 3) -> CoilRegisters:
+    return CoilRegisters(of or coil(), "polishd", "simulated VC50", "SIM-V1", "1.0", boots)
 
 
-def asked(request: Any, of: Registers) -> Any:
+def asked(request: Any, of: CoilRegisters) -> Any:
     """A request of pymodbus, through the simulator's slave, as pymodbus reads the answer."""
     framer = FramerRTU(DecodePDU(False))
     ((size, answer),) = RtuSlave(1, of.answer).feed(framer.buildFrame(request), 1.0)
@@ -416,7 +420,7 @@ def test_slcan_lines_of_the_library_and_of_the_adapter(adapter: slcanBus, frame:
     sent = adapter.serialPortOrig.read(100)
     assert slcan_frame(sent[:-1]) == frame
     heard: list[tuple[int, bytes]] = []
-    host = Slcan(lambda identifier, data: heard.append((identifier, data)) or [])
+    host = SlcanHost(lambda identifier, data: heard.append((identifier, data)) or [])
     assert host.feed(b"O\r" + sent) == b"\rz\r"
     assert heard == [frame]
     adapter.serialPortOrig.write(slcan_line(frame))
@@ -428,7 +432,7 @@ def test_slcan_lines_of_the_library_and_of_the_adapter(adapter: slcanBus, frame:
 @given(FRAMES)
 def test_socketcand_frames_of_the_library_and_of_the_server(frame: tuple[int, bytes]) -> None:
     heard: list[tuple[int, bytes]] = []
-    server = Socketcand(lambda identifier, data: heard.append((identifier, data)) or [])
+    server = SocketcandHost(lambda identifier, data: heard.append((identifier, data)) or [])
     message = can.Message(arbitration_id=frame[0], data=frame[1], is_extended_id=False)
     server.feed(b"< open can0 >< rawmode >" + convert_can_message_to_ascii_message(message).encode())
     assert heard == [frame]
@@ -519,7 +523,7 @@ def test_files_of_other_instruments_are_read_alike(
 def test_a_torn_file_is_read_by_neither(heights: FloatArray, size: int) -> None:
     content = writer.pack(writer.DatMap(measured(heights), 0.5, "P"))
     torn = content[: size % len(content)]
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         through_a_file(torn)
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         writer.unpack(torn)

@@ -280,7 +280,7 @@ def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_pictur
     with simulated_cell(files.sim, options, tmp_path / "log"):
         with Daemon(files) as daemon:
             held = daemon.wait_for_state("held")
-            assert "GateStop: the measured removal looks like" in held["reason"]
+            assert "RemovalCheckStop: the measured removal looks like" in held["reason"]
             assert polishd("stop", files.cell).returncode == 0
             assert daemon.wait() == 10, daemon.output.read_text()
         require_safe_order(events(files))

@@ -17,7 +17,7 @@ from scipy import stats
 from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
-from polishd.recipe.records import Believed
+from polishd.recipe.records import EstimatesInUse
 from polishd.workbench.studies.loop import ClosedLoop, _Account
 from polishd.workbench.studies.plant_process import PlantProcess
 from tests.system.cell_rig import Daemon, summary, with_keys, write_small
@@ -94,7 +94,7 @@ def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -
             truth = {**PLANT["truth"], "rate": [rate, rate]}
             plant.new(tomllib.loads(with_keys(plain, {**PLANT, "truth": truth})), seed)
             _, begun = loop._begun(plant, _Account())
-            assert isinstance(begun, Believed), begun
+            assert isinstance(begun, EstimatesInUse), begun
             found = begun.removal.rate
             assert found.sigma is not None
             off.append((found.value - 1 - rate) / found.sigma)

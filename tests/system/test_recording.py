@@ -14,7 +14,7 @@ import pytest
 
 from polishd.api import LinkError
 from polishd.console.simulator import simulated_cell
-from polishd.model.devices import Identity
+from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import ConfigError
 from polishd.plugins import spindle, voice_coil
 from polishd.ports.devices import Device
@@ -63,7 +63,7 @@ async def test_a_recorded_probe_is_played_to_the_drivers(
         async with replayed(case, role) as link:
             device = driver(plugin, kind, options, tmp_path, link.endpoint)
             await device.open()
-            identity: Identity = await device.identify()
+            identity: DeviceIdentity = await device.identify()
             await device.make_safe()
             status = await device.status()
             await device.close()

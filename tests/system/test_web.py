@@ -18,7 +18,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import DemoFiles, write_demo
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys
@@ -70,7 +70,7 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
     with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
         part = "<img src=x onerror=alert(1)>"
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
-        token = Users(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
+        token = UserFile(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
         with web_of(files) as url, browsing(tmp_path / "browser") as page:
             signed_in(page, url, token)
             page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")
@@ -107,7 +107,7 @@ def test_a_link_that_is_pulled_in_contact_is_seen_and_explained_at_once(tmp_path
     with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=1) as files:
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
         lost_s = tomllib.loads(files.cell.read_text())["actuator"]["silence_s"]
-        token = Users(users_path(load_config(files.cell))).add("anna", Role.WATCH)
+        token = UserFile(users_path(load_config(files.cell))).add("anna", Role.WATCH)
         with web_of(files) as url, browsing(tmp_path / "browser") as page:
             signed_in(page, url, token)
             with Daemon(files) as daemon:
@@ -150,7 +150,7 @@ def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -
     files = write_demo(tmp_path / "cell", None, 2.0, 4, None)
     files.cell.write_text(with_keys(files.cell.read_text(), FREE))
     config = load_config(files.cell)
-    token = Users(users_path(config)).add("anna", Role.WATCH)
+    token = UserFile(users_path(config)).add("anna", Role.WATCH)
     force = {"force_n": 12.0, "setpoint_n": 12.0, "in_contact": True, "retracted": False, "fault": 0, "age_s": 0.01}
     with (
         answering(config.state_dir) as daemon,
@@ -172,7 +172,7 @@ def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -
 def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell") as files, browsing(tmp_path / "browser") as page:
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
-        token = Users(users_path(load_config(files.cell))).add("anna", Role.WATCH)
+        token = UserFile(users_path(load_config(files.cell))).add("anna", Role.WATCH)
         with web_of(files) as url:
             signed_in(page, url, token)
             page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")

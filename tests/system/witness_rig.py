@@ -12,8 +12,8 @@ import numpy as np
 
 from polishd.config.simulator import SimConfig
 from polishd.sim_backends.robot.server import RobotServer
-from polishd.sim_backends.runtime import Runtime, Start
-from polishd.sim_backends.wire import Connection, Wire
+from polishd.sim_backends.runtime import SimRuntime, Start
+from polishd.sim_backends.wire import SimTcpConnection, SimWire
 
 
 class Witness:
@@ -51,10 +51,10 @@ async def witnessed_robot(folder: Path, speed: float, **robot: Any) -> AsyncIter
     witness = Witness()
     config = SimConfig.model_validate({"robot": {"port": 0, **robot}})
     async with asyncio.TaskGroup() as group:
-        runtime = Runtime("robot", Start(config, folder, 1, speed), 1, witness, group)  # type: ignore[arg-type]
+        runtime = SimRuntime("robot", Start(config, folder, 1, speed), 1, witness, group)  # type: ignore[arg-type]
         witness.server = RobotServer(runtime)
-        wire = Wire(runtime, witness.server.connected)
-        listening = await asyncio.get_running_loop().create_server(lambda: Connection(wire), "127.0.0.1", 0)
+        wire = SimWire(runtime, witness.server.connected)
+        listening = await asyncio.get_running_loop().create_server(lambda: SimTcpConnection(wire), "127.0.0.1", 0)
         witness.port = listening.sockets[0].getsockname()[1]
         ticking = group.create_task(witness.server.run())
         try:

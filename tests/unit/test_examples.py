@@ -14,16 +14,16 @@ from typing import Any
 import pytest
 
 from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from polishd.drivers.handover.recorded import Recorded, RecordedDelivery
 from polishd.hooks.loader import load_plugins
-from polishd.model.events import JobFinished
-from polishd.ports.tap import Passed, Way, heard_by, talking_to
+from polishd.model.events import RunFolderCompleted
+from polishd.ports.tap import Way, WireMessage, record_received, record_sent
 from polishd.ports.wire_file import header_line, passed_line
 from polishd.workbench.studies.case import Case
-from polishd.workbench.studies.children import Answer
-from polishd.workbench.studies.engine import Done
-from polishd.workbench.studies.kept import Kept
+from polishd.workbench.studies.children import CaseResult
+from polishd.workbench.studies.engine import FinishedCase
+from polishd.workbench.studies.kept import ResultStore
 from tests.fakes.handover import PROFILE, Direct, FakePlc, cycling
 
 ROOT = Path(__file__).parents[2]
@@ -141,7 +141,7 @@ def test_the_plugin_of_the_readme(install: Any, capsys: pytest.CaptureFixture[st
     names: dict[str, Any] = {}
     one.run(names)
     assert len(names["polishd_check_plan"](None, None)) == (names["date"].today().weekday() >= 5)
-    names["polishd_on_event"](JobFinished(run_dir="runs/1", outcome="in_tolerance"))
+    names["polishd_on_event"](RunFolderCompleted(run_dir="runs/1", outcome="in_tolerance"))
     assert capsys.readouterr().out == "in_tolerance runs/1\n"
 
 
@@ -168,7 +168,7 @@ async def test_a_recording_of_a_driver_of_ones_own(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     asked: list[tuple[Way, bytes]] = [("out", b"?\n"), ("in", b"0.0 0.0 0.0 up 1\n")]
     said: list[tuple[Way, bytes]] = [("open", b""), *asked, *asked, ("end", b"")]
-    record(tmp_path, [Passed(at * 0.1, "actuator", "tcp://h:1", way, data) for at, (way, data) in enumerate(said)])
+    record(tmp_path, [WireMessage(at * 0.1, "actuator", "tcp://h:1", way, data) for at, (way, data) in enumerate(said)])
     names: dict[str, Any] = {}
     EXAMPLES["docs/recording.md"][0].run(names)
     await names["test_the_case_of_monday"](tmp_path)
@@ -176,7 +176,7 @@ async def test_a_recording_of_a_driver_of_ones_own(tmp_path: Path, monkeypatch: 
 
 async def test_a_recording_of_a_controller_that_loads_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    fake, heard = FakePlc(tmp_path), list[Passed]()
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
     await _opened(fake, heard)
     record(tmp_path, heard)
     names: dict[str, Any] = {}
@@ -184,17 +184,17 @@ async def test_a_recording_of_a_controller_that_loads_files(tmp_path: Path, monk
     await names["test_the_case_of_tuesday"]()
 
 
-async def _opened(fake: FakePlc, heard: list[Passed]) -> None:
+async def _opened(fake: FakePlc, heard: list[WireMessage]) -> None:
     place = RecordedDelivery(Folder(fake.folder), "ftp://plc/programs")
-    robot = Handover("PLC", PROFILE, lambda: Recorded(Direct(fake), "opc.tcp://plc:4840", place), place)
-    with heard_by(heard.append), talking_to("robot"):
+    robot = PlcRobot("PLC", PROFILE, lambda: Recorded(Direct(fake), "opc.tcp://plc:4840", place), place)
+    with record_received(heard.append), record_sent("robot"):
         async with cycling(fake):
             await robot.open()
             assert (await robot.status()).ready
             await robot.close()
 
 
-def record(folder: Path, heard: list[Passed]) -> None:
+def record(folder: Path, heard: list[WireMessage]) -> None:
     """Write what passed as the file of the page's examples."""
     lines = header_line("0", "cell", "", {}) + b"".join(passed_line(one, heard[0].at_s) for one in heard)
     (folder / "case.wire.jsonl.gz").write_bytes(gzip.compress(lines))
@@ -205,11 +205,11 @@ def test_the_table_of_a_study(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "DIR").mkdir()
-    kept, cases = Kept(tmp_path / "DIR"), [Case(at, at, {}, "nothing", "exact", at, str(at)) for at in range(4)]
+    kept, cases = ResultStore(tmp_path / "DIR"), [Case(at, at, {}, "nothing", "exact", at, str(at)) for at in range(4)]
     came = [(True, 4.0, ""), (False, 6.0, ""), (True, 8.0, ""), (None, None, "the plant ended")]
     for case, (accepted, rms_nm, error) in zip(cases, came, strict=True):
         rows = () if error else ({"accepted": accepted, "true_rms_end_nm": rms_nm},)
-        kept.add(Done(case, Answer(case.number, rows, error, 2.0, 1.0), 1))
+        kept.add(FinishedCase(case, CaseResult(case.number, rows, error, 2.0, 1.0), 1))
     kept.merge(cases, "text")
     (one,) = EXAMPLES["docs/studies.md"]
     one.run({})

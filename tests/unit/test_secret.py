@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.door.users import Role, Users
+from polishd.door.users import Role, UserFile
 from polishd.model.errors import ConfigError
 from polishd.secret import environment_without_secrets, read_secret, require_private
 
@@ -41,7 +41,7 @@ def test_what_to_run_takes_nothing_from_the_owner(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", OPEN)
 def test_users_whom_others_could_add_or_read_are_refused(tmp_path: Path, mode: int) -> None:
-    users = Users(tmp_path / "web-users.json")
+    users = UserFile(tmp_path / "web-users.json")
     token = users.add("anna", Role.WATCH)
     users.path.chmod(mode)
     with pytest.raises(ConfigError, match=r"Run: chmod 600 "):

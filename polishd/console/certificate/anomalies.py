@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from polishd.console.certificate.model import Anomaly
 from polishd.console.certificate.passes import at
-from polishd.console.certificate.sources import Row, Run
+from polishd.console.certificate.sources import CertificateRun, Row
 from polishd.show import words
 
 TOLD = {"gate_stopped": "stop", "signal_wrong": "what", "found": "what"}
@@ -18,7 +18,7 @@ AGAIN = ("failed", "held")
 NOTHING = "nothing is recorded"
 
 
-def anomalies_of(run: Run) -> list[Anomaly]:
+def anomalies_of(run: CertificateRun) -> list[Anomaly]:
     """In time order: alarms, holds, faults, orders of a person, interrupted passes; nothing for a job without any."""
     outcome = words.text(run.rows.job["outcome"]).replace("_", " ")
     found = [*of_events(run.rows.events, f"the job ended: {outcome}" if outcome else ""), *_of_passes(run)]
@@ -70,7 +70,7 @@ def _answer(later: Sequence[Row]) -> str:
     return "; ".join(said)
 
 
-def _of_passes(run: Run) -> Iterator[Anomaly]:
+def _of_passes(run: CertificateRun) -> Iterator[Anomaly]:
     """Of each that did not come to its end, how much of it was executed, and the map that followed."""
     rows, maps = run.folder.rows(), {row["cycle"]: row for row in run.rows.maps}
     for done in run.rows.passes:

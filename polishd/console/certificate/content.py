@@ -16,8 +16,8 @@ from polishd import __version__
 from polishd.console.certificate import model
 from polishd.console.certificate.anomalies import anomalies_of
 from polishd.console.certificate.passes import at, passes_of
-from polishd.console.certificate.sources import Row, Run, sha256_of
-from polishd.console.certificate.surfaces import Found, Remaker, as_one_source, profile_of
+from polishd.console.certificate.sources import CertificateRun, Row, sha256_of
+from polishd.console.certificate.surfaces import MapReconstructor, ReconstructedMap, as_one_source, profile_of
 from polishd.console.certificate.verdict import uncertainty_of, verdict_of
 from polishd.show import words
 
@@ -28,7 +28,7 @@ LEFT_ASIDE = ("report.html", "pictures")
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class CertificateRequest:
     """What is said on the command line."""
 
     operator: str = ""
@@ -40,19 +40,21 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class CertificateDraft:
     """What a certificate says, and what its pictures are drawn of."""
 
     content: model.Content
-    run: Run
-    before: Found | None
-    after: Found | None
+    run: CertificateRun
+    before: ReconstructedMap | None
+    after: ReconstructedMap | None
     wavelength_nm: float
 
 
-def content_of(run: Run, asked: Asked, now: datetime | None = None) -> Drawn:
+def certificate_content(
+    run: CertificateRun, asked: CertificateRequest, now: datetime | None = None
+) -> CertificateDraft:
     """Everything that the certificate of a run says; ConfigError where the run cannot be certified."""
-    remaker = Remaker(run, asked.wavelength_nm)
+    remaker = MapReconstructor(run, asked.wavelength_nm)
     before, after = (_remade(remaker, row) for row in (run.rows.maps[0], run.rows.maps[-1]))
     reach, why_not = _reach(run, before, after)
     content = model.Content(
@@ -77,22 +79,22 @@ def content_of(run: Run, asked: Asked, now: datetime | None = None) -> Drawn:
         journal=_journal(run),
         left_out=[_short(run, reason) for reason in (*remaker.left_out, *why_not, *run.folder.missing)],
     )
-    return Drawn(content, run, before, after, asked.wavelength_nm)
+    return CertificateDraft(content, run, before, after, asked.wavelength_nm)
 
 
-def _remade(remaker: Remaker, row: Row) -> Found | None:
+def _remade(remaker: MapReconstructor, row: Row) -> ReconstructedMap | None:
     found = remaker.surface(row)
     return None if found is None else as_one_source(found, row["stats"])
 
 
-def _number(run: Run) -> str:
+def _number(run: CertificateRun) -> str:
     """Of the job, the day of its end, and its journal: another run cannot have it."""
     job = run.rows.job
     day = at(job["ended"] or run.rows.maps[-1]["taken"])
     return f"{job['name']}-{day:%Y%m%d}-{run.rows.sha256[:8]}"
 
 
-def _part(run: Run, asked: Asked) -> model.PartFacts:
+def _part(run: CertificateRun, asked: CertificateRequest) -> model.PartFacts:
     terms, job = run.rows.terms, run.rows.job
     return model.PartFacts(
         id=job["part_id"],
@@ -120,7 +122,7 @@ def _form(terms: Row) -> str:
     return f"{form}; less the map {nominal['file']} (sha256 {nominal['sha256'][:12]}…)" if nominal else form
 
 
-def _instrument(run: Run, after: Found | None) -> model.InstrumentFacts:
+def _instrument(run: CertificateRun, after: ReconstructedMap | None) -> model.InstrumentFacts:
     profile = profile_of(run)
     record = None if profile is None else profile.instrument.commissioned
     return model.InstrumentFacts(
@@ -133,7 +135,7 @@ def _instrument(run: Run, after: Found | None) -> model.InstrumentFacts:
     )
 
 
-def _aperture(run: Run, after: Found | None) -> model.Aperture:
+def _aperture(run: CertificateRun, after: ReconstructedMap | None) -> model.CertificateAperture:
     terms, last = run.rows.terms, run.rows.maps[-1]
     surface = run.surface(last["cycle"])
     inside = 0 if surface is None else int(np.count_nonzero(surface.metric_mask))
@@ -143,7 +145,7 @@ def _aperture(run: Run, after: Found | None) -> model.Aperture:
         f"less a rim of {terms['part.edge_mm']:g} mm, as the first map showed it, the same for all maps; "
         f"{REMOVED[terms['part.alignment']]} removed by least squares over it."
     )
-    return model.Aperture(
+    return model.CertificateAperture(
         words=words_,
         pitch_mm=None if after is None else after.pitch_mm,
         samples=last["stats"]["samples"],
@@ -153,12 +155,12 @@ def _aperture(run: Run, after: Found | None) -> model.Aperture:
     )
 
 
-def _measurements(run: Run) -> Iterator[model.Measurement]:
+def _measurements(run: CertificateRun) -> Iterator[model.CertificateMeasurement]:
     rows = run.folder.rows()
     for index, row in enumerate(run.rows.maps):
         stats = row["stats"]
         lies = stats.get("registration") or {"by": "none", "shift_mm": (0.0, 0.0), "rotation_deg": 0.0}
-        yield model.Measurement(
+        yield model.CertificateMeasurement(
             cycle=row["cycle"],
             name=words.measurement(rows, index),
             taken=at(row["taken"]),
@@ -167,12 +169,16 @@ def _measurements(run: Run) -> Iterator[model.Measurement]:
             lsf_period_mm=run.rows.terms["job.lsf_period_mm"],
             band_rms_nm=stats.get("band_rms_nm"),
             lines=[model.Judgement.model_validate(line) for line in stats.get("judged") or ()],
-            registration=model.Registration(**{key: lies[key] for key in ("by", "shift_mm", "rotation_deg")}),
+            registration=model.CertificateRegistration(
+                **{key: lies[key] for key in ("by", "shift_mm", "rotation_deg")}
+            ),
             notes=[words.text(note) for note in stats.get("notes") or ()],
         )
 
 
-def _changes(run: Run, before: Found | None, after: Found | None) -> list[model.Change]:
+def _changes(
+    run: CertificateRun, before: ReconstructedMap | None, after: ReconstructedMap | None
+) -> list[model.FigureChange]:
     """Rows of the paper's Table V: of the journal PV, RMS and LSF; the shorter bands as far as the maps show them."""
     first, last = run.rows.maps[0]["stats"], run.rows.maps[-1]["stats"]
     lsf_mm = run.rows.terms["job.lsf_period_mm"]
@@ -185,12 +191,14 @@ def _changes(run: Run, before: Found | None, after: Found | None) -> list[model.
                 to = "" if now["to_mm"] is None else f" to {now['to_mm']:g} mm"
                 pairs.append((f"{now['name']}, below {now['from_mm']:g} mm{to}", was["rms_nm"], now["rms_nm"]))
     return [
-        model.Change(figure=name, before_nm=was, after_nm=now, change=now / was - 1 if was > 0 else None)
+        model.FigureChange(figure=name, before_nm=was, after_nm=now, change=now / was - 1 if was > 0 else None)
         for name, was, now in pairs
     ]
 
 
-def _reach(run: Run, before: Found | None, after: Found | None) -> tuple[model.Reach | None, Sequence[str]]:
+def _reach(
+    run: CertificateRun, before: ReconstructedMap | None, after: ReconstructedMap | None
+) -> tuple[model.CorrectableRange | None, Sequence[str]]:
     """What no dwell could remove, of the same surfaces as all figures; or why that is not known."""
     told = [done["facts"]["certificate"].get("cutoff_period_mm") for done in run.rows.passes]
     known = [cutoff for cutoff in told if cutoff]
@@ -204,14 +212,16 @@ def _reach(run: Run, before: Found | None, after: Found | None) -> tuple[model.R
     cutoff = min(known)
     if cutoff <= 2 * after.pitch_mm:
         return None, [f"what no dwell could remove: periods below {cutoff:.3g} mm are shorter than the map shows"]
-    reach = model.Reach(cutoff_period_mm=cutoff, before_nm=before.beyond_nm(cutoff), after_nm=after.beyond_nm(cutoff))
+    reach = model.CorrectableRange(
+        cutoff_period_mm=cutoff, before_nm=before.beyond_nm(cutoff), after_nm=after.beyond_nm(cutoff)
+    )
     return reach, ()
 
 
-def _surface(found: Found) -> model.Surface:
+def _surface(found: ReconstructedMap) -> model.CertificateSurface:
     answer = found.reported.answer
     iso, said, fitted, slope = (answer[key] for key in ("iso10110", "indications", "zernike", "slope"))
-    return model.Surface(
+    return model.CertificateSurface(
         cycle=found.cycle,
         map_sha256=found.source.sha256,
         pv_nm=answer["pv_nm"],
@@ -221,8 +231,8 @@ def _surface(found: Found) -> model.Surface:
         zernike=None if fitted is None else model.Zernike(**_some(model.Zernike, fitted, terms=_terms(fitted))),
         iso10110=None
         if iso is None
-        else model.Iso10110(**iso, indication=said["iso10110_5"], wavefront_indication=said["iso10110_14"]),
-        slope=None if slope is None else model.Slope(**_some(model.Slope, slope)),
+        else model.CertificateIso10110(**iso, indication=said["iso10110_5"], wavefront_indication=said["iso10110_14"]),
+        slope=None if slope is None else model.CertificateSlope(**_some(model.CertificateSlope, slope)),
         wavelength_nm=answer["wavelength_nm"],
     )
 
@@ -236,7 +246,7 @@ def _some(kind: type[model.Facts], facts: Row, **others: Any) -> dict[str, Any]:
     return {key: facts[key] for key in kind.model_fields if key in facts} | others
 
 
-def _versions(run: Run) -> dict[str, str]:
+def _versions(run: CertificateRun) -> dict[str, str]:
     return {
         "polished by polishd": words.text(run.folder.summary.get("version")) or "not recorded",
         "certified by polishd": __version__,
@@ -246,23 +256,23 @@ def _versions(run: Run) -> dict[str, str]:
     }
 
 
-def _files(run: Run) -> Iterator[model.File]:
+def _files(run: CertificateRun) -> Iterator[model.File]:
     for path in sorted(run.path.rglob("*")):
         name = path.relative_to(run.path).as_posix()
         if path.is_file() and not path.name.startswith(".") and name.partition("/")[0] not in LEFT_ASIDE:
             yield model.File(name=name, bytes=path.stat().st_size, sha256=sha256_of(path))
 
 
-def _journal(run: Run) -> model.JournalFacts:
+def _journal(run: CertificateRun) -> model.JournalFacts:
     events = [
-        model.Event(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_plain(row["data"]))
+        model.CertificateEvent(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_plain(row["data"]))
         for row in run.rows.events
         if row["name"] != "progress"
     ]
     return model.JournalFacts(sha256=run.rows.sha256, rows=dict(run.rows.counts), events=events)
 
 
-def _short(run: Run, reason: str) -> str:
+def _short(run: CertificateRun, reason: str) -> str:
     """Without the folder in which the run lies: that is nobody's business outside the shop."""
     return reason.replace(f"{run.path}/", "")
 

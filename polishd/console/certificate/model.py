@@ -58,7 +58,7 @@ class Judgement(Facts):
     holds: bool
 
 
-class Verdict(Facts):
+class CertificateVerdict(Facts):
     """Whether the part is what its drawing wants."""
 
     state: State
@@ -99,7 +99,7 @@ class Uncertainty(Facts):
     statements: list[str]
 
 
-class Aperture(Facts):
+class CertificateAperture(Facts):
     """Which samples the figures are of: of all surfaces alike."""
 
     words: str
@@ -110,7 +110,7 @@ class Aperture(Facts):
     metric_samples: int = Field(description="of the process grid in the clear aperture")
 
 
-class Registration(Facts):
+class CertificateRegistration(Facts):
     """Where the part lay in a map."""
 
     by: str
@@ -118,7 +118,7 @@ class Registration(Facts):
     rotation_deg: float
 
 
-class Measurement(Facts):
+class CertificateMeasurement(Facts):
     """A map of the part."""
 
     cycle: int
@@ -133,11 +133,11 @@ class Measurement(Facts):
     samples: int
     spikes: int
     lines: list[Judgement]
-    registration: Registration
+    registration: CertificateRegistration
     notes: list[str]
 
 
-class Change(Facts):
+class FigureChange(Facts):
     """A row of the comparison of before and after: those of Table V of the paper."""
 
     figure: str
@@ -146,7 +146,7 @@ class Change(Facts):
     change: float | None = Field(description="after / before - 1; null: there was nothing before")
 
 
-class Reach(Facts):
+class CorrectableRange(Facts):
     """What no dwell with the tool could remove."""
 
     cutoff_period_mm: float = Field(
@@ -193,7 +193,7 @@ class Zernike(Facts):
     terms: list[ZernikeTerm]
 
 
-class Iso10110(Facts):
+class CertificateIso10110(Facts):
     """ISO 10110-5:2015, in nm of surface."""
 
     a_nm: float
@@ -206,7 +206,7 @@ class Iso10110(Facts):
     wavefront_indication: str = Field(description="ISO 10110-14:2018, of one reflection")
 
 
-class Slope(Facts):
+class CertificateSlope(Facts):
     """Slope over the integration length."""
 
     integration_mm: float
@@ -214,7 +214,7 @@ class Slope(Facts):
     max_urad: float
 
 
-class Surface(Facts):
+class CertificateSurface(Facts):
     """All figures of one map, over the clear aperture of its own samples, less what is alignment."""
 
     cycle: int
@@ -224,12 +224,12 @@ class Surface(Facts):
     bands: list[Band] | None
     psd: Psd | None
     zernike: Zernike | None
-    iso10110: Iso10110 | None
-    slope: Slope | None
+    iso10110: CertificateIso10110 | None
+    slope: CertificateSlope | None
     wavelength_nm: float
 
 
-class Planned(Facts):
+class PassPlan(Facts):
     """What a pass was planned to do."""
 
     dwell_s: float
@@ -240,7 +240,7 @@ class Planned(Facts):
     blocks: int
 
 
-class Done(Facts):
+class PassExecution(Facts):
     """What it did."""
 
     how: Literal["done", "interrupted", "begun"]
@@ -252,7 +252,7 @@ class Done(Facts):
     rpm: float | None
 
 
-class Taught(Facts):
+class PassEstimate(Facts):
     """What the map after it told of it."""
 
     measured_rms_nm: float | None = Field(description="of the next map; null: none was taken")
@@ -262,7 +262,7 @@ class Taught(Facts):
     notes: list[str]
 
 
-class Pass(Facts):
+class CertificatePass(Facts):
     """A pass; one that was interrupted has no number."""
 
     name: str
@@ -271,9 +271,9 @@ class Pass(Facts):
     tool: str
     begun: datetime
     ended: datetime | None
-    planned: Planned
-    did: Done
-    taught: Taught
+    planned: PassPlan
+    did: PassExecution
+    taught: PassEstimate
 
 
 class Anomaly(Facts):
@@ -293,7 +293,7 @@ class File(Facts):
     sha256: str
 
 
-class Event(Facts):
+class CertificateEvent(Facts):
     """A row of the journal's events."""
 
     at: datetime
@@ -307,7 +307,7 @@ class JournalFacts(Facts):
 
     sha256: str = Field(description="of its rows: docs/certificate.md says how")
     rows: dict[str, int] = Field(description="by table")
-    events: list[Event] = Field(description="all but progress")
+    events: list[CertificateEvent] = Field(description="all but progress")
 
 
 class PdfFacts(Facts):
@@ -343,16 +343,16 @@ class Content(Facts):
     issued: datetime
     issuer: Issuer
     part: PartFacts
-    verdict: Verdict
+    verdict: CertificateVerdict
     uncertainty: Uncertainty
     instrument: InstrumentFacts
-    aperture: Aperture
-    measurements: list[Measurement]
-    changes: list[Change]
-    beyond_reach: Reach | None
-    before: Surface | None
-    after: Surface | None
-    passes: list[Pass]
+    aperture: CertificateAperture
+    measurements: list[CertificateMeasurement]
+    changes: list[FigureChange]
+    beyond_reach: CorrectableRange | None
+    before: CertificateSurface | None
+    after: CertificateSurface | None
+    passes: list[CertificatePass]
     anomalies: list[Anomaly]
     versions: dict[str, str]
     files: list[File]
@@ -360,7 +360,7 @@ class Content(Facts):
     left_out: list[str]
 
 
-class Certificate(Content):
+class PartCertificate(Content):
     """The certificate of a part: the twin of a PDF."""
 
     pdf: PdfFacts
@@ -369,5 +369,5 @@ class Certificate(Content):
 
 def schema() -> dict[str, Any]:
     """JSON Schema of the twin, draft 2020-12."""
-    found = Certificate.model_json_schema(by_alias=True, mode="serialization")
+    found = PartCertificate.model_json_schema(by_alias=True, mode="serialization")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}

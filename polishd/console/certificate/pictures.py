@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from polishd.console.certificate.model import Measurement, Pass, Surface
-from polishd.console.certificate.surfaces import Found
+from polishd.console.certificate.model import CertificateMeasurement, CertificatePass, CertificateSurface
+from polishd.console.certificate.surfaces import ReconstructedMap
 from polishd.model.surface import FloatArray
 from polishd.show.sheet import Picture
 from polishd.show.style import BLUE, DIVERGING, GREEN, MUTED, NO_DATA, ORANGE, figure, png, polishd_style, ruled
@@ -22,7 +22,7 @@ SHARE = 99.5
 LEAST_NM = 1e-3
 
 
-def before_and_after(before: Found, after: Found) -> Picture:
+def before_and_after(before: ReconstructedMap, after: ReconstructedMap) -> Picture:
     """Both on the scale of the one before; then each on its own."""
     caption = (
         "Above: both maps on one colour scale, that of the map before. Below: each on its own scale. Red is high; the "
@@ -40,7 +40,7 @@ def before_and_after(before: Found, after: Found) -> Picture:
         return Picture("maps", caption, png(page, DPI))
 
 
-def spectra(before: Surface, after: Surface) -> Picture | None:
+def spectra(before: CertificateSurface, after: CertificateSurface) -> Picture | None:
     """Both PSDs; None where a map does not carry it."""
     if before.psd is None or after.psd is None:
         return None
@@ -62,7 +62,9 @@ def spectra(before: Surface, after: Surface) -> Picture | None:
         return Picture("spectra", caption, png(page, DPI), wide=False)
 
 
-def convergence(measured: Sequence[Measurement], passes: Sequence[Pass], limit_nm: float | None) -> Picture:
+def convergence(
+    measured: Sequence[CertificateMeasurement], passes: Sequence[CertificatePass], limit_nm: float | None
+) -> Picture:
     """RMS of each map, what was expected of it, and interrupted passes as broken lines."""
     caption = (
         "RMS of each map. Bars: where the map was expected in 9 of 10 cases, as its pass was planned. Dashed: a pass "
@@ -91,7 +93,7 @@ def convergence(measured: Sequence[Measurement], passes: Sequence[Pass], limit_n
         return Picture("convergence", caption, png(page, DPI))
 
 
-def _steps(ax: Axes, measured: Sequence[Measurement], passes: Sequence[Pass]) -> None:
+def _steps(ax: Axes, measured: Sequence[CertificateMeasurement], passes: Sequence[CertificatePass]) -> None:
     """From map to map, and what each whole pass was to leave."""
     by_cycle = {one.cycle: one for one in passes if one.did.how == "done"}
     label: str | None = "expected, 9 of 10"
@@ -113,7 +115,7 @@ def _limit_nm(height_nm: FloatArray) -> float:
     return max(float(np.percentile(inside, SHARE)), LEAST_NM)
 
 
-def _map(ax: Axes, found: Found, title: str, limit_nm: float) -> None:
+def _map(ax: Axes, found: ReconstructedMap, title: str, limit_nm: float) -> None:
     ny, nx = found.figure_nm.shape
     half_x, half_y = nx * found.pitch_mm / 2, ny * found.pitch_mm / 2
     ax.set_facecolor(NO_DATA)

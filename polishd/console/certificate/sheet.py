@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from polishd.console.certificate import pictures
-from polishd.console.certificate.content import Drawn
-from polishd.console.certificate.model import Content, Judgement, Pass
-from polishd.show.sheet import Chapter, Part, Sheet, Table
-from polishd.workbench.maps.files import shown
+from polishd.console.certificate.content import CertificateDraft
+from polishd.console.certificate.model import CertificatePass, Content, Judgement
+from polishd.show.sheet import Chapter, DocumentSection, ReportDocument, Table
+from polishd.workbench.maps.files import printable
 from polishd.workbench.maps.report_sheet import editions, of_detail, of_form
 
 GOOD = "in tolerance"
 
 
-def sheet(drawn: Drawn, signed_by: str) -> Sheet:
+def sheet(drawn: CertificateDraft, signed_by: str) -> ReportDocument:
     """The certificate's pages.
 
     Args:
@@ -24,13 +24,13 @@ def sheet(drawn: Drawn, signed_by: str) -> Sheet:
     content = drawn.content
     made_by = f"{content.issuer.program} {content.issuer.version}"
     chapters = [_front(content, signed_by), *_surface(drawn), _making(content), _proofs(content)]
-    return Sheet(
-        title=f"Certificate {shown(content.number)}",
+    return ReportDocument(
+        title=f"Certificate {printable(content.number)}",
         chapters=chapters,
-        footer=shown("; ".join(filter(None, (content.issuer.shop, made_by)))),
+        footer=printable("; ".join(filter(None, (content.issuer.shop, made_by)))),
         header=(
-            shown(f"Part {content.part.id}"),
-            shown(f"Certificate {content.number}, {content.issued:%Y-%m-%d}"),
+            printable(f"Part {content.part.id}"),
+            printable(f"Certificate {content.number}, {content.issued:%Y-%m-%d}"),
         ),
     )
 
@@ -61,16 +61,16 @@ def _front(content: Content, signed_by: str) -> Chapter:
     once = ["The part was measured once: before and after are one map."] if len(content.measurements) == 1 else []
     parts = [
         _specification(content),
-        Part("Signature", notes=[signed]),
-        Part("How sure", notes=[*content.uncertainty.statements, *once]),
+        DocumentSection("Signature", notes=[signed]),
+        DocumentSection("How sure", notes=[*content.uncertainty.statements, *once]),
         _changes(content),
         *_reach(content),
     ]
     words = f"{verdict.words}{interim}"
-    return Chapter(f"Certificate of part {shown(part.id)}", _shown(facts), parts, words, verdict.state == GOOD)
+    return Chapter(f"Certificate of part {printable(part.id)}", _shown(facts), parts, words, verdict.state == GOOD)
 
 
-def _specification(content: Content) -> Part:
+def _specification(content: Content) -> DocumentSection:
     first = {line.what: line for line in content.measurements[0].lines}
     rows = [(line.what, _limit(line), _value(first.get(line.what)), _value(line), *_sure(line)) for line in
             content.verdict.lines]  # fmt: skip
@@ -81,7 +81,7 @@ def _specification(content: Content) -> Part:
     }[content.uncertainty.accepted]
     decided = f"Decided by: {content.verdict.decided_by.replace('+-', '±')}." if content.verdict.decided_by else ""
     head = ("line of the drawing", "limit", "before", "after", "±, or bound", "holds")
-    return Part("Specification and verdict", [Table(head, rows)], [*filter(None, (decided,)), accepted])
+    return DocumentSection("Specification and verdict", [Table(head, rows)], [*filter(None, (decided,)), accepted])
 
 
 def _limit(line: Judgement) -> str:
@@ -97,7 +97,7 @@ def _sure(line: Judgement) -> tuple[str, str]:
     return (sure if line.bound is None else f"at most {line.bound:.3g}"), "yes" if line.holds else "no"
 
 
-def _changes(content: Content) -> Part:
+def _changes(content: Content) -> DocumentSection:
     rows = [
         (one.figure, f"{one.before_nm:.3f}", f"{one.after_nm:.3f}", _percent(one.change)) for one in content.changes
     ]
@@ -108,14 +108,14 @@ def _changes(content: Content) -> Part:
             "Fewer than three of a band's longest periods fit on this part: what lies to either side of such an edge "
             "depends on how the rim is continued. The squares of all bands add up to that of the RMS."
         )
-    return Part("Before and after, nm", [Table(("figure", "before", "after", "change"), rows)], notes)
+    return DocumentSection("Before and after, nm", [Table(("figure", "before", "after", "change"), rows)], notes)
 
 
 def _percent(change: float | None) -> str:
     return "–" if change is None else f"{100 * change:+.1f} %"
 
 
-def _reach(content: Content) -> Iterator[Part]:
+def _reach(content: Content) -> Iterator[DocumentSection]:
     reach = content.beyond_reach
     if reach is None:
         return
@@ -128,10 +128,10 @@ def _reach(content: Content) -> Iterator[Part]:
         "than before, the passes left. Of the same samples over the same aperture as all figures above; the solver's "
         "own figures, on its coarser grid, are not repeated here."
     )
-    yield Part("What no dwell could remove", [table], [note])
+    yield DocumentSection("What no dwell could remove", [table], [note])
 
 
-def _surface(drawn: Drawn) -> Iterator[Chapter]:
+def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
     content = drawn.content
     if drawn.before is None or drawn.after is None or content.before is None or content.after is None:
         return
@@ -141,11 +141,11 @@ def _surface(drawn: Drawn) -> Iterator[Chapter]:
         ("process grid: in the solve", f"{aperture.solve_samples}, {aperture.grid_pitch_mm:g} mm apart"),
         ("process grid: in the clear aperture", f"{aperture.metric_samples}"),
     ]
-    maps = Part("Before and after", (), (), [pictures.before_and_after(drawn.before, drawn.after)])
-    masks = Part("Masks", [Table((), rows)])
+    maps = DocumentSection("Before and after", (), (), [pictures.before_and_after(drawn.before, drawn.after)])
+    masks = DocumentSection("Masks", [Table((), rows)])
     yield Chapter("The surface", [], [maps, masks])
     both = pictures.spectra(content.before, content.after)
-    spectra = [] if both is None else [Part("Power spectra", (), (), [both])]
+    spectra = [] if both is None else [DocumentSection("Power spectra", (), (), [both])]
     figures = [*of_form(drawn.after.reported.answer), *of_detail(drawn.after.reported, spectrum=False)]
     yield Chapter("The surface after polishing", [], [*spectra, *figures])
 
@@ -154,7 +154,7 @@ def _making(content: Content) -> Chapter:
     limit = next((line.limit for line in content.verdict.lines if line.what == "RMS"), None)
     picture = pictures.convergence(content.measurements, content.passes, limit)
     parts = [
-        Part("From map to map", [_measurements(content)], _notes(content), [picture]),
+        DocumentSection("From map to map", [_measurements(content)], _notes(content), [picture]),
         _anomalies(content),
         *map(_pass, content.passes),
     ]
@@ -172,10 +172,10 @@ def _measurements(content: Content) -> Table:
 
 
 def _notes(content: Content) -> list[str]:
-    return [shown(f"Map {one.name}: {note}") for one in content.measurements for note in one.notes]
+    return [printable(f"Map {one.name}: {note}") for one in content.measurements for note in one.notes]
 
 
-def _pass(one: Pass) -> Part:
+def _pass(one: CertificatePass) -> DocumentSection:
     planned, did, taught = one.planned, one.did, one.taught
     force = "not known" if did.force_n is None else f"{did.force_n:.2f} N"
     speed = "" if did.rpm is None else f", {did.rpm:.0f} rpm"
@@ -193,10 +193,12 @@ def _pass(one: Pass) -> Part:
         ("program", f"SHA-256 {planned.program_sha256}"),
     ]
     title = one.name[:1].upper() + one.name[1:]
-    return Part(title, [Table((), _shown([row for row in rows if row[1]]))], [shown(note) for note in taught.notes])
+    return DocumentSection(
+        title, [Table((), _shown([row for row in rows if row[1]]))], [printable(note) for note in taught.notes]
+    )
 
 
-def _expected(one: Pass) -> str:
+def _expected(one: CertificatePass) -> str:
     low, high = one.planned.expected_low_nm, one.planned.expected_high_nm
     if low is None or high is None:
         return ""
@@ -208,7 +210,7 @@ def _share(share: float | None) -> str:
     return "" if share is None else f" in contact ({share:.0%} of the plan's)"
 
 
-def _taught(one: Pass) -> str:
+def _taught(one: CertificatePass) -> str:
     taught = one.taught
     if taught.measured_rms_nm is None:
         return "no map was taken after it"
@@ -223,16 +225,18 @@ def _taught(one: Pass) -> str:
     return said
 
 
-def _anomalies(content: Content) -> Part:
+def _anomalies(content: Content) -> DocumentSection:
     title = "What went wrong, and what was done"
     if not content.anomalies:
-        return Part(title, notes=["Nothing: no alarm, hold, fault or interrupted pass is in the journal of this job."])
+        return DocumentSection(
+            title, notes=["Nothing: no alarm, hold, fault or interrupted pass is in the journal of this job."]
+        )
     rows = [
         row
         for one in content.anomalies
         for row in ((f"{one.at:%Y-%m-%d %H:%M:%S} UTC", f"{one.kind}: {one.what}"), ("what was done", one.done))
     ]
-    return Part(title, [Table((), _shown(rows))])
+    return DocumentSection(title, [Table((), _shown(rows))])
 
 
 def _proofs(content: Content) -> Chapter:
@@ -241,21 +245,21 @@ def _proofs(content: Content) -> Chapter:
     files = [(file.name, file.sha256) for file in content.files]
     parts = [
         _instrument(content),
-        Part(
+        DocumentSection(
             "Versions",
             [Table((), list(content.versions.items()))],
             ["Of what made this certificate; what polished, where the run folder tells it."],
         ),
-        Part("Journal", [Table((), [("SHA-256 of its rows", journal.sha256), ("rows", rows)])]),
+        DocumentSection("Journal", [Table((), [("SHA-256 of its rows", journal.sha256), ("rows", rows)])]),
         editions(),
-        Part("Files of the run", [Table(("file", "SHA-256"), _shown(files))]),
+        DocumentSection("Files of the run", [Table(("file", "SHA-256"), _shown(files))]),
     ]
     if content.left_out:
-        parts.insert(0, Part("Left out of this certificate", notes=list(map(shown, content.left_out))))
+        parts.insert(0, DocumentSection("Left out of this certificate", notes=list(map(printable, content.left_out))))
     return Chapter("Instrument, versions, checksums", [], parts)
 
 
-def _instrument(content: Content) -> Part:
+def _instrument(content: Content) -> DocumentSection:
     found, rows = content.instrument, []
     if found.commissioned is not None:
         record = found.commissioned
@@ -277,8 +281,8 @@ def _instrument(content: Content) -> Part:
             f"SHA-256 {found.system_map_sha256}" if found.system_map_sha256 else "none: nothing is taken off",
         ),
     ]
-    return Part("Instrument", [Table((), _shown([fact for fact in facts if fact[1]]))])
+    return DocumentSection("Instrument", [Table((), _shown([fact for fact in facts if fact[1]]))])
 
 
 def _shown(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    return [(shown(name), shown(value)) for name, value in rows]
+    return [(printable(name), printable(value)) for name, value in rows]

@@ -14,7 +14,7 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.history import read_only
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.model.errors import ConfigError
-from polishd.plugins.run_report.folder import RunFolder, Surface, read_folder
+from polishd.plugins.run_report.folder import ReportSurface, RunFolderReader, read_folder
 
 TABLES = ("job", "map", "phase", "pass", "segment", "event")
 """Whose rows the journal's hash is of, in this order."""
@@ -49,10 +49,10 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class CertificateRun:
     """A run that can be certified."""
 
-    folder: RunFolder
+    folder: RunFolderReader
     rows: Rows
     cell: CellConfig | None
     """The cell's file, where the run was asked for by it."""
@@ -66,7 +66,7 @@ class Run:
         """The folder of a cycle."""
         return self.path / f"cycle-{number:02d}"
 
-    def surface(self, cycle: int) -> Surface | None:
+    def surface(self, cycle: int) -> ReportSurface | None:
         """A cycle's map on the process grid, with the clear aperture; None where it is not there."""
         name = self.cycle(cycle).name
         return next((one.surface for one in self.folder.cycles if one.name == name), None)
@@ -76,7 +76,7 @@ class Run:
         return next((path for path in sorted(self.cycle(cycle).glob(f"{stem}.*")) if path.is_file()), None)
 
 
-def find_run(asked: Path, job: str | None) -> Run:
+def find_run(asked: Path, job: str | None) -> CertificateRun:
     """The run of a folder, or of a cell's job.
 
     Args:
@@ -106,7 +106,7 @@ def find_run(asked: Path, job: str | None) -> Run:
     return _read(config.resolve(run_dir), config)
 
 
-def _read(path: Path, cell: CellConfig | None) -> Run:
+def _read(path: Path, cell: CellConfig | None) -> CertificateRun:
     for name in (SUMMARY, JOURNAL_NAME):
         if not (path / name).exists():
             raise ConfigError(
@@ -116,7 +116,7 @@ def _read(path: Path, cell: CellConfig | None) -> Run:
     folder = read_folder(path)
     if folder.planned or not folder.rows():
         raise ConfigError(f"{path}: holds no measurement of a job: there is nothing to certify")
-    run = Run(folder, read_rows(path), cell)
+    run = CertificateRun(folder, read_rows(path), cell)
     _require_one_truth(run)
     return run
 
@@ -168,7 +168,7 @@ def _digest(journal: sqlite3.Connection) -> tuple[str, dict[str, int]]:
     return digest.hexdigest(), counts
 
 
-def _require_one_truth(run: Run) -> None:
+def _require_one_truth(run: CertificateRun) -> None:
     """ConfigError where summary, journal and files do not tell of one and the same run."""
     rows, told = run.folder.rows(), run.rows.maps
     if len(rows) != len(told):
@@ -190,7 +190,7 @@ def _require_one_truth(run: Run) -> None:
         _require_file(run, run.path / PROFILE, named["sha256"])
 
 
-def _require_file(run: Run, path: Path | None, sha256: str) -> None:
+def _require_file(run: CertificateRun, path: Path | None, sha256: str) -> None:
     """What is there must be what the journal names. What is not there is said in the certificate."""
     if path is not None and sha256_of(path) != sha256:
         raise ConfigError(

@@ -14,19 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.profile import Profile, load_profile
-from polishd.console.certificate.sources import PROFILE, Row, Run, sha256_of
+from polishd.config.profile import InstrumentProfile, load_profile
+from polishd.console.certificate.sources import PROFILE, CertificateRun, Row, sha256_of
 from polishd.hooks.loader import load_plugins
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process import metrics
-from polishd.process.absolute import SystemMap, Told
+from polishd.process.absolute import AbsoluteTestResult, SystemMap
 from polishd.process.registration.record import Registration
 from polishd.recipe import figuring
 from polishd.recipe.encoding import record_of
 from polishd.recipe.files import read_map
 from polishd.workbench.maps.figures import figured
-from polishd.workbench.maps.report_figures import Asked, Reported, reported
+from polishd.workbench.maps.report_figures import MapReportData, MapReportOptions, reported
 
 SAME = 1e-6
 """Relative: figures that were made again from the same file may differ by so much, on another processor."""
@@ -36,11 +36,11 @@ E_LINE_NM = 546.07
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class ReconstructedMap:
     """A map with all its figures."""
 
     cycle: int
-    reported: Reported
+    reported: MapReportData
     figure_nm: FloatArray
     """(ny, nx) on the map's own samples, without what is alignment; NaN outside the clear aperture."""
     clear: BoolArray
@@ -54,23 +54,23 @@ class Found:
         return float(metrics.split_bands(self.figure_nm, self.clear, self.pitch_mm, (cutoff_mm,))[1][self.clear].std())
 
 
-def profile_of(run: Run) -> Profile | None:
+def profile_of(run: CertificateRun) -> InstrumentProfile | None:
     """The instrument's, as it was; None where the cell named none."""
     path = run.path / PROFILE
     return load_profile(path) if path.exists() else None
 
 
-class Remaker:
+class MapReconstructor:
     """Makes maps of one run again, and keeps the reasons of what cannot be."""
 
-    def __init__(self, run: Run, wavelength_nm: float) -> None:
+    def __init__(self, run: CertificateRun, wavelength_nm: float) -> None:
         self.left_out: list[str] = []
         self._run = run
         self._terms = run.rows.terms
         self._wavelength_nm = wavelength_nm
         self._readers = load_plugins(self._terms["plugins.load"]).surface_readers()
 
-    def surface(self, measured: Row) -> Found | None:
+    def surface(self, measured: Row) -> ReconstructedMap | None:
         """That measurement's map; None, with the reason kept, where it cannot be had."""
         name = f"cycle-{measured['cycle']:02d}"
         try:
@@ -84,7 +84,7 @@ class Remaker:
         self.left_out += [f"{name}: {reason}" for reason in found.reported.answer["left_out"]]
         return found
 
-    def _found(self, measured: Row) -> Found:
+    def _found(self, measured: Row) -> ReconstructedMap:
         run, cycle, stats = self._run, measured["cycle"], measured["stats"]
         path = run.file(cycle, "map")
         if path is None:
@@ -100,9 +100,9 @@ class Remaker:
         figure, clear = figuring.figure_of(clean, grid, mask, lies, alignment)
         lsf_mm = float(self._terms["job.lsf_period_mm"])
         edges = (lsf_mm, HSF_MM) if lsf_mm > HSF_MM else (lsf_mm,)
-        asked = Asked(self._wavelength_nm, "fringe", TERMS, alignment=alignment)
+        asked = MapReportOptions(self._wavelength_nm, "fringe", TERMS, alignment=alignment)
         made = reported(figured(clean.with_height(figure), 0, edges, alignment), asked)
-        return Found(cycle, made, figure, clear, clean.grid.pitch_mm, source)
+        return ReconstructedMap(cycle, made, figure, clear, clean.grid.pitch_mm, source)
 
     def _nominal(self) -> SurfaceMap | None:
         named = self._terms.get("part.nominal")
@@ -111,7 +111,7 @@ class Remaker:
         path = self._named(named["file"], named["sha256"], "the form wanted (part.nominal)")
         return read_map(path, self._readers.values())
 
-    def _system(self, profile: Profile | None, sha256: str) -> SystemMap | None:
+    def _system(self, profile: InstrumentProfile | None, sha256: str) -> SystemMap | None:
         if not sha256:
             return None
         if profile is None or profile.system is None:
@@ -120,7 +120,7 @@ class Remaker:
         surface = read_map(path, self._readers.values())
         if surface.history is None:
             raise ConfigError(f"{path}: does not say how sure its terms are")
-        return SystemMap(surface, Told.load(surface.history.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(surface.history.options["told"]))
 
     def _named(self, name: str, sha256: str, what: str) -> Path:
         """A file that lies beside the cell or its profile: found by its name, believed by its content."""
@@ -137,7 +137,7 @@ class Remaker:
         )
 
 
-def _aperture(run: Run, cycle: int) -> tuple[Grid, BoolArray]:
+def _aperture(run: CertificateRun, cycle: int) -> tuple[Grid, BoolArray]:
     """The process grid, and the clear aperture on it."""
     path = run.cycle(cycle) / "surface.npz"
     surface = run.surface(cycle)
@@ -147,7 +147,7 @@ def _aperture(run: Run, cycle: int) -> tuple[Grid, BoolArray]:
     return Grid(ny, nx, surface.pitch_mm), surface.metric_mask
 
 
-def _otherwise(found: Found, stats: Mapping[str, Any]) -> str:
+def _otherwise(found: ReconstructedMap, stats: Mapping[str, Any]) -> str:
     """In what a map that was made again is not what the journal says of it; empty where it is."""
     bands = found.reported.answer["bands"]
     made = {
@@ -164,7 +164,7 @@ def _otherwise(found: Found, stats: Mapping[str, Any]) -> str:
     return f"{'; '.join(apart)}: another polishd measured it" if apart else ""
 
 
-def as_one_source(found: Found, stats: Mapping[str, Any]) -> Found:
+def as_one_source(found: ReconstructedMap, stats: Mapping[str, Any]) -> ReconstructedMap:
     """The same with the journal's own digits of the figures that it has: no figure is told twice."""
     answer = dict(found.reported.answer)
     answer |= {key: stats[key] for key in ("rms_nm", "pv_nm")}

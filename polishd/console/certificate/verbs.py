@@ -21,14 +21,14 @@ PDF, TWIN = ".pdf", ".json"
 def certificate_verb(run: Path, asked: CertificateOptions, *, as_json: bool) -> None:
     """Make PDF and twin of a run; ConfigError where it cannot be certified, and then nothing is written."""
     from polishd.console.certificate import seal
-    from polishd.console.certificate.content import Asked, content_of
+    from polishd.console.certificate.content import CertificateRequest, certificate_content
     from polishd.console.certificate.sources import find_run
 
     twin_path = _require_new(asked.out)
     key_path, shop = _of_cell(run, asked)
     key = None if key_path is None else seal.private_key(key_path)
-    said = Asked(asked.operator, asked.customer, asked.drawing, asked.number, shop, asked.wavelength)
-    drawn = content_of(find_run(run, asked.job), _printable(said))
+    said = CertificateRequest(asked.operator, asked.customer, asked.drawing, asked.number, shop, asked.wavelength)
+    drawn = certificate_content(find_run(run, asked.job), _printable(said))
     signed_by = "" if key is None else seal.key_id(key.public_key())
     pdf, pages = _drawn(drawn, signed_by)
     digest = hashlib.sha256(pdf).hexdigest()

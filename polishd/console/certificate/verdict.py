@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from polishd.config.profile import Profile
-from polishd.console.certificate.model import Judgement, State, Uncertainty, Verdict
-from polishd.console.certificate.sources import Run
+from polishd.config.profile import InstrumentProfile
+from polishd.console.certificate.model import CertificateVerdict, Judgement, State, Uncertainty
+from polishd.console.certificate.sources import CertificateRun
 from polishd.model.tolerance import Judged, holds, judged_of, worst
 from polishd.show import words
 from polishd.show.words import VERDICTS
 
 
-def verdict_of(run: Run) -> Verdict:
+def verdict_of(run: CertificateRun) -> CertificateVerdict:
     """By the lines of the last map. Where a pass touched the part since, nobody knows."""
     judged, outcome = judged_of(run.rows.maps[-1]["stats"]), words.text(run.folder.summary.get("outcome"))
     since = [done for done in run.rows.passes if done["cycle"] >= run.rows.maps[-1]["cycle"]]
@@ -30,7 +30,7 @@ def verdict_of(run: Run) -> Verdict:
     unsure = sum(one.unsure for one in judged)
     if unsure and state != "not known":
         said += f"; of {unsure} the limit lies within its uncertainty"
-    return Verdict(
+    return CertificateVerdict(
         state=state,
         words=said,
         decided_by="" if farthest is None else str(farthest),
@@ -41,7 +41,7 @@ def verdict_of(run: Run) -> Verdict:
     )
 
 
-def uncertainty_of(run: Run, profile: Profile | None) -> Uncertainty:
+def uncertainty_of(run: CertificateRun, profile: InstrumentProfile | None) -> Uncertainty:
     """What is known of the error of the figures that decide, in sentences."""
     accepted = words.text(run.folder.summary.get("accept")) or "figure"
     judged = judged_of(run.rows.maps[-1]["stats"])
@@ -65,7 +65,7 @@ def _of_lines(judged: tuple[Judged, ...]) -> Iterator[str]:
         yield "± is by the instrument's repeatability alone, at most."
 
 
-def _of_instrument(run: Run, profile: Profile | None) -> Iterator[str]:
+def _of_instrument(run: CertificateRun, profile: InstrumentProfile | None) -> Iterator[str]:
     repeats = None if profile is None else profile.instrument.repeatability_nm
     if repeats is None:
         yield "The instrument's repeatability is not in its profile."

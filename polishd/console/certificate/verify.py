@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from pydantic import ValidationError
 
 from polishd.console.certificate import seal
-from polishd.console.certificate.model import SCHEMA, Certificate
+from polishd.console.certificate.model import SCHEMA, PartCertificate
 from polishd.model.errors import ConfigError
 
 TWIN, PDF = ".json", ".pdf"
@@ -21,7 +21,7 @@ ASK = "ask the shop for the certificate again"
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class VerificationFinding:
     """What was found of one thing."""
 
     about: str
@@ -36,7 +36,7 @@ class Verified:
     """What was found of a certificate."""
 
     number: str
-    findings: tuple[Finding, ...]
+    findings: tuple[VerificationFinding, ...]
     signer: str
     """The id of the key that was given, where it signed; else empty."""
 
@@ -75,12 +75,12 @@ def _read(twin_path: Path, asked: Path) -> bytes:
         raise ConfigError(f"{why}; name a certificate") from error
 
 
-def _parsed(path: Path, content: bytes) -> tuple[dict[str, Any], Certificate]:
+def _parsed(path: Path, content: bytes) -> tuple[dict[str, Any], PartCertificate]:
     try:
         raw = json.loads(content, parse_constant=_refused)
         if not isinstance(raw, dict) or raw.get("schema") != SCHEMA:
             raise ConfigError(f"{path}: is no certificate of this polishd (schema {SCHEMA}); name one")
-        return raw, Certificate.model_validate(raw)
+        return raw, PartCertificate.model_validate(raw)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
@@ -93,31 +93,33 @@ def _refused(name: str) -> NoReturn:
     raise ValueError(f"{name} is no number")
 
 
-def _content(path: Path, content: bytes, raw: dict[str, Any], twin: Certificate) -> Iterator[Finding]:
+def _content(path: Path, content: bytes, raw: dict[str, Any], twin: PartCertificate) -> Iterator[VerificationFinding]:
     try:
         said = seal.canonical(raw)
         same_layout = seal.written(raw) == content
     except ValueError:  # a lone surrogate, which no certificate has
         said, same_layout = b"", False
     if hashlib.sha256(said).hexdigest() != twin.seal.sha256:
-        yield Finding(
+        yield VerificationFinding(
             "content", False, f"{path.name} was changed since it was made: its checksum does not hold; {ASK}."
         )
     elif not same_layout:
-        yield Finding(
+        yield VerificationFinding(
             "content", False, f"{path.name} was written anew since it was made, with the same content; {ASK}."
         )
     else:
-        yield Finding("content", True, f"{path.name} is as its seal says: its checksum holds.")
+        yield VerificationFinding("content", True, f"{path.name} is as its seal says: its checksum holds.")
 
 
-def _signature(raw: dict[str, Any], twin: Certificate, key: Ed25519PublicKey | None) -> Iterator[Finding]:
+def _signature(
+    raw: dict[str, Any], twin: PartCertificate, key: Ed25519PublicKey | None
+) -> Iterator[VerificationFinding]:
     signature = twin.seal.signature
     if signature is None:
         words = (
             "It is not signed: its checksum tells an accident, and no author; whoever changed it could make it anew."
         )
-        yield Finding("signature", None if key is None else False, words)
+        yield VerificationFinding("signature", None if key is None else False, words)
         return
     try:
         good = seal.holds(signature, raw)
@@ -125,25 +127,29 @@ def _signature(raw: dict[str, Any], twin: Certificate, key: Ed25519PublicKey | N
         good = False
     if not good:
         words = f"Its signature does not hold: it, or what it signs, was changed since it was made; {ASK}."
-        yield Finding("signature", False, words)
+        yield VerificationFinding("signature", False, words)
     elif key is None:
         words = f"Unchanged since made, signer not known: the key {signature.key_id} made it; whose that is, only the "
-        yield Finding("signature", True, words + "shop's own public key tells (--key).")
+        yield VerificationFinding("signature", True, words + "shop's own public key tells (--key).")
     elif seal.key_id(key) != signature.key_id:
         words = f"It is signed with another key ({signature.key_id}) than the one given ({seal.key_id(key)})."
-        yield Finding("signature", False, words)
+        yield VerificationFinding("signature", False, words)
     else:
-        yield Finding("signature", True, f"Signed with the given key ({signature.key_id}), and unchanged since.")
+        yield VerificationFinding(
+            "signature", True, f"Signed with the given key ({signature.key_id}), and unchanged since."
+        )
 
 
-def _pdf(asked: Path, twin_path: Path, twin: Certificate) -> Finding:
+def _pdf(asked: Path, twin_path: Path, twin: PartCertificate) -> VerificationFinding:
     """The PDF that was named, or the one that the twin names beside it."""
     path = asked if asked != twin_path else twin_path.with_name(Path(twin.pdf.name).name)
     try:
         content = path.read_bytes()
     except OSError as error:
         right = None if asked == twin_path else False
-        return Finding("pdf", right, f"{path.name} was not looked at: {error.strerror}.")
+        return VerificationFinding("pdf", right, f"{path.name} was not looked at: {error.strerror}.")
     if hashlib.sha256(content).hexdigest() == twin.pdf.sha256:
-        return Finding("pdf", True, f"{path.name} is the PDF that was made with it, unchanged.")
-    return Finding("pdf", False, f"{path.name} was changed since it was made, or is of another certificate; {ASK}.")
+        return VerificationFinding("pdf", True, f"{path.name} is the PDF that was made with it, unchanged.")
+    return VerificationFinding(
+        "pdf", False, f"{path.name} was changed since it was made, or is of another certificate; {ASK}."
+    )

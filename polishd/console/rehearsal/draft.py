@@ -17,7 +17,7 @@ SIM_STATE = "sim"
 
 
 @dataclass(slots=True)
-class Draft:
+class RehearsalDraft:
     """A rehearsal that is being made of a cell."""
 
     config: CellConfig

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from polishd.config.device_profile import DeviceProfile
-from polishd.console.rehearsal.draft import SIM_STATE, Draft
+from polishd.console.rehearsal.draft import SIM_STATE, RehearsalDraft
 from polishd.console.rehearsal.part import require_force
 from polishd.console.rehearsal.wires import wire
 from polishd.drivers.profiled.make import address_of
 from polishd.drivers.profiled.shelf import FOLDER, profile_of
-from polishd.drivers.transport.address import SerialLine, Slcan, Tcp
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp
 
 MOST_N = 50.0
 TOUCH_MM = 5.0
@@ -25,10 +25,10 @@ CIA402_SPINDLE = {"rpm_per_unit": 0.1}
 """What the simulated drive's numbers mean."""
 
 
-def add_actuator(draft: Draft, device: str) -> None:
+def add_actuator(draft: RehearsalDraft, device: str) -> None:
     """``[actuator]``; ConfigError where it cannot press as the process asks."""
     require_force(draft, MOST_N)
-    kinds: dict[str, Callable[[Draft, str, dict[str, Any]], Mapping[str, Any]]] = {
+    kinds: dict[str, Callable[[RehearsalDraft, str, dict[str, Any]], Mapping[str, Any]]] = {
         "voice_coil_modbus": _voice_coil_modbus,
         "voice_coil_serial": _voice_coil_serial,
         "cia402_actuator": _cia402_actuator,
@@ -46,7 +46,7 @@ def add_actuator(draft: Draft, device: str) -> None:
     _add_times(draft, device, times)
 
 
-def _add_times(draft: Draft, device: str, times: Mapping[str, Any]) -> None:
+def _add_times(draft: RehearsalDraft, device: str, times: Mapping[str, Any]) -> None:
     """What the simulated one takes, and where it touches."""
     for key, usual_s, allowed in (("land_s", LANDS_S, "landing_s"), ("lift_s", LIFTS_S, "retract_s")):
         if allowed in times:
@@ -60,7 +60,7 @@ def _add_times(draft: Draft, device: str, times: Mapping[str, Any]) -> None:
         draft.instead("touch_off.position_mm", TOUCH_MM, "the simulated actuator meets the part half-way of its 10 mm")
 
 
-def _voice_coil_modbus(draft: Draft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
+def _voice_coil_modbus(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
     real = wire(draft, device, "actuator", options["address"])
     draft.put("actuator", "kind", "modbus_rtu" if isinstance(real, SerialLine) else "modbus_tcp", f"{device}.address")
     draft.put("actuator", "unit", options["unit"], draft.origin(f"{device}.unit"))
@@ -68,7 +68,7 @@ def _voice_coil_modbus(draft: Draft, device: str, options: dict[str, Any]) -> Ma
     return options
 
 
-def _voice_coil_serial(draft: Draft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
+def _voice_coil_serial(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
     address = options["address"]
     if not address.startswith("serial:"):
         draft.notes.append(
@@ -81,13 +81,13 @@ def _voice_coil_serial(draft: Draft, device: str, options: dict[str, Any]) -> Ma
     return options
 
 
-def _cia402_actuator(draft: Draft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
+def _cia402_actuator(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
     _add_can(draft, device, "actuator", options)
     _scale(draft, device, options, CIA402_ACTUATOR)
     return options
 
 
-def _actuator_profile(draft: Draft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
+def _actuator_profile(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
     profile = _add_profile(draft, device, "actuator", options)
     table: Any = profile.actuator
     given = {name: options[name] for name in ("landing_s", "retract_s", "stroke_mm") if options[name] is not None}
@@ -96,7 +96,7 @@ def _actuator_profile(draft: Draft, device: str, options: dict[str, Any]) -> Map
     return {**table.model_dump(), **given}
 
 
-def add_spindle(draft: Draft, device: str) -> None:
+def add_spindle(draft: RehearsalDraft, device: str) -> None:
     """``[spindle]``."""
     kind, options = str(draft.config.devices[device].type), draft.options(device)
     if kind in {"spindle_can", "cia402_spindle"}:
@@ -124,27 +124,27 @@ def add_spindle(draft: Draft, device: str) -> None:
         draft.put("spindle", "spin_s", spin_s, f"process.rpm in at most {WITHIN:g} x {device}.spin_s")
 
 
-def _add_baud(draft: Draft, device: str, real: object) -> None:
+def _add_baud(draft: RehearsalDraft, device: str, real: object) -> None:
     if isinstance(real, SerialLine):
         draft.put("actuator", "baud", real.baud, f"{device}.address")
 
 
-def _add_can(draft: Draft, device: str, port: str, options: Mapping[str, Any]) -> None:
+def _add_can(draft: RehearsalDraft, device: str, port: str, options: Mapping[str, Any]) -> None:
     real = wire(draft, device, port, options["address"])
-    draft.put(port, "kind", "slcan" if isinstance(real, Slcan) else "socketcand", f"{device}.address")
+    draft.put(port, "kind", "slcan" if isinstance(real, SlcanAddress) else "socketcand", f"{device}.address")
     draft.put(port, "node", options["node"], draft.origin(f"{device}.node"))
     if "eds" in options:
         draft.laid[f"{device}.eds"] = str(draft.config.resolve(options["eds"]).absolute())
 
 
-def _scale(draft: Draft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
+def _scale(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
     """The simulated drive counts in units of its own."""
     for key, value in simulated.items():
         if options[key] != value:
             draft.instead(f"{device}.{key}", value, f"is {options[key]:g} at your drive; the simulated one has its own")
 
 
-def _add_profile(draft: Draft, device: str, port: str, options: Mapping[str, Any]) -> DeviceProfile:
+def _add_profile(draft: RehearsalDraft, device: str, port: str, options: Mapping[str, Any]) -> DeviceProfile:
     """What it speaks, from a copy of its profile."""
     named = options["profile"]
     profile = profile_of(named, draft.config.base_dir)

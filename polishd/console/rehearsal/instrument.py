@@ -8,9 +8,9 @@ from pathlib import Path
 
 import tomlkit
 
-from polishd.config.document import parse_text
+from polishd.config.document import loads_toml
 from polishd.config.profile_sections import ProfileFile
-from polishd.console.rehearsal.draft import SIM_STATE, Draft
+from polishd.console.rehearsal.draft import SIM_STATE, RehearsalDraft
 from polishd.files import toml_text
 from polishd.model.outline import Circle
 
@@ -21,7 +21,7 @@ FINEST_MM, COARSEST_MM = 0.2, 1.0
 USUAL_ARTEFACT_MM = 100.0
 
 
-def add_instrument(draft: Draft, device: str) -> None:
+def add_instrument(draft: RehearsalDraft, device: str) -> None:
     """``[interferometer]``, and a copy of the cell's profile, which its artefact proves anew."""
     _add_folder(draft, device)
     shipped = (resources.files("polishd.console") / "demo_data" / PROFILE).read_text(encoding="utf-8")
@@ -31,8 +31,8 @@ def add_instrument(draft: Draft, device: str) -> None:
         text, path = shipped, Path(PROFILE)
     else:
         text = toml_text(path)
-    profile = ProfileFile.of(*parse_text(text, path))
-    example = ProfileFile.of(*parse_text(shipped, Path(PROFILE)))
+    profile = ProfileFile.of(*loads_toml(text, path))
+    example = ProfileFile.of(*loads_toml(shipped, Path(PROFILE)))
     document = tomlkit.parse(text)
     _mend(draft, document, profile)
     _add_maps(draft, profile)
@@ -47,7 +47,7 @@ def add_instrument(draft: Draft, device: str) -> None:
     draft.laid["instrument.profile"] = PROFILE
 
 
-def _add_folder(draft: Draft, device: str) -> None:
+def _add_folder(draft: RehearsalDraft, device: str) -> None:
     kind, folder = draft.config.devices[device].type, f"{SIM_STATE}/maps"
     if kind != "watched_folder":
         instead = {"type": "watched_folder", "folder": folder, "request_file": REQUEST, "stable_s": 0.3, "poll_s": 0.1}
@@ -69,7 +69,7 @@ def _add_folder(draft: Draft, device: str) -> None:
     draft.put("interferometer", "request_file", str(request), draft.origin(f"{device}.request_file"))
 
 
-def _mend(draft: Draft, document: tomlkit.TOMLDocument, profile: ProfileFile) -> None:
+def _mend(draft: RehearsalDraft, document: tomlkit.TOMLDocument, profile: ProfileFile) -> None:
     """Take out of the profile's copy what a simulated instrument cannot have, by name."""
     document.pop("commissioned", None)
 
@@ -87,7 +87,7 @@ def _mend(draft: Draft, document: tomlkit.TOMLDocument, profile: ProfileFile) ->
     _take_pitch(draft, profile, leave_out)
 
 
-def _take_pitch(draft: Draft, profile: ProfileFile, leave_out: Callable[[str, str, str], None]) -> None:
+def _take_pitch(draft: RehearsalDraft, profile: ProfileFile, leave_out: Callable[[str, str, str], None]) -> None:
     pitch_mm = profile.lateral.pitch_mm
     if pitch_mm is None:
         return
@@ -98,7 +98,7 @@ def _take_pitch(draft: Draft, profile: ProfileFile, leave_out: Callable[[str, st
         leave_out("lateral", "lateral.pitch_mm", f"simulated maps have a pitch of {room}, and say it")
 
 
-def _add_maps(draft: Draft, profile: ProfileFile) -> None:
+def _add_maps(draft: RehearsalDraft, profile: ProfileFile) -> None:
     """Arrays and numbers such that the profile puts them right."""
     turn, height = profile.orientation, profile.height
     back_deg = turn.rotation_deg if turn.mirror else -turn.rotation_deg % 360
@@ -111,7 +111,7 @@ def _add_maps(draft: Draft, profile: ProfileFile) -> None:
         draft.put("interferometer.faults", key, value, f"{origin} of instrument.profile")
 
 
-def _add_artefact(draft: Draft, profile: ProfileFile) -> None:
+def _add_artefact(draft: RehearsalDraft, profile: ProfileFile) -> None:
     if profile.artefact is None:
         return
     bumps = [bump.model_dump(exclude={"angle_deg"}) for bump in profile.artefact.bumps]

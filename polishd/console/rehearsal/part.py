@@ -9,7 +9,7 @@ import numpy as np
 from polishd.config.outline import as_keys
 from polishd.config.process import MeasuredSection
 from polishd.config.simulator import Truth
-from polishd.console.rehearsal.draft import Draft
+from polishd.console.rehearsal.draft import RehearsalDraft
 from polishd.model.process import ToolProcess
 from polishd.process.frames import rotation_from_rpy_deg
 
@@ -29,7 +29,7 @@ LONGEST_NAME = 39
 """Bytes of a part's name in the simulated instrument's files."""
 
 
-def add_part(draft: Draft, speed: float) -> None:
+def add_part(draft: RehearsalDraft, speed: float) -> None:
     """``[plant]`` and ``[truth]``."""
     part, program, job = draft.config.part, draft.config.program, draft.config.job
     if len(part.id.encode()) > LONGEST_NAME:
@@ -58,7 +58,7 @@ def add_part(draft: Draft, speed: float) -> None:
     _add_truth(draft)
 
 
-def _add_start(draft: Draft, tolerance_nm: float) -> None:
+def _add_start(draft: RehearsalDraft, tolerance_nm: float) -> None:
     """A surface that the job can polish: worse than its tolerance, and within what one pass may take off."""
     most_nm = OF_MOST_REMOVAL * draft.config.limits.max_removal_nm
     rms_nm = min(START_OVER_TOLERANCE * tolerance_nm, most_nm / PV_OVER_RMS)
@@ -67,7 +67,7 @@ def _add_start(draft: Draft, tolerance_nm: float) -> None:
     draft.put("plant", "pv_nm", round(PV_OVER_RMS * rms_nm, 3), f"{PV_OVER_RMS:g} x rms_nm")
 
 
-def _add_truth(draft: Draft) -> None:
+def _add_truth(draft: RehearsalDraft) -> None:
     """What the cell is not told: how far its machines are off what it believes."""
     machine, hidden = draft.config.machine, Truth()
     for key in ("rate", "stiffness", "drift", "force_noise", "map_noise_nm"):
@@ -80,7 +80,7 @@ def _add_truth(draft: Draft) -> None:
         draft.put("truth", "overhead_s", machine.block_overhead_s, draft.origin("machine.block_overhead_s"))
 
 
-def add_process(draft: Draft) -> None:
+def add_process(draft: RehearsalDraft) -> None:
     """``[process]``: what the tool removes."""
     process, compliance = draft.config.process, draft.config.compliance
     draft.take("process", CONTACT, "process", process)
@@ -101,7 +101,7 @@ def add_process(draft: Draft) -> None:
     _say_what_is_not_so(draft)
 
 
-def _say_what_is_not_so(draft: Draft) -> None:
+def _say_what_is_not_so(draft: RehearsalDraft) -> None:
     process, compliance, usual = draft.config.process, draft.config.compliance, ToolProcess()
     viscous = ("viscosity_mpa_s", "second_viscosity_mpa_s", "lame_mpa")
     if any(getattr(process, name) != getattr(usual, name) for name in viscous):
@@ -113,7 +113,7 @@ def _say_what_is_not_so(draft: Draft) -> None:
         )
 
 
-def add_kinematics(draft: Draft) -> None:
+def add_kinematics(draft: RehearsalDraft) -> None:
     """``[kinematics]``: the robot, and its stiffness as the cell has it calibrated."""
     section = draft.config.kinematics
     draft.config.robot_model()
@@ -130,7 +130,7 @@ def add_kinematics(draft: Draft) -> None:
             draft.put("kinematics", key, value, draft.origin(f"kinematics.{key}"))
 
 
-def home(draft: Draft) -> tuple[float, float, float, float, float]:
+def home(draft: RehearsalDraft) -> tuple[float, float, float, float, float]:
     """Over the part's centre, as high as the program may go: X Y Z A C of the program's frame."""
     program, machine = draft.config.program, draft.config.machine
     turn = rotation_from_rpy_deg(0.0, 0.0, program.rotation_deg)
@@ -140,7 +140,7 @@ def home(draft: Draft) -> tuple[float, float, float, float, float]:
     return x, y, machine.z_mm[1], 0.0, 0.0
 
 
-def most_a_deg(draft: Draft) -> float:
+def most_a_deg(draft: RehearsalDraft) -> float:
     """How far the tool leans on the part: its dip, the part's slope, and some room."""
     part = draft.config.part
     slope = 0.0
@@ -150,7 +150,7 @@ def most_a_deg(draft: Draft) -> float:
     return max(60.0, math.ceil(draft.config.process.dip_deg + slope + 15.0))
 
 
-def require_force(draft: Draft, most_n: float) -> None:
+def require_force(draft: RehearsalDraft, most_n: float) -> None:
     """ConfigError where the simulated actuator cannot press so."""
     if draft.config.process.force_n > most_n:
         raise draft.config.error("process.force_n", f"the simulated actuator presses with {most_n:g} N at most")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.console.rehearsal.draft import Draft
+from polishd.console.rehearsal.draft import RehearsalDraft
 from polishd.files import require_writable
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -21,7 +21,7 @@ def usual_folder(config: CellConfig) -> Path:
     return config.state_dir.parent / f"{config.path.stem}-rehearsal"
 
 
-def require_apart(draft: Draft, out: Path) -> None:
+def require_apart(draft: RehearsalDraft, out: Path) -> None:
     """ConfigError where the folder holds, or lies in, what the real cell writes; or where something is in it."""
     mine = out.resolve()
     for what, folder in _of_the_cell(draft):
@@ -39,7 +39,7 @@ def require_apart(draft: Draft, out: Path) -> None:
     require_writable(out)
 
 
-def _of_the_cell(draft: Draft) -> Iterator[tuple[str, Path]]:
+def _of_the_cell(draft: RehearsalDraft) -> Iterator[tuple[str, Path]]:
     config = draft.config
     yield "the state folder", config.state_dir
     if config.run_dir is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from polishd.config.controller_profile import FOLDER, ControllerProfile, load_controller_profile
 from polishd.console.demo_files import free_port
-from polishd.console.rehearsal.draft import LOOPBACK, SIM_STATE, Draft
+from polishd.console.rehearsal.draft import LOOPBACK, SIM_STATE, RehearsalDraft
 from polishd.console.rehearsal.part import home, most_a_deg
 from polishd.plain import toml
 
@@ -35,9 +35,9 @@ def speed_of(type_name: str | None) -> float:
     return SPEED.get(type_name or "", USUAL_SPEED)
 
 
-def add_robot(draft: Draft, device: str) -> None:
+def add_robot(draft: RehearsalDraft, device: str) -> None:
     """``[robot]``; ConfigError where no simulated controller reads the cell's program."""
-    kinds: dict[str, Callable[[Draft, str], None]] = {
+    kinds: dict[str, Callable[[RehearsalDraft, str], None]] = {
         "robot_link": _link,
         "linuxcnc": _linuxcnc,
         "universal_robots": _universal_robots,
@@ -55,7 +55,7 @@ def add_robot(draft: Draft, device: str) -> None:
     draft.put("robot", "home", home(draft), "over the part's centre, at the top of machine.z_mm")
 
 
-def _require_language(draft: Draft, kind: str) -> None:
+def _require_language(draft: RehearsalDraft, kind: str) -> None:
     """Only an arm of Universal Robots reads another language than G-code."""
     named = draft.config.program.format
     if kind == "universal_robots":
@@ -73,7 +73,7 @@ def _require_language(draft: Draft, kind: str) -> None:
         )
 
 
-def _link(draft: Draft, device: str) -> None:
+def _link(draft: RehearsalDraft, device: str) -> None:
     port, options = free_port(), draft.options(device)
     draft.put("robot", "kind", "link", f"{device}.type")
     draft.put("robot", "port", port, "free on this computer")
@@ -82,12 +82,12 @@ def _link(draft: Draft, device: str) -> None:
     draft.laid[f"{device}.address"] = f"tcp://{LOOPBACK}:{port}"
 
 
-def _add_window(draft: Draft) -> None:
+def _add_window(draft: RehearsalDraft) -> None:
     window = WINDOW * MOST_SPEED
     draft.put("robot", "window", window, f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}")
 
 
-def _stand_in(draft: Draft, device: str, kind: str) -> None:
+def _stand_in(draft: RehearsalDraft, device: str, kind: str) -> None:
     port = free_port()
     draft.put("robot", "kind", "link", f"stands in for {kind}")
     draft.put("robot", "port", port, "free on this computer")
@@ -97,7 +97,7 @@ def _stand_in(draft: Draft, device: str, kind: str) -> None:
     draft.plugin("rnc_robot")
 
 
-def _linuxcnc(draft: Draft, device: str) -> None:
+def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
     port, watchdog_s = free_port(), draft.options(device)["watchdog_s"]
     draft.put("robot", "kind", "linuxcnc", f"{device}.type")
     draft.put("robot", "port", port, "free on this computer")
@@ -115,7 +115,7 @@ def _linuxcnc(draft: Draft, device: str) -> None:
     )
 
 
-def _universal_robots(draft: Draft, device: str) -> None:
+def _universal_robots(draft: RehearsalDraft, device: str) -> None:
     rtde, dashboard, primary = free_port(), free_port(), free_port()
     options = draft.options(device)
     if options["tool_z"] != "into_part":
@@ -133,7 +133,7 @@ def _universal_robots(draft: Draft, device: str) -> None:
         draft.instead(f"{device}.first_register", FIRST_REGISTER, "the simulated arm is watched at that register")
 
 
-def _handover(draft: Draft, device: str) -> None:
+def _handover(draft: RehearsalDraft, device: str) -> None:
     options, port = draft.options(device), free_port()
     profile = load_controller_profile(options["profile"], draft.config.base_dir)
     usual = load_controller_profile(f"plc-{profile.link}", FOLDER)

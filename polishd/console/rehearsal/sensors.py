@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from polishd.config.signals import BoundsSection, SignalSection
-from polishd.console.rehearsal.draft import SIM_STATE, Draft
+from polishd.console.rehearsal.draft import SIM_STATE, RehearsalDraft
 from polishd.console.rehearsal.wires import wire
 from polishd.drivers.transport.address import SerialLine
 
@@ -19,7 +19,7 @@ ROOM = 0.1
 _NO_NAME = re.compile(r"[^A-Za-z0-9._-]")
 
 
-def add_loader(draft: Draft, device: str) -> None:
+def add_loader(draft: RehearsalDraft, device: str) -> None:
     """``[loader]``."""
     options = _line(draft, device, "loader", "loader_line", "loader")
     change_s = float(options.get("change_s", 120.0))
@@ -27,7 +27,7 @@ def add_loader(draft: Draft, device: str) -> None:
         draft.put("loader", key, min(usual_s, WITHIN * change_s), f"at most {WITHIN:g} x {device}.change_s")
 
 
-def add_force_sensor(draft: Draft, device: str) -> None:
+def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
     """``[force_sensor]``."""
     options = _line(draft, device, "force_sensor", "force_sensor_line", "force_sensor")
     latency_s = min(FILTER_S, float(options.get("delay_s", 0.1)) / 2)
@@ -36,7 +36,7 @@ def add_force_sensor(draft: Draft, device: str) -> None:
     draft.put("force_sensor", "range_n", most_n, "at least three times process.force_n")
 
 
-def add_monitors(draft: Draft, devices: Sequence[str]) -> None:
+def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
     """``[monitor]``: one box tells what all of the cell's monitors do, each signal well inside its bounds."""
     first, *others = devices
     _line(draft, first, "monitor", "monitor_line", "monitors")
@@ -74,7 +74,7 @@ def inside(signal: SignalSection) -> float | bool:
     return (high or 0.0) - (ROOM * abs(high or 0.0) or 1.0)
 
 
-def _line(draft: Draft, device: str, port: str, line_type: str, plugin: str) -> dict[str, Any]:
+def _line(draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str) -> dict[str, Any]:
     """A small device on a line: its own type, or that which stands in for another; its options."""
     kind = str(draft.config.devices[device].type)
     if kind != line_type:

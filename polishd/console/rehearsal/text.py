@@ -7,15 +7,15 @@ from typing import Any
 
 import tomlkit
 
-from polishd.config.cell import FILES, lay_over
-from polishd.console.rehearsal.draft import Draft
+from polishd.config.cell import FILES, overlay
+from polishd.console.rehearsal.draft import RehearsalDraft
 from polishd.plain import toml
 
 COLUMN = 45
 """In which comments begin, where a value leaves room."""
 
 
-def sim_text(draft: Draft) -> str:
+def sim_text(draft: RehearsalDraft) -> str:
     """SIM.toml."""
     lines = [
         f"# Made by polishd sim --from {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
@@ -28,12 +28,12 @@ def sim_text(draft: Draft) -> str:
     return "\n".join(lines) + "\n"
 
 
-def cell_text(draft: Draft) -> str:
+def cell_text(draft: RehearsalDraft) -> str:
     """The rehearsal's cell: the cell with its fragments laid over it, its files by absolute paths, and its changes."""
     config = draft.config
     document = tomlkit.parse(config.source.text)
     if document.pop("include", None):  # what fragments say would replace what is changed here
-        lay_over(document, {key: value for key, value in config.raw.items() if key != "include"})
+        overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
     for key, value in {**_files(draft), **draft.laid}.items():
         _set(document, key.split("."), value)
     head = (
@@ -42,7 +42,7 @@ def cell_text(draft: Draft) -> str:
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
 
 
-def _files(draft: Draft) -> dict[str, Any]:
+def _files(draft: RehearsalDraft) -> dict[str, Any]:
     """Keys of the cell that name files, with absolute paths: the rehearsal's cell lies in another folder."""
     found: dict[str, Any] = {}
     for key in FILES:

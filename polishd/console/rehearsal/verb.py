@@ -9,7 +9,7 @@ from pathlib import Path
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.simulator import load_simulator
-from polishd.console.rehearsal.draft import Draft
+from polishd.console.rehearsal.draft import RehearsalDraft
 from polishd.console.rehearsal.drives import add_actuator, add_spindle
 from polishd.console.rehearsal.instrument import PROFILE, add_instrument
 from polishd.console.rehearsal.part import add_kinematics, add_part, add_process
@@ -31,7 +31,7 @@ STATE = "state"
 ARTEFACT = "artefact.dat"
 NOTHING = ["true"]
 """A command that does nothing."""
-ONE_OF_A_PORT: dict[str, Callable[[Draft, str], None]] = {
+ONE_OF_A_PORT: dict[str, Callable[[RehearsalDraft, str], None]] = {
     "robot": add_robot,
     "actuator": add_actuator,
     "spindle": add_spindle,
@@ -104,7 +104,7 @@ def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, flo
         PluginError: a plugin that the cell names is missing or broken.
     """
     config, hooks = load_cell(cell)
-    draft, folder = gathered(config, hooks), (out or usual_folder(config)).absolute()
+    draft, folder = draft_rehearsal(config, hooks), (out or usual_folder(config)).absolute()
     for key, value in (plant or {}).items():
         draft.put("plant", key, value, f"as --{key} said")
     require_apart(draft, folder)
@@ -118,7 +118,7 @@ def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, flo
     return Rehearsal(folder / SIM, folder / own, tuple(draft.notes))
 
 
-def _write(draft: Draft, folder: Path, own: str) -> None:
+def _write(draft: RehearsalDraft, folder: Path, own: str) -> None:
     """All files; ConfigError where what is written would be no simulated cell."""
     texts = {SIM: sim_text(draft), own: cell_text(draft)}
     for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
@@ -133,9 +133,9 @@ def _write(draft: Draft, folder: Path, own: str) -> None:
     prove_profile(folder / PROFILE, folder / ARTEFACT)
 
 
-def gathered(config: CellConfig, hooks: Hooks) -> Draft:
+def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     """All of a cell that the simulator is to be; ConfigError where it cannot."""
-    draft = Draft(config, hooks)
+    draft = RehearsalDraft(config, hooks)
     used = _used(draft)
     add_part(draft, speed_of(config.devices[used["robot"]].type))
     add_process(draft)
@@ -153,7 +153,7 @@ def gathered(config: CellConfig, hooks: Hooks) -> Draft:
     return draft
 
 
-def _used(draft: Draft) -> dict[str, str]:
+def _used(draft: RehearsalDraft) -> dict[str, str]:
     """The device of each port that the job uses; of several the others are left out."""
     used = dict(draft.config.used)
     for device in draft.config.devices:
@@ -163,13 +163,13 @@ def _used(draft: Draft) -> dict[str, str]:
     return used
 
 
-def _add_folders(draft: Draft) -> None:
+def _add_folders(draft: RehearsalDraft) -> None:
     draft.laid["cell.state_dir"] = STATE
     if draft.config.run_dir is not None:
         draft.laid["cell.run_dir"] = "run"
 
 
-def _tell_nobody(draft: Draft) -> None:
+def _tell_nobody(draft: RehearsalDraft) -> None:
     """Nothing real is started or told."""
     for name, section in draft.config.between:
         if command := getattr(section, "command", ()):

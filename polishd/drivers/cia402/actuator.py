@@ -13,15 +13,15 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Literal
 
-from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, DeviceStatus, ForceSample, Identity
+from polishd.api import ActuatorTimes, DeviceFault, DeviceIdentity, DeviceRefused, DeviceStatus, ForceSample
 from polishd.drivers.cia402 import objects, states
-from polishd.drivers.cia402.axis import POLL_S, Axis, Place, Unless, describe
+from polishd.drivers.cia402.axis import POLL_S, CanNodeAddress, Cia402Drive, Unless, describe
 from polishd.drivers.cia402.codec import Address
-from polishd.drivers.cia402.contact import Contact
+from polishd.drivers.cia402.contact import ContactDetector
 from polishd.drivers.cia402.dictionary import Dictionary
-from polishd.drivers.cia402.link import DriveLink
-from polishd.drivers.cia402.states import State
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.cia402.link import CanopenConnection
+from polishd.drivers.cia402.states import DriveState402
+from polishd.drivers.transport.pace import PeriodicTimer
 
 SAMPLE_S = 0.05
 MODE_S = 0.5
@@ -88,10 +88,10 @@ class ActuatorScale:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class Cia402ActuatorReading:
     """What the drive says of itself, and what follows."""
 
-    state: State
+    state: DriveState402
     force_n: float
     position_mm: float
     touches: bool
@@ -106,7 +106,7 @@ class Reading:
             return "fault"
         if self.retracted:
             return "retracted"
-        if self.state is not State.ENABLED:
+        if self.state is not DriveState402.ENABLED:
             return "lifting"
         return "contact" if self.touches else "extended"
 
@@ -117,12 +117,14 @@ class Cia402Actuator:
     A lost link stays lost until ``open``; only ``retract`` and ``make_safe`` connect once by themselves.
     """
 
-    def __init__(self, place: Place, dictionary: Dictionary, scale: ActuatorScale, times: ActuatorTimes) -> None:
+    def __init__(
+        self, place: CanNodeAddress, dictionary: Dictionary, scale: ActuatorScale, times: ActuatorTimes
+    ) -> None:
         """ConfigError where the drive of the EDS file has no profile torque mode, or none to lift with."""
         self._scale = scale
         self._times = times
         lifts = scale.lift == "position"
-        self._axis = Axis(
+        self._axis = Cia402Drive(
             place,
             dictionary,
             modes=(objects.TORQUE_MODE, objects.POSITION_MODE) if lifts else (objects.TORQUE_MODE,),
@@ -131,7 +133,7 @@ class Cia402Actuator:
             read=(objects.TORQUE, objects.POSITION, *((objects.MODE_NOW,) if lifts else ())),
             write=(objects.TARGET_TORQUE, *((objects.TARGET_POSITION,) if lifts else ())),
         )
-        self._contact = Contact(
+        self._contact = ContactDetector(
             rest_mm=scale.rest_mm, end_mm=times.stroke_mm - scale.rest_mm, travel_mm_s=scale.travel_mm_s
         )
         self._setpoint_n = 0.0
@@ -144,7 +146,7 @@ class Cia402Actuator:
     async def open(self) -> None:
         """See Device. Also writes slopes, heartbeats and what the drive does in our absence."""
 
-        async def look(link: DriveLink) -> None:
+        async def look(link: CanopenConnection) -> None:
             wanted = abs(self._scale.torque(self._scale.max_n))
             if objects.MAX_TORQUE in self._axis.dictionary and (most := await link.read(objects.MAX_TORQUE)) < wanted:
                 raise DeviceRefused(f"{self._axis.name}: 6072h allows {most} permille, max_n takes {wanted}")
@@ -156,7 +158,7 @@ class Cia402Actuator:
         """See Device."""
         await self._axis.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         return await self._axis.identify()
 
@@ -173,11 +175,11 @@ class Cia402Actuator:
         unless = self._axis.take_over()
         await self._axis.wake(link)
         reading = await self._read(link, cared=True)
-        if force_n == 0.0 and reading.state is not State.ENABLED:
+        if force_n == 0.0 and reading.state is not DriveState402.ENABLED:
             return
         if reading.fault:
             raise DeviceRefused(f"{self._axis.name}: cannot press: {reading.detail}")
-        if self._scale.lift == "position" and reading.state is State.ENABLED:
+        if self._scale.lift == "position" and reading.state is DriveState402.ENABLED:
             await self._require_pressing(link)
         self._setpoint_n = force_n
         if force_n and not reading.touches:
@@ -187,13 +189,13 @@ class Cia402Actuator:
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
         link = self._axis.link
-        pace = Pace(SAMPLE_S)
+        pace = PeriodicTimer(SAMPLE_S)
         while True:
             reading = await self._read(link, cared=True)
             yield ForceSample(
                 at_s=time.monotonic(),
                 force_n=reading.force_n,
-                setpoint_n=self._setpoint_n if reading.state is State.ENABLED else 0.0,
+                setpoint_n=self._setpoint_n if reading.state is DriveState402.ENABLED else 0.0,
                 in_contact=reading.touches,
                 retracted=reading.retracted,
                 fault=reading.fault,
@@ -208,23 +210,23 @@ class Cia402Actuator:
     async def make_safe(self) -> None:
         """See Device. Retracts, and reads back that it is so; what a lost connection left behind is reset."""
 
-        async def calm(link: DriveLink) -> None:
+        async def calm(link: CanopenConnection) -> None:
             await self._lift(link)
             await self._axis.reset(link)
 
         await self._axis.reach(calm)
 
-    async def _land(self, link: DriveLink, force_n: float, unless: Unless) -> None:
+    async def _land(self, link: CanopenConnection, force_n: float, unless: Unless) -> None:
         """Press lightly until it has landed. The drive is enabled with no torque: it does not jump."""
         deadline = time.monotonic() + self._times.landing_s
-        if await self._axis.state(link) is not State.ENABLED:
+        if await self._axis.state(link) is not DriveState402.ENABLED:
             await link.write(objects.TARGET_TORQUE, 0, unless=unless)
             await self._axis.power_up(link, objects.TORQUE_MODE, unless, self._times.landing_s)
         lightly = self._scale.torque(min(force_n, self._scale.landing_n))
         await link.write(objects.TARGET_TORQUE, lightly, unless=unless)
         while not ((reading := await self._read(link, cared=True)).touches and self._contact.landed):
             unless()
-            if reading.fault or reading.state is not State.ENABLED:
+            if reading.fault or reading.state is not DriveState402.ENABLED:
                 raise DeviceFault(f"{self._axis.name}: {reading.detail or reading.state.value}, while landing")
             if time.monotonic() > deadline:
                 raise DeviceFault(
@@ -232,14 +234,14 @@ class Cia402Actuator:
                 )
             await asyncio.sleep(POLL_S)
 
-    async def _lift(self, link: DriveLink) -> None:
+    async def _lift(self, link: CanopenConnection) -> None:
         """Force off, then up; the current goes off once the tool is there, and at once where a spring lifts it."""
         self._axis.take_over()
         deadline = time.monotonic() + self._times.lifted_s
         self._setpoint_n = 0.0
         try:
             await link.write(objects.TARGET_TORQUE, 0, urgent=True)
-            if self._scale.lift != "spring" and await self._axis.state(link, urgent=True) is State.ENABLED:
+            if self._scale.lift != "spring" and await self._axis.state(link, urgent=True) is DriveState402.ENABLED:
                 await self._pull(link, deadline)
         except DeviceRefused as refused:
             log.warning("%s; the current goes off, and the tool is lifted without it", refused)
@@ -248,7 +250,7 @@ class Cia402Actuator:
             self._require_time(reading, deadline)
             await asyncio.sleep(POLL_S)
 
-    async def _pull(self, link: DriveLink, deadline: float) -> None:
+    async def _pull(self, link: CanopenConnection, deadline: float) -> None:
         """Lift by the motor, too, until the tool is up or the drive gives up."""
         if self._scale.lift == "torque":
             await link.write(objects.TARGET_TORQUE, self._scale.lifting_torque, urgent=True)
@@ -256,11 +258,11 @@ class Cia402Actuator:
             await self._change_to_position(link)
         while (reading := await self._read(link, cared=True)).position_mm > self._scale.rest_mm:
             self._require_time(reading, deadline)
-            if reading.state is not State.ENABLED:
+            if reading.state is not DriveState402.ENABLED:
                 return
             await asyncio.sleep(POLL_S)
 
-    async def _change_to_position(self, link: DriveLink) -> None:
+    async def _change_to_position(self, link: CanopenConnection) -> None:
         await link.write(objects.TARGET_POSITION, self._scale.rest_increments, urgent=True)
         await link.write(objects.MODE, objects.POSITION_MODE, urgent=True)
         deadline = time.monotonic() + MODE_S
@@ -272,18 +274,18 @@ class Cia402Actuator:
             await asyncio.sleep(POLL_S)
         await link.write(objects.CONTROL_WORD, states.MOVE_NOW, urgent=True)
 
-    async def _require_pressing(self, link: DriveLink) -> None:
+    async def _require_pressing(self, link: CanopenConnection) -> None:
         if (mode := await link.read(objects.MODE_NOW)) != objects.TORQUE_MODE:
             raise DeviceRefused(f"{self._axis.name}: is being lifted (mode {mode}): it can press once it is up")
 
-    def _require_time(self, reading: Reading, deadline: float) -> None:
+    def _require_time(self, reading: Cia402ActuatorReading, deadline: float) -> None:
         if time.monotonic() > deadline:
             raise DeviceFault(
                 f"{self._axis.name}: {reading.position_mm:.2f} mm out, {self._times.lifted_s:g} s after it was to "
                 f"retract ({reading.detail or reading.state.value})"
             )
 
-    async def _read(self, link: DriveLink, *, cared: bool = False) -> Reading:
+    async def _read(self, link: CanopenConnection, *, cared: bool = False) -> Cia402ActuatorReading:
         """``cared``: somebody watches the force, which the drive is told."""
         state = await self._axis.state(link)
         if cared:
@@ -291,13 +293,13 @@ class Cia402Actuator:
         force_n = self._scale.force_n(await link.read(objects.TORQUE))
         position_mm = self._scale.position_mm(await link.read(objects.POSITION))
         fault = await self._axis.fault(link, state)
-        if state is not State.ENABLED:
+        if state is not DriveState402.ENABLED:
             self._contact.reset()
-        return Reading(
+        return Cia402ActuatorReading(
             state=state,
-            force_n=force_n if state is State.ENABLED else 0.0,
+            force_n=force_n if state is DriveState402.ENABLED else 0.0,
             position_mm=position_mm,
-            touches=state is State.ENABLED and self._contact.feed(time.monotonic(), position_mm),
+            touches=state is DriveState402.ENABLED and self._contact.feed(time.monotonic(), position_mm),
             retracted=not state.drives and position_mm <= self._scale.rest_mm,
             fault=fault.code if fault else 0,
             detail=describe(fault) if fault else "",

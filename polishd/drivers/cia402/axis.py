@@ -8,13 +8,13 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
-from polishd.api import DeviceFault, DeviceRefused, Identity, LinkError, ProtocolError
+from polishd.api import DeviceFault, DeviceIdentity, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.cia402 import objects, states
-from polishd.drivers.cia402.codec import Address, Emergency
+from polishd.drivers.cia402.codec import Address, EmergencyMessage
 from polishd.drivers.cia402.dictionary import Dictionary, emergency_text
-from polishd.drivers.cia402.link import BEAT_S, DriveLink
-from polishd.drivers.cia402.states import State
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.cia402.link import BEAT_S, CanopenConnection
+from polishd.drivers.cia402.states import DriveState402
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 
 POLL_S = 0.02
 RESET_S = 0.5
@@ -29,10 +29,10 @@ Unless = Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CanNodeAddress:
     """Where the drive is, and who we are."""
 
-    bus: Slcan | Socketcand
+    bus: SlcanAddress | SocketcandAddress
     node: int
     controller: int
     """Node number of our own heartbeat; every driver on a bus has its own."""
@@ -40,12 +40,12 @@ class Place:
     watchdog_s: float
 
 
-class Axis:
+class Cia402Drive:
     """A drive. A lost link stays lost until ``open``; only ``reach`` connects by itself."""
 
     def __init__(
         self,
-        place: Place,
+        place: CanNodeAddress,
         dictionary: Dictionary,
         *,
         modes: tuple[int, ...],
@@ -73,19 +73,19 @@ class Axis:
         self._place = place
         self._modes = modes
         self._orders = 0
-        self._link: DriveLink | None = None
+        self._link: CanopenConnection | None = None
         self._opening = asyncio.Lock()
         """A serial adapter is open once only."""
 
     @property
-    def link(self) -> DriveLink:
+    def link(self) -> CanopenConnection:
         """The open one; LinkError where there is none."""
         if self._link is None:
             raise LinkError(f"{self.name}: is not open")
         self._link.check()
         return self._link
 
-    async def open(self, look: Callable[[DriveLink], Awaitable[None]]) -> None:
+    async def open(self, look: Callable[[CanopenConnection], Awaitable[None]]) -> None:
         """Connect; see that it is the drive of the EDS file; write and read back what it has to do in our absence.
 
         ``look`` is what else is to be read, and may refuse it.
@@ -110,12 +110,12 @@ class Axis:
         if link is not None:
             await link.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """Vendor, product, serial number and revision are numbers of CiA 301; 0 where the drive has none."""
         link = self.link
         known = [address in self.dictionary and await link.read(address) for address in _IDENTITY]
         vendor, product, revision, serial = map(int, known)
-        return Identity(f"0x{vendor:08x}", f"0x{product:08x}", str(serial), f"0x{revision:08x}")
+        return DeviceIdentity(f"0x{vendor:08x}", f"0x{product:08x}", str(serial), f"0x{revision:08x}")
 
     def take_over(self) -> Unless:
         """A new order: what an earlier one would still write is refused from now on.
@@ -131,7 +131,7 @@ class Axis:
 
         return overtaken
 
-    async def reach(self, act: Callable[[DriveLink], Awaitable[None]]) -> None:
+    async def reach(self, act: Callable[[CanopenConnection], Awaitable[None]]) -> None:
         """Do that on the open link; where there is none, or it is lost over it, on another one for this once."""
         if self._link is not None and self._link.alive:
             with contextlib.suppress(LinkError, ProtocolError):
@@ -146,37 +146,37 @@ class Axis:
             finally:
                 await link.close()
 
-    async def state(self, link: DriveLink, *, urgent: bool = False) -> State:
+    async def state(self, link: CanopenConnection, *, urgent: bool = False) -> DriveState402:
         """Of the power stage, by the drive's own word."""
         state = states.state_of(await link.read(objects.STATUS_WORD, urgent=urgent))
         link.driving = state.drives
         return state
 
-    async def fault(self, link: DriveLink, state: State) -> Emergency | None:
+    async def fault(self, link: CanopenConnection, state: DriveState402) -> EmergencyMessage | None:
         """What is wrong with it; None: nothing."""
         if state.failed and (link.emergency is None or link.emergency.of_connection):
             told = objects.ERROR_CODE in self.dictionary and await link.read(objects.ERROR_CODE)
-            return Emergency(told or GENERIC, 0)
+            return EmergencyMessage(told or GENERIC, 0)
         return link.emergency
 
-    async def require_sound(self, link: DriveLink, what: str) -> State:
+    async def require_sound(self, link: CanopenConnection, what: str) -> DriveState402:
         """The state; DeviceFault where something is wrong."""
         state = await self.state(link)
         if (fault := await self.fault(link, state)) is not None:
             raise DeviceFault(f"{self.name}: {what}: {describe(fault)}")
         return state
 
-    async def wake(self, link: DriveLink) -> None:
+    async def wake(self, link: CanopenConnection) -> None:
         """Before it is switched on: end what silence has left behind while it had no power."""
         if link.silent_idly:
             link.silent_idly = False
             await self.reset(link)
 
-    async def power_up(self, link: DriveLink, mode: int, unless: Unless, within_s: float) -> None:
+    async def power_up(self, link: CanopenConnection, mode: int, unless: Unless, within_s: float) -> None:
         """To operation enabled, in that mode; its target is set before. Nothing where it is enabled already."""
         deadline = time.monotonic() + within_s
         state = await self.require_sound(link, "cannot be switched on")
-        if state is State.ENABLED:
+        if state is DriveState402.ENABLED:
             return
         await link.write(objects.MODE, mode, unless=unless)
         for control, wanted in states.power_up(state):
@@ -189,26 +189,26 @@ class Axis:
                 link.beat()
                 await asyncio.sleep(POLL_S)
 
-    async def reset(self, link: DriveLink) -> None:
+    async def reset(self, link: CanopenConnection) -> None:
         """End what a lost connection has left behind, and only that: other faults are a person's business."""
         state = await self.state(link)
         fault = await self.fault(link, state)
         if fault is None or not fault.of_connection:
             return
-        if state is State.FAULT and not await self._reset_fault(link):
+        if state is DriveState402.FAULT and not await self._reset_fault(link):
             await link.reset_communication()  # as some drives ask for, once they have missed a heartbeat
             await self._tell(link)
             await self._reset_fault(link)
         if not (await self.state(link)).failed and await self._clears(link, objects.ERROR_REGISTER, 0xFF):
             link.emergency = None
 
-    async def _reset_fault(self, link: DriveLink) -> bool:
+    async def _reset_fault(self, link: CanopenConnection) -> bool:
         """Whether it has left the fault over it."""
         await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE)
         await link.write(objects.CONTROL_WORD, states.FAULT_RESET)
         return await self._clears(link, objects.STATUS_WORD, states.FAULT_BIT)
 
-    async def _clears(self, link: DriveLink, address: Address, bits: int) -> bool:
+    async def _clears(self, link: CanopenConnection, address: Address, bits: int) -> bool:
         """Whether these bits of an object are gone in a while."""
         deadline = time.monotonic() + RESET_S
         while await link.read(address) & bits:
@@ -217,18 +217,18 @@ class Axis:
             await asyncio.sleep(POLL_S)
         return True
 
-    async def _tell(self, link: DriveLink) -> None:
+    async def _tell(self, link: CanopenConnection) -> None:
         """What it has to do in our absence, and how it is to ramp."""
         link.told = True
         for address, value in self._settings.items():
             await self._settle(link, address, value)
         await link.time_heartbeats()
 
-    def _new_link(self) -> DriveLink:
+    def _new_link(self) -> CanopenConnection:
         place = self._place
-        return DriveLink(place.bus, place.node, place.controller, self.dictionary, place.silence_s)
+        return CanopenConnection(place.bus, place.node, place.controller, self.dictionary, place.silence_s)
 
-    async def _recognise(self, link: DriveLink) -> None:
+    async def _recognise(self, link: CanopenConnection) -> None:
         for address, what in ((objects.VENDOR, "vendor"), (objects.PRODUCT, "product")):
             wanted = self.dictionary[address].default if address in self.dictionary else None
             if wanted and (found := await link.read(address)) != wanted:
@@ -239,7 +239,7 @@ class Axis:
                 if not supported & 1 << mode - 1:
                     raise DeviceRefused(f"{self.name}: has no mode {mode} (6502h says {supported:#x})")
 
-    async def _settle(self, link: DriveLink, address: Address, value: int) -> None:
+    async def _settle(self, link: CanopenConnection, address: Address, value: int) -> None:
         if await link.read(address) == value:
             return
         await link.write(address, value)
@@ -248,6 +248,6 @@ class Axis:
             raise DeviceRefused(f"{self.name}: {address} ({name}) reads {found} after {value} was written to it")
 
 
-def describe(fault: Emergency) -> str:
+def describe(fault: EmergencyMessage) -> str:
     """Code and text."""
     return f"{emergency_text(fault.code)} ({fault.code:04X}h)"

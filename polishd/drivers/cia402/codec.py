@@ -45,14 +45,14 @@ class NodeState(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Heartbeat:
+class NodeHeartbeat:
     """A sign of life."""
 
     state: NodeState
 
 
 @dataclass(frozen=True, slots=True)
-class Emergency:
+class EmergencyMessage:
     """The node tells of an error; ``code`` 0x00xx: of its end."""
 
     code: int
@@ -65,7 +65,7 @@ class Emergency:
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class SdoValue:
     """A value; ``sized`` where the node says that all of it counts."""
 
     address: Address
@@ -74,22 +74,22 @@ class Read:
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class SdoWritten:
     """A value was taken."""
 
     address: Address
 
 
 @dataclass(frozen=True, slots=True)
-class Aborted:
+class SdoAborted:
     """A transfer was refused."""
 
     address: Address
     code: int
 
 
-SdoAnswer = Read | Written | Aborted
-Message = Heartbeat | Emergency | SdoAnswer
+SdoAnswer = SdoValue | SdoWritten | SdoAborted
+Message = NodeHeartbeat | EmergencyMessage | SdoAnswer
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +107,8 @@ class Request:
 
     def answered_by(self, answer: SdoAnswer) -> bool:
         """Whether it can be the answer to this: about the same object, and of the kind that was asked for."""
-        wanted = Read if self.data is None else Written
-        return answer.address == self.address and isinstance(answer, wanted | Aborted)
+        wanted = SdoValue if self.data is None else SdoWritten
+        return answer.address == self.address and isinstance(answer, wanted | SdoAborted)
 
 
 def start_node(node: int) -> CanFrame:
@@ -132,9 +132,9 @@ def decode(node: int, frame: CanFrame) -> Message | None:
     if identifier == SDO_ANSWER + node and len(data) == _SDO.size:
         return _sdo(data)
     if identifier == HEARTBEAT + node and len(data) == 1 and data[0] in tuple(NodeState):
-        return Heartbeat(NodeState(data[0]))
+        return NodeHeartbeat(NodeState(data[0]))
     if identifier == EMERGENCY + node and len(data) == _EMERGENCY.size:
-        return Emergency(*_EMERGENCY.unpack(data))
+        return EmergencyMessage(*_EMERGENCY.unpack(data))
     return None
 
 
@@ -142,9 +142,9 @@ def _sdo(data: bytes) -> SdoAnswer | None:
     specifier, index, sub, value = _SDO.unpack(data)
     address = Address(index, sub)
     if specifier in _EXPEDITED:
-        return Read(address, value[: _EXPEDITED[specifier]], sized=specifier != _SIZELESS)
+        return SdoValue(address, value[: _EXPEDITED[specifier]], sized=specifier != _SIZELESS)
     if specifier == _WRITTEN:
-        return Written(address)
+        return SdoWritten(address)
     if specifier == _ABORT:
-        return Aborted(address, int.from_bytes(value, "little"))
+        return SdoAborted(address, int.from_bytes(value, "little"))
     return None

@@ -10,7 +10,7 @@ LANDED_MM_S = 1.0
 """A tool that has landed while the robot stands is slower than that, whatever is told of how fast it travels."""
 
 
-class Contact:
+class ContactDetector:
     """Fed with positions (mm out of the tool's rest) while the tool is pressed outwards.
 
     In the air the tool travels out, as fast as the drive lets it; on the part it goes with the part. So it touches

@@ -21,7 +21,7 @@ MOST_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class DictionaryEntry:
     """A number of the drive."""
 
     name: str
@@ -39,7 +39,7 @@ class Entry:
 class Dictionary:
     """The numbers that a drive has, from its EDS file."""
 
-    def __init__(self, path: Path, entries: Mapping[Address, Entry], lines: Mapping[int, int]) -> None:
+    def __init__(self, path: Path, entries: Mapping[Address, DictionaryEntry], lines: Mapping[int, int]) -> None:
         """``lines``: where in the file each index is."""
         self._path = path
         self._entries = entries
@@ -48,7 +48,7 @@ class Dictionary:
     def __contains__(self, address: Address) -> bool:
         return address in self._entries
 
-    def __getitem__(self, address: Address) -> Entry:
+    def __getitem__(self, address: Address) -> DictionaryEntry:
         """ConfigError where the file has no such number."""
         if address not in self._entries:
             raise ConfigError(f"{self._place(address)}: it has no number {address}, which this drive is worked with")
@@ -133,7 +133,7 @@ def _lines(text: str) -> dict[int, int]:
     return {int(head[1], 16): at for at, head in enumerate(heads, start=1) if head}
 
 
-def _numbers(found: ObjectDictionary) -> Iterator[tuple[Address, Entry]]:
+def _numbers(found: ObjectDictionary) -> Iterator[tuple[Address, DictionaryEntry]]:
     from canopen.objectdictionary import ODVariable
     from canopen.objectdictionary.datatypes import INTEGER_TYPES
 
@@ -144,7 +144,7 @@ def _numbers(found: ObjectDictionary) -> Iterator[tuple[Address, Entry]]:
                 yield Address(index, variable.subindex), _entry(variable)
 
 
-def _entry(variable: ODVariable) -> Entry:
+def _entry(variable: ODVariable) -> DictionaryEntry:
     from canopen.objectdictionary.datatypes import SIGNED_TYPES
 
     bits, signed = len(variable), variable.data_type in SIGNED_TYPES
@@ -153,7 +153,7 @@ def _entry(variable: ODVariable) -> Entry:
     most = high if variable.max is None else min(high, variable.max)
     if least >= most:  # makers' tools leave both limits at 0 where there are none
         least, most = low, high
-    return Entry(
+    return DictionaryEntry(
         name=variable.name,
         size=bits // 8,
         signed=signed,

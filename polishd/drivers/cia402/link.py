@@ -9,12 +9,21 @@ from typing import Any
 
 from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.cia402 import codec, objects
-from polishd.drivers.cia402.codec import Aborted, Address, Emergency, Heartbeat, NodeState, Read, Request, SdoAnswer
+from polishd.drivers.cia402.codec import (
+    Address,
+    EmergencyMessage,
+    NodeHeartbeat,
+    NodeState,
+    Request,
+    SdoAborted,
+    SdoAnswer,
+    SdoValue,
+)
 from polishd.drivers.cia402.dictionary import Dictionary, abort_text
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
-from polishd.drivers.transport.can_nodes import Heard
+from polishd.drivers.transport.can_nodes import NodesHeard
 from polishd.drivers.transport.requests import RequestQueue
 
 OPEN_S = 1.0
@@ -27,7 +36,7 @@ def free() -> None:
     """A write that nothing forbids."""
 
 
-class DriveLink(Background):
+class CanopenConnection(Background):
     """From opening the bus to its end; never opened again.
 
     Answers bear the object's address, and a drive answers in order: the first request of a link is one that no other
@@ -36,7 +45,12 @@ class DriveLink(Background):
     """
 
     def __init__(
-        self, address: Slcan | Socketcand, node: int, controller: int, dictionary: Dictionary, silence_s: float
+        self,
+        address: SlcanAddress | SocketcandAddress,
+        node: int,
+        controller: int,
+        dictionary: Dictionary,
+        silence_s: float,
     ) -> None:
         """``silence_s`` without an answer, or without a heartbeat once these are asked for, is the link's end."""
         super().__init__(f"{address} node {node}")
@@ -45,7 +59,7 @@ class DriveLink(Background):
         self._silence_s = silence_s
         self._queue = RequestQueue(self.name)
         self._bus: CanBus | None = None
-        self._heard = Heard()
+        self._heard = NodesHeard()
         self._asked: tuple[Request, asyncio.Future[SdoAnswer]] | None = None
         self._broken: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._beat_at: float | None = None
@@ -53,7 +67,7 @@ class DriveLink(Background):
         self._booted = self._restarted = self._answered = False
         self.silent_idly = False
         """The bus or we were away while the motor had no power: that has harmed nobody."""
-        self.emergency: Emergency | None = None
+        self.emergency: EmergencyMessage | None = None
         """What the drive last told of, until somebody has seen that it is over."""
         self.told = False
         """Settings have been written: a drive that starts anew has lost them, and the link ends."""
@@ -104,7 +118,7 @@ class DriveLink(Background):
     async def read(self, address: Address, *, urgent: bool = False) -> int:
         """The value of an object. ProtocolError where the drive has no such value."""
         answer = await self._queue.ask(lambda: self._exchange(Request(address)), urgent=urgent)
-        if isinstance(answer, Read):
+        if isinstance(answer, SdoValue):
             return self._dictionary.decode(address, answer.data, sized=answer.sized)
         raise ProtocolError(f"{self.name}: {self._refusal(answer)} when it was read")
 
@@ -119,11 +133,11 @@ class DriveLink(Background):
             return await self._exchange(request)
 
         answer = await self._queue.ask(work, urgent=urgent)
-        if isinstance(answer, Aborted):
+        if isinstance(answer, SdoAborted):
             raise DeviceRefused(f"{self.name}: {self._refusal(answer)} when {value} was written")
 
     def _refusal(self, answer: SdoAnswer) -> str:
-        code = answer.code if isinstance(answer, Aborted) else 0
+        code = answer.code if isinstance(answer, SdoAborted) else 0
         name = self._dictionary[answer.address].name
         return f"{answer.address} ({name}) was refused with {code:#010x}, {abort_text(code)},"
 
@@ -178,7 +192,7 @@ class DriveLink(Background):
         if self._bus is not None:
             self._bus.send(frame)
 
-    def _told(self, emergency: Emergency) -> None:
+    def _told(self, emergency: EmergencyMessage) -> None:
         """Keep what is worst. That it is over (00xx) is looked at where it matters, not believed."""
         if emergency.of_connection and not self.driving:
             self.silent_idly = True
@@ -188,11 +202,11 @@ class DriveLink(Background):
     def _on_frame(self, frame: CanFrame) -> None:
         self._heard.add(frame)
         message = codec.decode(self._node, frame)
-        if isinstance(message, Heartbeat):
+        if isinstance(message, NodeHeartbeat):
             self._booted = self._booted or message.state is NodeState.BOOT
             self._restarted = self._restarted or (self.told and message.state is NodeState.BOOT)
             self._beat_at = time.monotonic()
-        elif isinstance(message, Emergency):
+        elif isinstance(message, EmergencyMessage):
             self._told(message)
         elif message is not None and self._asked is not None:
             request, answer = self._asked

@@ -8,13 +8,13 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from polishd.api import DeviceFault, DeviceRefused, DeviceStatus, Identity, SpeedSample, SpindleTimes
+from polishd.api import DeviceFault, DeviceIdentity, DeviceRefused, DeviceStatus, SpeedSample, SpindleTimes
 from polishd.drivers.cia402 import objects, states
-from polishd.drivers.cia402.axis import POLL_S, Axis, Place, describe
+from polishd.drivers.cia402.axis import POLL_S, CanNodeAddress, Cia402Drive, describe
 from polishd.drivers.cia402.dictionary import Dictionary
-from polishd.drivers.cia402.link import DriveLink
-from polishd.drivers.cia402.states import State
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.cia402.link import CanopenConnection
+from polishd.drivers.cia402.states import DriveState402
+from polishd.drivers.transport.pace import PeriodicTimer
 
 TOLERANCE = 0.02
 ARRIVED = 0.015
@@ -44,10 +44,10 @@ class SpindleScale:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class Cia402SpindleReading:
     """What the drive says of itself."""
 
-    state: State
+    state: DriveState402
     rpm: float
     setpoint_rpm: float
     fault: int
@@ -84,12 +84,12 @@ class Reading:
 class Cia402Spindle:
     """A Spindle. Our heartbeat goes out with what somebody reads; the drive quick-stops by itself when it stays out."""
 
-    def __init__(self, place: Place, dictionary: Dictionary, scale: SpindleScale, times: SpindleTimes) -> None:
+    def __init__(self, place: CanNodeAddress, dictionary: Dictionary, scale: SpindleScale, times: SpindleTimes) -> None:
         """ConfigError where the drive of the EDS file has no profile velocity mode."""
         self._scale = scale
         self._times = times
         self._max_rpm = 0.0
-        self._axis = Axis(
+        self._axis = Cia402Drive(
             place,
             dictionary,
             modes=(objects.VELOCITY_MODE,),
@@ -111,7 +111,7 @@ class Cia402Spindle:
     async def open(self) -> None:
         """See Device. Also writes ramps, heartbeats and what the drive does in our absence."""
 
-        async def look(link: DriveLink) -> None:
+        async def look(link: CanopenConnection) -> None:
             self._max_rpm = self._scale.max_rpm
             if objects.MAX_MOTOR_SPEED in self._axis.dictionary:
                 self._max_rpm = min(self._max_rpm, await link.read(objects.MAX_MOTOR_SPEED))
@@ -122,7 +122,7 @@ class Cia402Spindle:
         """See Device."""
         await self._axis.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         return await self._axis.identify()
 
@@ -141,7 +141,7 @@ class Cia402Spindle:
         unless = self._axis.take_over()
         deadline = time.monotonic() + self._times.spin_s
         await self._axis.wake(link)
-        if await self._axis.require_sound(link, f"cannot run at {rpm:g} rpm") is not State.ENABLED:
+        if await self._axis.require_sound(link, f"cannot run at {rpm:g} rpm") is not DriveState402.ENABLED:
             await link.write(objects.TARGET_VELOCITY, 0, unless=unless)
             await self._axis.power_up(link, objects.VELOCITY_MODE, unless, self._times.spin_s)
         await link.write(objects.TARGET_VELOCITY, self._scale.units(rpm), unless=unless)
@@ -155,7 +155,7 @@ class Cia402Spindle:
     async def samples(self) -> AsyncIterator[SpeedSample]:
         """See Spindle. Each was asked for after the one before it was taken."""
         link = self._axis.link
-        pace = Pace(SAMPLE_S)
+        pace = PeriodicTimer(SAMPLE_S)
         while True:
             reading = await self._read(link, cared=True)
             yield SpeedSample(time.monotonic(), reading.rpm, reading.setpoint_rpm, reading.fault)
@@ -164,13 +164,13 @@ class Cia402Spindle:
     async def make_safe(self) -> None:
         """See Device. Quick stop, and sees that it stands; where the link is down it connects once for that."""
 
-        async def calm(link: DriveLink) -> None:
+        async def calm(link: CanopenConnection) -> None:
             await self._stop(link)
             await self._axis.reset(link)
 
         await self._axis.reach(calm)
 
-    async def _stop(self, link: DriveLink) -> None:
+    async def _stop(self, link: CanopenConnection) -> None:
         self._axis.take_over()
         await link.write(objects.CONTROL_WORD, states.QUICK_STOP, urgent=True)
         deadline = time.monotonic() + self._times.spin_s
@@ -182,20 +182,22 @@ class Cia402Spindle:
                 )
             await asyncio.sleep(POLL_S)
 
-    def _require_running(self, reading: Reading, rpm: float, deadline: float) -> None:
-        if reading.fault or reading.state is not State.ENABLED:
+    def _require_running(self, reading: Cia402SpindleReading, rpm: float, deadline: float) -> None:
+        if reading.fault or reading.state is not DriveState402.ENABLED:
             why = reading.detail or reading.state.value
             raise DeviceFault(f"{self._axis.name}: {why}, on the way to {rpm:g} rpm")
         if time.monotonic() > deadline:
             raise DeviceFault(f"{self._axis.name}: {rpm:g} rpm not reached, {reading.rpm:g} rpm in the end")
 
-    async def _read(self, link: DriveLink, *, cared: bool = False) -> Reading:
+    async def _read(self, link: CanopenConnection, *, cared: bool = False) -> Cia402SpindleReading:
         """``cared``: somebody watches the spindle, which the drive is told."""
         state = await self._axis.state(link)
         if cared:
             link.beat()
         rpm = await link.read(objects.VELOCITY) * self._scale.rpm_per_unit
-        target = await link.read(objects.TARGET_VELOCITY) if state is State.ENABLED else 0
+        target = await link.read(objects.TARGET_VELOCITY) if state is DriveState402.ENABLED else 0
         fault = await self._axis.fault(link, state)
         setpoint_rpm = target * self._scale.rpm_per_unit
-        return Reading(state, rpm, setpoint_rpm, fault.code if fault else 0, describe(fault) if fault else "")
+        return Cia402SpindleReading(
+            state, rpm, setpoint_rpm, fault.code if fault else 0, describe(fault) if fault else ""
+        )

@@ -12,7 +12,7 @@ FAULTS = {1: "over its range", 2: "no cell connected", 4: "its converter fails"}
 _FORCE = re.compile(r"F,([0-2]),(\d{1,5}),([+-]\d{1,5}\.\d{1,4}),(\d{1,5})", re.ASCII)
 
 
-class State(IntEnum):
+class ForceSensorState(IntEnum):
     """The amplifier's states, as the wire numbers them."""
 
     MEASURING = 0
@@ -22,10 +22,10 @@ class State(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ForceSensorLineReading:
     """What the amplifier says."""
 
-    state: State
+    state: ForceSensorState
     count: int
     """Of its conversions, modulo 65536: the same again is no new reading."""
     force_n: float
@@ -37,10 +37,10 @@ class Reading:
         return ", ".join(text for bit, text in FAULTS.items() if self.fault & bit)
 
 
-def force(body: str) -> Reading:
+def force(body: str) -> ForceSensorLineReading:
     """The answer to ``F?``."""
     match = _FORCE.fullmatch(body)
     if match is None:
         raise ProtocolError(f"no answer to F?: {body!r}")
     state, count, force_n, fault = match.groups()
-    return Reading(State(int(state)), int(count), float(force_n), int(fault))
+    return ForceSensorLineReading(ForceSensorState(int(state)), int(count), float(force_n), int(fault))

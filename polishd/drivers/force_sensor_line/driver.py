@@ -8,16 +8,16 @@ from collections.abc import AsyncIterator
 
 from polishd.api import DeviceFault, DeviceStatus, SensedForce, SensorTimes
 from polishd.drivers.force_sensor_line import codec
-from polishd.drivers.force_sensor_line.codec import Reading, State
+from polishd.drivers.force_sensor_line.codec import ForceSensorLineReading, ForceSensorState
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.looking import LookingLine
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.transport.looking import ReadOnlyLineDevice
+from polishd.drivers.transport.pace import PeriodicTimer
 
 PERIOD_S = 0.02
 """Between two questions."""
 
 
-class ForceSensorLine(LookingLine):
+class ForceSensorLine(ReadOnlyLineDevice):
     """A load cell behind an amplifier."""
 
     def __init__(self, address: SerialLine | Tcp, times: SensorTimes | None = None) -> None:
@@ -38,7 +38,7 @@ class ForceSensorLine(LookingLine):
         """See ForceSensor. DeviceFault where it has one, or takes too long."""
         deadline = time.monotonic() + self._times.tare_s
         await self._order("TARE")
-        while (reading := await self._read()).state is not State.MEASURING:
+        while (reading := await self._read()).state is not ForceSensorState.MEASURING:
             if reading.fault:
                 raise DeviceFault(f"{self.name}: cannot be tared, fault {reading.fault} ({reading.faults})")
             if time.monotonic() > deadline:
@@ -47,10 +47,10 @@ class ForceSensorLine(LookingLine):
 
     async def samples(self) -> AsyncIterator[SensedForce]:
         """See ForceSensor. A conversion that was told before is none: a converter that stands gives silence."""
-        pace, last = Pace(PERIOD_S), -1
+        pace, last = PeriodicTimer(PERIOD_S), -1
         while True:
             reading = await self._read()
-            if reading.count != last and reading.state is not State.TARING:
+            if reading.count != last and reading.state is not ForceSensorState.TARING:
                 yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
             last = reading.count
             await pace.next()
@@ -60,5 +60,5 @@ class ForceSensorLine(LookingLine):
         await super()._look()
         await self._read()
 
-    async def _read(self) -> Reading:
+    async def _read(self) -> ForceSensorLineReading:
         return codec.force(await self.ask("F?"))

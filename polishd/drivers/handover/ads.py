@@ -14,9 +14,9 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from polishd.api import Identity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
 from polishd.config.controller_profile import Value, VariablesTable
-from polishd.drivers.handover.variables import Reading, of_kind, watched, written
+from polishd.drivers.handover.variables import VariableSnapshot, of_kind, watched, written
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import open_blocking
 from polishd.drivers.transport.claims import claim_address
@@ -78,19 +78,19 @@ class Ads:
         finally:
             self._claimed.release()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Variables. ADS tells no serial number and no start."""
         name, version = await self._call(lambda plc: plc.read_device_info())
         firmware = f"{version.version}.{version.revision}.{version.build}"
-        return Identity("", str(name), self._target[0], firmware)
+        return DeviceIdentity("", str(name), self._target[0], firmware)
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         """See Variables."""
         addresses = [point.address for point in self._watched.values()]
         asked_s = time.monotonic()
         found = await self._call(lambda plc: plc.read_list_by_name(addresses))
         now_s = (asked_s + time.monotonic()) / 2
-        return Reading(
+        return VariableSnapshot(
             now_s,
             {name: of_kind(point.type, found[point.address], name) for name, point in self._watched.items()},
         )

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from polishd.api import (
+    DeviceIdentity,
     DeviceRefused,
     DeviceStatus,
-    Identity,
     LinkError,
     Plan,
     ProtocolError,
@@ -18,12 +18,12 @@ from polishd.api import (
 )
 from polishd.config.controller_profile import ControllerProfile
 from polishd.drivers.handover.delivery import Delivery
-from polishd.drivers.handover.following import Following
-from polishd.drivers.handover.program_file import ProgramFile
-from polishd.drivers.handover.proof import MORE_S, Proof, dwells_s
-from polishd.drivers.handover.report import Report
+from polishd.drivers.handover.following import PlcPoller
+from polishd.drivers.handover.program_file import PlcProgramFile
+from polishd.drivers.handover.proof import MORE_S, LineCheck, dwells_s
+from polishd.drivers.handover.report import ControllerReport
 from polishd.drivers.handover.variables import Variables
-from polishd.drivers.handover.watch import Watch
+from polishd.drivers.handover.watch import PlcProgramTracker
 from polishd.drivers.transport.background import Background
 from polishd.drivers.transport.file_robot import FileRobot, Goes
 from polishd.drivers.transport.file_watch import START_S
@@ -32,7 +32,7 @@ FULL = 0.005
 """How far the feed override may be off its full value, share."""
 
 
-class Handover(FileRobot[Watch]):
+class PlcRobot(FileRobot[PlcProgramTracker]):
     """A Robot over its controller's variables. A lost link stays lost until ``open``; only ``make_safe`` connects.
 
     Never switches it on and never moves it but by a program: the rest is for the operator.
@@ -74,7 +74,7 @@ class Handover(FileRobot[Watch]):
         """See Device."""
         await self._following.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         found = await self._following.variables.identify()
         return replace(found, vendor=found.vendor or self._profile.name, boot_id=await self._current_session())
@@ -117,8 +117,8 @@ class Handover(FileRobot[Watch]):
             raise DeviceRefused(f"{self._name}: {why}. To do: see to it at the controller, then try again")
         await super().resume(until)
 
-    def _follow(self) -> Following:
-        return Following(self._name, self._make, self._profile, self._seen)
+    def _follow(self) -> PlcPoller:
+        return PlcPoller(self._name, self._make, self._profile, self._seen)
 
     def _override(self) -> float | None:
         return None if self._profile.variables.feed_override is None else self._following.last.override
@@ -126,7 +126,7 @@ class Handover(FileRobot[Watch]):
     def _moves(self) -> bool:
         return self._following.last.running
 
-    def _obstacle(self, report: Report) -> str:
+    def _obstacle(self, report: ControllerReport) -> str:
         """Why it would run nothing, or not as it should; empty where it would."""
         if "fault" in report.states:
             return report.alarm or "the controller is in fault"
@@ -142,15 +142,15 @@ class Handover(FileRobot[Watch]):
         if why := self._obstacle(self._following.last):
             raise DeviceRefused(f"{self._name}: {why}. To do: see to it at the controller, then try again")
 
-    def _watched(self, plan: Plan, blocks: int) -> Watch:
-        return Watch(plan, blocks)
+    def _watched(self, plan: Plan, blocks: int) -> PlcProgramTracker:
+        return PlcProgramTracker(plan, blocks)
 
-    async def _load(self, plan: Plan, watch: Watch) -> None:
+    async def _load(self, plan: Plan, watch: PlcProgramTracker) -> None:
         """Hand the file over, have it loaded, and see that it is."""
         following, variables = self._following, self._profile.variables
         report_s = self._profile.report_ms / 1e3 * max(following.pace, 1e-3)
         seconds = dwells_s(report_s) if plan.approach_blocks else []
-        file = ProgramFile(
+        file = PlcProgramFile(
             self._lines,
             self._stops(plan),
             self._profile.program,
@@ -164,11 +164,11 @@ class Handover(FileRobot[Watch]):
             await following.order("load")
         await self._loads(following)
         watch.file = file
-        watch.proof = Proof(file.proof, seconds, MORE_S * following.pace)
+        watch.proof = LineCheck(file.proof, seconds, MORE_S * following.pace)
         watch.start_s = START_S * following.pace
         self._session = await self._current_session()
 
-    async def _loads(self, following: Following) -> None:
+    async def _loads(self, following: PlcPoller) -> None:
         """It has the file, and waits for its start."""
         after = following.count + following.renewed
 
@@ -182,12 +182,12 @@ class Handover(FileRobot[Watch]):
             why = following.last.alarm or ("no word that it is loaded" if not seen else "the controller is in fault")
             raise DeviceRefused(f"{self._name}: the controller does not take the program: {why}")
 
-    async def _run(self, watch: Watch, goes: Goes) -> None:
+    async def _run(self, watch: PlcProgramTracker, goes: Goes) -> None:
         del watch  # one order starts it and lets it go on
         following = self._following
         await following.order("start", lambda: goes(following.last.time_s), release=True)
 
-    async def _seen(self, report: Report) -> None:
+    async def _seen(self, report: ControllerReport) -> None:
         """What the controller does is booked; a stop that nobody asked for is passed."""
         if self._watch is None:
             return
@@ -195,14 +195,14 @@ class Handover(FileRobot[Watch]):
         if self._following.free("start"):
             await self._pass_stops()
 
-    async def _reset(self, following: Following) -> None:
+    async def _reset(self, following: PlcPoller) -> None:
         if self._profile.variables.reset is None:
             return
         await following.order("reset")
         after = following.count + following.renewed
         await following.until(lambda: following.count >= after)
 
-    async def _end(self, following: Following) -> None:
+    async def _end(self, following: PlcPoller) -> None:
         await following.hold()
         await following.standstill(self._times.stop_s)
         await self._reset(following)

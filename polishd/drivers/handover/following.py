@@ -7,21 +7,21 @@ from collections.abc import Awaitable, Callable
 from typing import Literal
 
 from polishd.api import DeviceFault, LinkError
-from polishd.config.controller_profile import ControllerProfile, Order, Value, Variable
-from polishd.drivers.handover.report import Report, report_of
+from polishd.config.controller_profile import CommandVariable, ControllerProfile, Value, Variable
+from polishd.drivers.handover.report import ControllerReport, report_of
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.background import Background, Ready
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.transport.pace import PeriodicTimer
 
 OPEN_S = 10.0
 """A library is loaded, certificates are looked at."""
 BEATS = 1 << 15
 
 OrderName = Literal["start", "reset", "load"]
-OnReport = Callable[[Report], Awaitable[None]]
+OnReport = Callable[[ControllerReport], Awaitable[None]]
 
 
-class Following(Background):
+class PlcPoller(Background):
     """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
 
     def __init__(
@@ -33,7 +33,7 @@ class Following(Background):
         self._on_report = on_report
         self._look_s = profile.look_ms / 1e3
         self._variables: Variables | None = None
-        self._reports: tuple[Report, ...] = ()
+        self._reports: tuple[ControllerReport, ...] = ()
         """The last two."""
         self._began: tuple[float, float] | None = None
         """The first look: when by the controller's clock, and when by ours."""
@@ -55,7 +55,7 @@ class Following(Background):
         return self._variables
 
     @property
-    def last(self) -> Report:
+    def last(self) -> ControllerReport:
         """What the controller was doing last."""
         return self._reports[-1]
 
@@ -141,7 +141,7 @@ class Following(Background):
         return len(self._reports) > 1 and all(report.stands for report in self._reports)
 
     async def _follow(self, ready: Ready) -> None:
-        pace = Pace(self._look_s)
+        pace = PeriodicTimer(self._look_s)
         while True:
             report = report_of(self._profile.variables, await self.variables_now().read())
             self._take(report)
@@ -161,7 +161,7 @@ class Following(Background):
             raise LinkError(f"{self.name}: is not open")
         return self._variables
 
-    def _take(self, report: Report) -> None:
+    def _take(self, report: ControllerReport) -> None:
         now_s = time.monotonic()
         last = self._reports[-1] if self._reports else report
         if report.session != last.session:
@@ -189,8 +189,8 @@ class Following(Background):
         if not order.takes_back:
             await self.variables_now().write({name: order.off})
 
-    def _point(self, name: OrderName) -> Order:
+    def _point(self, name: OrderName) -> CommandVariable:
         point: Variable | None = getattr(self._profile.variables, name)
-        if not isinstance(point, Order):
+        if not isinstance(point, CommandVariable):
             raise DeviceFault(f"{self.name}: its profile has no variable {name}")
         return point

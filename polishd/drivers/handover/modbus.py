@@ -12,10 +12,10 @@ from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu import bit_message as bit
 from pymodbus.pdu import register_message as word
 
-from polishd.api import Identity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
 from polishd.config.controller_profile import Value, VariablesTable
-from polishd.drivers.handover.registers import BITS, Place, Table, place, spans
-from polishd.drivers.handover.variables import Reading, of_kind, watched, written
+from polishd.drivers.handover.registers import BITS, ModbusAddress, Table, place, spans
+from polishd.drivers.handover.variables import VariableSnapshot, of_kind, watched, written
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import cancellable
 from polishd.drivers.transport.claims import claim_address
@@ -70,18 +70,18 @@ class Modbus:
             client.close()
         self._claimed.release()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Variables. Modbus tells nothing of that."""
         await self.read()
-        return Identity("", "Modbus", self._name, "unknown")
+        return DeviceIdentity("", "Modbus", self._name, "unknown")
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         """See Variables."""
         asked_s = time.monotonic()
         found = {table: await self._read(table, *span) for table, span in self._spans.items()}
         now_s = (asked_s + time.monotonic()) / 2
         values = {name: _value(name, one, found[one.table], self._spans[one.table][0]) for name, one in self._places()}
-        return Reading(now_s, values)
+        return VariableSnapshot(now_s, values)
 
     async def write(self, values: Mapping[str, Value]) -> None:
         """See Variables."""
@@ -104,7 +104,7 @@ class Modbus:
                     f"{self._name}: the write of {name} was answered by that of another: see the server"
                 )
 
-    def _places(self) -> list[tuple[str, Place]]:
+    def _places(self) -> list[tuple[str, ModbusAddress]]:
         return list(self._watched.items())
 
     def _session(self) -> AsyncModbusTcpClient:
@@ -148,7 +148,7 @@ class Modbus:
         return answer
 
 
-def _value(name: str, one: Place, words: list[int], first: int) -> Value:
+def _value(name: str, one: ModbusAddress, words: list[int], first: int) -> Value:
     at = one.address - first
     return of_kind(one.kind, one.value(words[at : at + one.count]), name)
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from polishd.api import Identity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
 from polishd.config.controller_profile import Kind, Value, VariablesTable
-from polishd.drivers.handover.variables import Reading, of_kind, watched, written
+from polishd.drivers.handover.variables import VariableSnapshot, of_kind, watched, written
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.claims import claim_address
 from polishd.ports.address_claims import Claim
@@ -44,7 +44,7 @@ _TYPES: dict[Kind, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Papers:
+class OpcUaCertificates:
     """Certificates, in PEM or DER: ours with its key, and the one that the server must have."""
 
     certificate: Path
@@ -83,7 +83,7 @@ class OpcUa:
         user: str = "",
         password: str = "",
         *,
-        papers: Papers | None = None,
+        papers: OpcUaCertificates | None = None,
     ) -> None:
         """With ``papers`` all is signed and encrypted (Basic256Sha256), and no other server is spoken to."""
         self._url = url
@@ -130,12 +130,12 @@ class OpcUa:
             client.disconnect_socket()
         self._claimed.release()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Variables. The server's start stands for the controller's."""
         vendor, product, version, start = await self._values([VENDOR, PRODUCT, VERSION, SERVER_START])
-        return Identity(str(vendor), str(product), self._url, str(version), str(start))
+        return DeviceIdentity(str(vendor), str(product), self._url, str(version), str(start))
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         """See Variables."""
         from asyncua import ua
 
@@ -151,7 +151,7 @@ class OpcUa:
             values[name] = of_kind(self._watched[name].type, _value(answer, name), name)
             if answer.SourceTimestamp is not None and answer.ServerTimestamp is not None:
                 changed_s[name] = now_s - (answer.ServerTimestamp - answer.SourceTimestamp).total_seconds()
-        return Reading(now_s, values, changed_s)
+        return VariableSnapshot(now_s, values, changed_s)
 
     async def write(self, values: Mapping[str, Value]) -> None:
         """See Variables."""

@@ -7,13 +7,13 @@ from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 
 from polishd.api import DeviceRefused
-from polishd.config.controller_profile import Line, ProgramTable
+from polishd.config.controller_profile import LineVariable, ProgramTable
 from polishd.drivers.transport import program_file
 
 _N_WORD = re.compile(rb"\s*/?\s*N\s*(\d+)", re.IGNORECASE)
 
 
-class ProgramFile(program_file.ProgramFile):
+class PlcProgramFile(program_file.ProgramFile):
     """Before its first stop, out of contact, stand dwells of ``proof_s``: see ``proof.Proof``."""
 
     def __init__(
@@ -22,7 +22,7 @@ class ProgramFile(program_file.ProgramFile):
         stops: Iterable[int],
         table: ProgramTable,
         *,
-        line: Line,
+        line: LineVariable,
         proof_s: Sequence[float] = (),
         pause_at_end: bool = False,
     ) -> None:

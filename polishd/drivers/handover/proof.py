@@ -21,7 +21,7 @@ def dwells_s(report_s: float, count: int = 2) -> list[float]:
     return [round(report_s * _CHANCE.uniform(*REPORTS), 3) for _ in range(count)]
 
 
-class Proof:
+class LineCheck:
     """Follows the dwells of one file: told of each line with its time, it says what is wrong once they are over."""
 
     def __init__(self, lines: Sequence[int], seconds: Sequence[float], more_s: float) -> None:

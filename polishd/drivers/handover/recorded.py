@@ -10,10 +10,10 @@ import re
 from collections.abc import Mapping
 from contextvars import Context, copy_context
 
-from polishd.api import DeviceRefused, Identity, LinkError
+from polishd.api import DeviceIdentity, DeviceRefused, LinkError
 from polishd.config.controller_profile import Value
 from polishd.drivers.handover.delivery import Delivery
-from polishd.drivers.handover.variables import Reading, Variables
+from polishd.drivers.handover.variables import Variables, VariableSnapshot
 from polishd.ports.tap import Tap, tap
 
 DELIVERED = "the file is there"
@@ -74,11 +74,11 @@ class Recorded:
             told("end", why="the connection is closed")
         await self._inner.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Variables."""
         return await self._inner.identify()
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         """See Variables."""
         try:
             found = await self._inner.read()

@@ -20,7 +20,7 @@ MOST = {"coil": 2000, "discrete": 2000, "holding": 125, "input": 125}
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ModbusAddress:
     """A variable's registers, or its bit."""
 
     table: Table
@@ -50,7 +50,7 @@ class Place:
         return words[::-1] if self.little else words
 
 
-def place(name: str, variable: Variable, *, little: bool) -> Place:
+def place(name: str, variable: Variable, *, little: bool) -> ModbusAddress:
     """Where a variable is. ConfigError where the profile's address is none, or its type has no place there."""
     table, _, number = variable.address.partition(":")
     if table not in MOST or not number.isdecimal() or int(number) > 65535:
@@ -59,10 +59,10 @@ def place(name: str, variable: Variable, *, little: bool) -> Place:
         )
     if variable.type == "string" or (table in BITS and variable.type != "bool"):
         raise ConfigError(f"variables.{name}.type {variable.type!r}: has no place among the {table}s of Modbus")
-    return Place(cast("Table", table), int(number), variable.type, little)
+    return ModbusAddress(cast("Table", table), int(number), variable.type, little)
 
 
-def spans(places: Mapping[str, Place]) -> dict[Table, tuple[int, int]]:
+def spans(places: Mapping[str, ModbusAddress]) -> dict[Table, tuple[int, int]]:
     """(first, count) of each table that holds any of them: each is read in one request, so that it is of one moment.
 
     ConfigError where one request cannot.

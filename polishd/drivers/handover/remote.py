@@ -24,7 +24,7 @@ TEMPORARY = ".part"
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RemoteFolder:
     """A folder of a server."""
 
     host: str
@@ -40,7 +40,7 @@ class Place:
 class Ftp:
     """A Delivery by FTP, in the clear: for a controller on a wire of its own."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: RemoteFolder) -> None:
         self._place = place
 
     async def put(self, name: str, text: bytes) -> None:
@@ -69,7 +69,7 @@ class Ftp:
 
 
 @asynccontextmanager
-async def _session(library: Any, place: Place) -> AsyncIterator[aioftp.Client]:
+async def _session(library: Any, place: RemoteFolder) -> AsyncIterator[aioftp.Client]:
     """Logged in, and in the folder. Data connections are closed with it: the client forgets those that are refused."""
     client: aioftp.Client = library.Client(socket_timeout=ANSWER_S, connection_timeout=ANSWER_S)
     opened: list[asyncio.StreamWriter] = []
@@ -107,7 +107,7 @@ async def _size(library: Any, client: aioftp.Client, path: PurePosixPath) -> int
 class Sftp:
     """A Delivery by SFTP. The host's key is in ``known_hosts``, or the host is refused."""
 
-    def __init__(self, place: Place, known_hosts: Path) -> None:
+    def __init__(self, place: RemoteFolder, known_hosts: Path) -> None:
         self._place = place
         self._known_hosts = known_hosts
 
@@ -148,6 +148,6 @@ class Sftp:
                 await client.rename(beside, final)
 
 
-def _refused(kind: str, place: Place, name: str, error: BaseException) -> DeviceRefused:
+def _refused(kind: str, place: RemoteFolder, name: str, error: BaseException) -> DeviceRefused:
     reason = " ".join(str(error).split()) or type(error).__name__
     return DeviceRefused(f"{kind}://{place}: {name} cannot be put there: {reason}. To do: look at [robot] delivery")

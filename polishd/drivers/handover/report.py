@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from polishd.api import ProtocolError
-from polishd.config.controller_profile import Clock, Flag, State, Value, VariablesTable
-from polishd.drivers.handover.variables import Reading
+from polishd.config.controller_profile import ClockVariable, Flag, StateVariable, Value, VariablesTable
+from polishd.drivers.handover.variables import VariableSnapshot
 
 MEANINGS = ("idle", "ready", "running", "paused", "held", "done", "ended", "fault")
 LEAST_OVERRIDE = 0.01
@@ -15,7 +15,7 @@ LEAST_OVERRIDE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class ControllerReport:
     """What the controller was doing when it was looked at."""
 
     time_s: float
@@ -57,7 +57,7 @@ class Report:
         return ""
 
 
-def report_of(table: VariablesTable, reading: Reading) -> Report:
+def report_of(table: VariablesTable, reading: VariableSnapshot) -> ControllerReport:
     """Understand a reading. ProtocolError where a value cannot be what the profile says."""
     values = reading.values
     line = values["line"]
@@ -65,7 +65,7 @@ def report_of(table: VariablesTable, reading: Reading) -> Report:
         raise ProtocolError(f"variable line: {line!r} is no line number: look at the controller's profile")
     override = values.get("feed_override")
     time_s = _time_of(table.clock, values.get("clock"))
-    return Report(
+    return ControllerReport(
         time_s=reading.time_s if time_s is None else time_s,
         states=_states(table.state, values["state"]),
         line=max(line, 0),  # some count what is no line at all below 0
@@ -81,16 +81,16 @@ def report_of(table: VariablesTable, reading: Reading) -> Report:
     )
 
 
-def _states(state: State, value: Value) -> frozenset[str]:
+def _states(state: StateVariable, value: Value) -> frozenset[str]:
     named = frozenset(name for name in MEANINGS if any(value == one for one in getattr(state, name)))
     return named or frozenset({"fault"})
 
 
-def _time_of(clock: Clock | None, value: Value | None) -> float | None:
+def _time_of(clock: ClockVariable | None, value: Value | None) -> float | None:
     return None if clock is None else _number(value) * clock.unit_s
 
 
-def _line_began(table: VariablesTable, reading: Reading) -> float | None:
+def _line_began(table: VariablesTable, reading: VariableSnapshot) -> float | None:
     if table.line_began is not None:
         return _time_of(table.line_began, reading.values["line_began"])
     if table.line.stamped and table.clock is None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from polishd.api import Identity, ProtocolError
+from polishd.api import DeviceIdentity, ProtocolError
 from polishd.config.controller_profile import Kind, Value, Variable, VariablesTable
 
 ORDERS = ("start", "hold", "reset", "load", "program", "heartbeat")
@@ -24,7 +24,7 @@ _MOST = sys.float_info.max
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class VariableSnapshot:
     """All that is watched, at one time."""
 
     time_s: float
@@ -48,11 +48,11 @@ class Variables(Protocol):
         """Disconnect; idempotent."""
         ...
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """Who answers. ``boot_id`` where the link tells of it."""
         ...
 
-    async def read(self) -> Reading:
+    async def read(self) -> VariableSnapshot:
         """All that is watched."""
         ...
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.api import Plan
-from polishd.drivers.handover.program_file import ProgramFile
-from polishd.drivers.handover.proof import Proof
-from polishd.drivers.handover.report import Report
-from polishd.drivers.transport.file_watch import START_S, FileWatch
+from polishd.drivers.handover.program_file import PlcProgramFile
+from polishd.drivers.handover.proof import LineCheck
+from polishd.drivers.handover.report import ControllerReport
+from polishd.drivers.transport.file_watch import START_S, FileProgramTracker
 from polishd.model.surface import FloatArray
 
 START_REPORTS = 10
@@ -22,7 +22,7 @@ SPREAD = 1e-3
 """Share of the time that is spread evenly, so that no block lasts no time at all."""
 
 
-class Watch(FileWatch):
+class PlcProgramTracker(FileProgramTracker):
     """One program from its load to its end.
 
     A line counts only if the controller was seen running before: what it shows as it starts may be of another program.
@@ -30,8 +30,8 @@ class Watch(FileWatch):
 
     def __init__(self, plan: Plan, blocks: int) -> None:
         super().__init__(plan, blocks)
-        self.file: ProgramFile | None = None
-        self.proof: Proof | None = None
+        self.file: PlcProgramFile | None = None
+        self.proof: LineCheck | None = None
         self.start_s = START_S
         """So long after being told to run it may say that it does not, by its own clock."""
         self.stays = False
@@ -43,8 +43,8 @@ class Watch(FileWatch):
         """When the block under way was last known to be so."""
         self._leeway_s = 0.0
         """By how much later than ``began_s`` the first block of this stretch may have begun."""
-        self._last: Report | None = None
-        self._before: Report | None = None
+        self._last: ControllerReport | None = None
+        self._before: ControllerReport | None = None
         """The report before it was told to run."""
         self._waits_s = 0.0
         self._waits = 0
@@ -58,7 +58,7 @@ class Watch(FileWatch):
         self.stays, self.stopped = False, self.stopped if detail else ""
         self._before, self._waits_s, self._waits = self._last, 0.0, 0
 
-    def update(self, report: Report) -> None:
+    def update(self, report: ControllerReport) -> None:
         """Take what the controller was doing just now."""
         before, self._last = self._last, report
         file = self.file
@@ -80,7 +80,7 @@ class Watch(FileWatch):
             self._follow(file, report)
             self._stand(file, report, before)
 
-    def _starts(self, report: Report, before: Report | None) -> None:
+    def _starts(self, report: ControllerReport, before: ControllerReport | None) -> None:
         """Seen running, or standing where it did not stand when it was told to run."""
         waited_s = 0.0 if before is None else report.time_s - before.time_s
         was = self._before
@@ -97,7 +97,7 @@ class Watch(FileWatch):
         elif self._waits_s > self.start_s and self._waits > START_REPORTS:
             self._held(report, "it does not start")
 
-    def _begin(self, report: Report, waited_s: float) -> None:
+    def _begin(self, report: ControllerReport, waited_s: float) -> None:
         """It began at some time since the last report: when, is settled with the end of its first block."""
         told = (report.state_began_s, report.line_began_s if self._at_first(report) else None)
         told_s = next((at for at in told if at is not None and self.seen_s <= at <= report.time_s), None)
@@ -109,11 +109,11 @@ class Watch(FileWatch):
             self.seen_s = report.time_s - waited_s / 2  # in the middle of a block
         self.tick(report.time_s)
 
-    def _at_first(self, report: Report) -> bool:
+    def _at_first(self, report: ControllerReport) -> bool:
         """The block under way is the one that comes next."""
         return self.file is not None and self.file.block_at(self.file.line_of(report.line)) == len(self)
 
-    def _follow(self, file: ProgramFile, report: Report) -> None:
+    def _follow(self, file: PlcProgramFile, report: ControllerReport) -> None:
         line = file.line_of(report.line)
         began_s = None if report.line_began_s is None else self.clock_s - (report.time_s - report.line_began_s)
         if self.proof is not None and not self.proof.over and (wrong := self.proof.look(line, report.time_s)):
@@ -122,7 +122,7 @@ class Watch(FileWatch):
         if line:
             self._advance(file.block_at(line), began_s)
 
-    def _stand(self, file: ProgramFile, report: Report, before: Report | None) -> None:
+    def _stand(self, file: PlcProgramFile, report: ControllerReport, before: ControllerReport | None) -> None:
         """Two reports in a row that it does not run: at a pause of the file, or elsewhere."""
         if report.running and not report.stopped_by:
             return
@@ -136,13 +136,13 @@ class Watch(FileWatch):
             else:
                 self._held(report, "it was held at the controller")
 
-    def _held(self, report: Report, why: str) -> None:
+    def _held(self, report: ControllerReport, why: str) -> None:
         self.state = "held"
         self.detail = report.alarm or ("hold" if self.stays else why)
         if not self.stays:
             self.stopped = self.detail
 
-    def _over(self, file: ProgramFile, report: Report) -> None:
+    def _over(self, file: PlcProgramFile, report: ControllerReport) -> None:
         """It ended. By itself: where it says so, or where it stood at the pause before its end."""
         stood = file.end is not None and len(self) >= file.end
         if "done" in report.states or ("ended" in report.states and stood):

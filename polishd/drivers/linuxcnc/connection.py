@@ -8,8 +8,8 @@ from collections.abc import Callable
 from polishd.api import ByteStream, DeviceBusy, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.linuxcnc.dialogue import (
     AXES,
-    Answer,
-    Snapshot,
+    RshReply,
+    RshSnapshot,
     asks,
     line_of,
     numbers_of,
@@ -28,7 +28,7 @@ MESSAGES = 50
 """More old messages than that are no accident."""
 
 
-class Connection:
+class RshConnection:
     """From hello to the end of the link; never opened again.
 
     Requests never overlap: linuxcncrsh takes words apart with strtok in one thread a connection, and its answers carry
@@ -103,7 +103,7 @@ class Connection:
             "Stop that client, or set robot.enable_password."
         )
 
-    async def look(self) -> Snapshot:
+    async def look(self) -> RshSnapshot:
         """What LinuxCNC is doing."""
         return await self._queue.ask(self._looked)
 
@@ -111,7 +111,7 @@ class Connection:
         """What it has to complain of since it was last asked; forgets operator messages with it."""
         return await self._queue.ask(self._drain)
 
-    async def _looked(self) -> Snapshot:
+    async def _looked(self) -> RshSnapshot:
         try:
             return await self._look()
         except ProtocolError:
@@ -119,7 +119,7 @@ class Connection:
                 await self._stream.close()  # the true answer may come yet, to the next question of that name
             raise
 
-    async def _look(self) -> Snapshot:
+    async def _look(self) -> RshSnapshot:
         time_s = numbers_of(await self._get("time"), 1)[0]
         # line before status: after an abort the line jumps to the last one read, and the status says so
         line = line_of(await self._get("program_line"))
@@ -128,7 +128,7 @@ class Connection:
         # after the status: a message comes before the pause that it announces
         display = await self._get("operator_display")
         override = override_of(await self._get("feed_override"))
-        return Snapshot(time_s, line, status, position, "" if display == "OK" else display, override)
+        return RshSnapshot(time_s, line, status, position, "" if display == "OK" else display, override)
 
     async def _drain(self) -> str:
         found: list[str] = []
@@ -148,7 +148,7 @@ class Connection:
             raise LinkError(f"{self._address}: is not open")
         await self._stream.write(request.encode() + b"\r\n")
 
-    async def _ask(self, request: str, within_s: float | None = None) -> Answer:
+    async def _ask(self, request: str, within_s: float | None = None) -> RshReply:
         """Send and wait for the answer; whatever goes wrong ends the link."""
         try:
             if self._lines is not None:
@@ -165,7 +165,7 @@ class Connection:
             raise error(f"{self._address}: LinuxCNC refuses {verb} {name}".rstrip())
         return answer
 
-    async def _answer(self, to: str, within_s: float) -> Answer:
+    async def _answer(self, to: str, within_s: float) -> RshReply:
         deadline = time.monotonic() + within_s
         while self._lines is not None:
             line = await self._lines.next(max(deadline - time.monotonic(), 0.0))

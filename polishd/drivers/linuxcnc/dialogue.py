@@ -18,7 +18,7 @@ STILL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class RshReply:
     """One line of linuxcncrsh: to which request (``get estop``, ``set run``, ``hello``), whether it obeys, the rest."""
 
     to: str
@@ -27,7 +27,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
+class RshSnapshot:
     """What LinuxCNC was doing when it was looked at."""
 
     time_s: float
@@ -42,7 +42,7 @@ class Snapshot:
     override: float = 1.0
     """Its feed override, as a fraction."""
 
-    def moved_since(self, other: Snapshot) -> bool:
+    def moved_since(self, other: RshSnapshot) -> bool:
         """It was elsewhere then."""
         return any(abs(a - b) > STILL for a, b in zip(self.position, other.position, strict=True))
 
@@ -53,7 +53,7 @@ def asks(request: str) -> str:
     return words[0] if words[0] == "hello" else " ".join(words[:2])
 
 
-def parse(line: bytes) -> Answer | None:
+def parse(line: bytes) -> RshReply | None:
     """Read one line; None for echoes, blank lines and garbage."""
     try:
         text = line.decode("ascii").strip(" \r\n")
@@ -64,11 +64,11 @@ def parse(line: bytes) -> Answer | None:
     words = text.split(" ", 2)
     match words:
         case ["HELLO", ("ACK" | "NAK") as word, *rest]:
-            return Answer("hello", word == "ACK", " ".join(rest))
+            return RshReply("hello", word == "ACK", " ".join(rest))
         case [("GET" | "SET") as verb, name, ("ACK" | "NAK") as word]:
-            return Answer(f"{verb.lower()} {name.lower()}", word == "ACK")
+            return RshReply(f"{verb.lower()} {name.lower()}", word == "ACK")
         case [name, *rest] if name.isupper() and rest:
-            return Answer(f"get {name.lower()}", ok=True, value=" ".join(rest))
+            return RshReply(f"get {name.lower()}", ok=True, value=" ".join(rest))
     return None
 
 

@@ -9,19 +9,19 @@ import secrets
 from pathlib import Path, PurePosixPath
 
 from polishd.api import (
+    DeviceIdentity,
     DeviceRefused,
     DeviceStatus,
-    Identity,
     LinkError,
     Plan,
     ProtocolError,
     RobotTimes,
 )
-from polishd.drivers.linuxcnc.connection import SILENCE_S, Connection
-from polishd.drivers.linuxcnc.dialogue import Snapshot
-from polishd.drivers.linuxcnc.following import REPORT_S, Following, abort, obstacle
-from polishd.drivers.linuxcnc.program_file import ProgramFile
-from polishd.drivers.linuxcnc.watch import Watch
+from polishd.drivers.linuxcnc.connection import SILENCE_S, RshConnection
+from polishd.drivers.linuxcnc.dialogue import RshSnapshot
+from polishd.drivers.linuxcnc.following import REPORT_S, RshPoller, abort, obstacle
+from polishd.drivers.linuxcnc.program_file import LinuxCncProgramFile
+from polishd.drivers.linuxcnc.watch import LinuxCncProgramTracker
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background
 from polishd.drivers.transport.file_robot import FileRobot, Goes
@@ -40,7 +40,7 @@ TIMES = RobotTimes(
 )
 
 
-class LinuxCnc(FileRobot[Watch]):
+class LinuxCnc(FileRobot[LinuxCncProgramTracker]):
     """A Robot over linuxcncrsh. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
 
     Never switches the machine on and never homes it: that is for the operator, who sees it move.
@@ -64,7 +64,7 @@ class LinuxCnc(FileRobot[Watch]):
         self._folder = program_dir
         self._controller_dir = controller_dir or str(program_dir)
         self._passwords = passwords
-        self._following = Following(address, passwords, self._seen, self._times)
+        self._following = RshPoller(address, passwords, self._seen, self._times)
 
     @property
     def _background(self) -> Background:
@@ -80,11 +80,11 @@ class LinuxCnc(FileRobot[Watch]):
         """See Device."""
         await self._following.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device. LinuxCNC has no serial number and no boot id; its configuration stands for the machine."""
         connection = self._following.connection
         name, _, version = connection.server.partition(" ")
-        return Identity("LinuxCNC", name, await connection.get("inifile"), version)
+        return DeviceIdentity("LinuxCNC", name, await connection.get("inifile"), version)
 
     async def status(self) -> DeviceStatus:
         """See Device. Ready: switched on. Safe: no program runs and it stands still."""
@@ -100,7 +100,7 @@ class LinuxCnc(FileRobot[Watch]):
             with contextlib.suppress(LinkError, ProtocolError):
                 await abort(self._following.connection, self._times.stop_s)
                 return await self._following.standstill("abort")
-        connection = Connection(self._address, self._passwords, self._times.silence_s)
+        connection = RshConnection(self._address, self._passwords, self._times.silence_s)
         await connection.open()
         try:
             await abort(connection, self._times.stop_s)
@@ -129,13 +129,13 @@ class LinuxCnc(FileRobot[Watch]):
         await connection.control()
         await connection.set("set abort")
 
-    def _watched(self, plan: Plan, blocks: int) -> Watch:
-        return Watch(plan, blocks)
+    def _watched(self, plan: Plan, blocks: int) -> LinuxCncProgramTracker:
+        return LinuxCncProgramTracker(plan, blocks)
 
-    async def _load(self, plan: Plan, watch: Watch) -> None:
+    async def _load(self, plan: Plan, watch: LinuxCncProgramTracker) -> None:
         """Write the file, open it, and have it interpreted without motion."""
         connection = self._following.connection
-        file = ProgramFile(self._lines, self._stops(plan), secrets.token_hex(4))
+        file = LinuxCncProgramFile(self._lines, self._stops(plan), secrets.token_hex(4))
         path = await asyncio.to_thread(file.write, self._folder, FILE_NAME)
         await connection.errors()
         await connection.set("set mode auto")
@@ -146,13 +146,13 @@ class LinuxCnc(FileRobot[Watch]):
             raise DeviceRefused(f"{self._address}: LinuxCNC does not take the program: {errors}")
         watch.file = file
 
-    async def _run(self, watch: Watch, goes: Goes) -> None:
+    async def _run(self, watch: LinuxCncProgramTracker, goes: Goes) -> None:
         connection = self._following.connection
         await connection.control()
         now = await connection.look()
         await connection.set_if(lambda: goes(now.time_s), "set resume" if watch.started else "set run")
 
-    async def _seen(self, look: Snapshot) -> bool:
+    async def _seen(self, look: RshSnapshot) -> bool:
         """What LinuxCNC does is booked; a stop that nobody asked for is passed."""
         watch = self._watch
         if watch is None:

@@ -7,8 +7,8 @@ import time
 from collections.abc import Awaitable, Callable
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError, RobotTimes
-from polishd.drivers.linuxcnc.connection import Connection
-from polishd.drivers.linuxcnc.dialogue import Snapshot
+from polishd.drivers.linuxcnc.connection import RshConnection
+from polishd.drivers.linuxcnc.dialogue import RshSnapshot
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Ready
 
@@ -19,11 +19,11 @@ REPORT_S = 0.05
 """Greatest age of what a look tells: LinuxCNC's own CYCLE_TIME, the pause between looks, and the six answers of one."""
 OPEN_S = 2.0
 
-OnLook = Callable[[Snapshot], Awaitable[bool]]
+OnLook = Callable[[RshSnapshot], Awaitable[bool]]
 """Takes a look; tells whether the next one is urgent."""
 
 
-class Following(Background):
+class RshPoller(Background):
     """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
 
     def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook, times: RobotTimes) -> None:
@@ -32,13 +32,13 @@ class Following(Background):
         self._passwords = passwords
         self._on_look = on_look
         self._silence_s, self._stop_s = times.silence_s, times.stop_s
-        self._connection: Connection | None = None
-        self._looks: tuple[Snapshot, ...] = ()
+        self._connection: RshConnection | None = None
+        self._looks: tuple[RshSnapshot, ...] = ()
         """The last two."""
         self._count = 0
 
     @property
-    def connection(self) -> Connection:
+    def connection(self) -> RshConnection:
         """LinkError while it is not open, or once it is lost."""
         if self._connection is None:
             raise LinkError(f"{self._address}: is not open")
@@ -46,13 +46,13 @@ class Following(Background):
         return self._connection
 
     @property
-    def last(self) -> Snapshot:
+    def last(self) -> RshSnapshot:
         """What LinuxCNC was doing last."""
         return self._looks[-1]
 
     async def open(self) -> None:
         """Connect, take control and prove it, and look twice. DeviceBusy where another client has control."""
-        connection = Connection(self._address, self._passwords, self._silence_s)
+        connection = RshConnection(self._address, self._passwords, self._silence_s)
         await connection.open()
         self._connection = connection
         try:
@@ -97,7 +97,7 @@ class Following(Background):
             await asyncio.sleep(LOOK_S if urgent else IDLE_LOOK_S)
 
 
-async def abort(connection: Connection, stop_s: float) -> None:
+async def abort(connection: RshConnection, stop_s: float) -> None:
     """Abort and see that it stands. A machine that is off refuses the order, and stands.
 
     A client that took control meanwhile loses it; the gate gives it back once the link that had it has ended.
@@ -118,7 +118,7 @@ async def abort(connection: Connection, stop_s: float) -> None:
     raise DeviceFault("LinuxCNC goes on moving after abort")
 
 
-async def _aborted(connection: Connection, *, last_try: bool) -> bool:
+async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:
     """Whether the order was taken, or is not needed."""
     try:
         await connection.control(anew=True)
@@ -132,7 +132,7 @@ async def _aborted(connection: Connection, *, last_try: bool) -> bool:
     return True
 
 
-async def obstacle(connection: Connection) -> str:
+async def obstacle(connection: RshConnection) -> str:
     """Why LinuxCNC would run nothing; empty where it would."""
     if await connection.get("estop") != "OFF":
         return "LinuxCNC is in e-stop"

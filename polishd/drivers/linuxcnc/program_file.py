@@ -10,7 +10,7 @@ from polishd.drivers.transport import program_file
 from polishd.files import write_atomic
 
 
-class ProgramFile(program_file.ProgramFile):
+class LinuxCncProgramFile(program_file.ProgramFile):
     """Blocks with a pause (``M0``) before each of ``stops``, and a message before each pause and the program's end.
 
     Run from line would lose G61/G64 and what else is queued; behind a pause all modal state is kept. linuxcncrsh shows

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.api import Plan
-from polishd.drivers.linuxcnc.dialogue import Snapshot
-from polishd.drivers.linuxcnc.program_file import ProgramFile
-from polishd.drivers.transport.file_watch import FileWatch
+from polishd.drivers.linuxcnc.dialogue import RshSnapshot
+from polishd.drivers.linuxcnc.program_file import LinuxCncProgramFile
+from polishd.drivers.transport.file_watch import FileProgramTracker
 from polishd.model.surface import FloatArray
 
 FASTEST = 2.5
@@ -16,7 +16,7 @@ SLACK_S = 0.25
 """Of the plan, and of looks at a busy controller."""
 
 
-class Watch(FileWatch):
+class LinuxCncProgramTracker(FileProgramTracker):
     """One program from its load to its end.
 
     A block that moves is timed to one look. The blocks of one look share its time: those that dwell get what passed
@@ -25,7 +25,7 @@ class Watch(FileWatch):
 
     def __init__(self, plan: Plan, blocks: int) -> None:
         super().__init__(plan, blocks)
-        self.file: ProgramFile | None = None
+        self.file: LinuxCncProgramFile | None = None
         self._asked_s = np.zeros(blocks)
         timed = plan.program.block[plan.program.block < blocks]
         self._asked_s[timed] = plan.program.time_s[: len(timed)]
@@ -33,14 +33,14 @@ class Watch(FileWatch):
         self._rest_s = 0.0
         """When it last moved."""
         self._reached: int | None = None
-        self._last: Snapshot | None = None
+        self._last: RshSnapshot | None = None
 
     def go(self, time_s: float, detail: str = "") -> None:
         """It runs, from that time of its own clock."""
         super().go(time_s, detail)
         self._reached = None
 
-    def update(self, look: Snapshot) -> None:
+    def update(self, look: RshSnapshot) -> None:
         """Take what LinuxCNC was doing just now."""
         moved = self._last is not None and look.moved_since(self._last)
         self._last = look
@@ -68,7 +68,7 @@ class Watch(FileWatch):
         """Whether its motion can be there by now: while it begins to move it reports the line that it has read last."""
         return self.expected_s(block) <= FASTEST * (self.clock_s - self.began_s) + SLACK_S
 
-    def _told_while_held(self, look: Snapshot) -> None:
+    def _told_while_held(self, look: RshSnapshot) -> None:
         """Somebody else starts it; or our message comes after the pause, since others stood before it."""
         if not self.started or self.file is None:
             return
@@ -77,7 +77,7 @@ class Watch(FileWatch):
         if self._hear(self.file, look) and look.status == "paused":
             self._paused()
 
-    def _hear(self, file: ProgramFile, look: Snapshot) -> bool:
+    def _hear(self, file: LinuxCncProgramFile, look: RshSnapshot) -> bool:
         reached = file.reached(look.display)
         self._reached = self._reached if reached is None else reached
         return reached is not None

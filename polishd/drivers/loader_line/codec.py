@@ -13,7 +13,7 @@ FAULTS = {1: "jammed", 2: "it has dropped a part", 4: "its guard is open", 8: "d
 _STATUS = re.compile(r"ST,([0-3]),(\d{1,5}),([\w.~%-]*)", re.ASCII)
 
 
-class State(IntEnum):
+class LoaderState(IntEnum):
     """The loader's states, as the wire numbers them."""
 
     IDLE = 0
@@ -25,10 +25,10 @@ class State(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class LoaderReading:
     """What the loader says of itself."""
 
-    state: State
+    state: LoaderState
     fault: int
     seat: str | None
     """The part on the seat; None: it is empty."""
@@ -44,10 +44,10 @@ def load(part_id: str) -> str:
     return f"LD,{quote(part_id, safe='')}"
 
 
-def status(body: str) -> Reading:
+def status(body: str) -> LoaderReading:
     """The answer to ``ST?``."""
     match = _STATUS.fullmatch(body)
     if match is None:
         raise ProtocolError(f"no answer to ST?: {body!r}")
     state, fault, seat = match.groups()
-    return Reading(State(int(state)), int(fault), unquote(seat) or None)
+    return LoaderReading(LoaderState(int(state)), int(fault), unquote(seat) or None)

@@ -7,7 +7,7 @@ import time
 
 from polishd.api import DeviceFault, DeviceRefused, DeviceStatus, LoaderTimes, WrongPart
 from polishd.drivers.loader_line import codec
-from polishd.drivers.loader_line.codec import Reading, State
+from polishd.drivers.loader_line.codec import LoaderReading, LoaderState
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.line_device import ANSWERS_S, LineDevice
 
@@ -28,7 +28,7 @@ class LoaderLine(LineDevice):
         """See Loader."""
         return self._times
 
-    async def _look(self) -> Reading:
+    async def _look(self) -> LoaderReading:
         """What it says of itself."""
         return codec.status(await self.ask("ST?"))
 
@@ -36,8 +36,8 @@ class LoaderLine(LineDevice):
         """See Device. Safe means that it stands."""
         reading = await self._look()
         return DeviceStatus(
-            ready=reading.state is not State.FAULT,
-            safe=reading.state is not State.MOVING,
+            ready=reading.state is not LoaderState.FAULT,
+            safe=reading.state is not LoaderState.MOVING,
             state=reading.state.name.lower(),
             detail=reading.faults,
         )
@@ -68,22 +68,22 @@ class LoaderLine(LineDevice):
         stops, deadline, over = self._stops, time.monotonic() + self._times.change_s, f"over {request}"
         self._require_sound(await self._look(), over)
         await self._order(request)
-        while (reading := await self._look()).state is not State.IDLE:
+        while (reading := await self._look()).state is not LoaderState.IDLE:
             self._require_sound(reading, over)
-            if reading.state is State.STOPPED or self._stops != stops:
+            if reading.state is LoaderState.STOPPED or self._stops != stops:
                 raise DeviceRefused(f"{self.name}: was stopped {over}")
             if time.monotonic() > deadline:
                 raise DeviceFault(f"{self.name}: not done after {self._times.change_s:g} s {over}; look at it")
             await asyncio.sleep(LOOK_S)
 
-    def _require_sound(self, reading: Reading, over: str) -> None:
-        if reading.state is State.FAULT:
+    def _require_sound(self, reading: LoaderReading, over: str) -> None:
+        if reading.state is LoaderState.FAULT:
             what = f"{self.name}: fault {reading.fault} ({reading.faults}) {over}"
             raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
 
     async def _stop(self) -> None:
         await self._order("STOP")
         while True:
-            if (await self._look()).state is not State.MOVING:
+            if (await self._look()).state is not LoaderState.MOVING:
                 return
             await asyncio.sleep(LOOK_S)

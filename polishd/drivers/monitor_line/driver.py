@@ -9,14 +9,14 @@ from collections.abc import AsyncIterator
 from polishd.api import DeviceStatus, MonitorTimes, Signal
 from polishd.drivers.monitor_line import codec
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.drivers.transport.looking import LookingLine
+from polishd.drivers.transport.looking import ReadOnlyLineDevice
 
 PERIOD_S = 0.1
 """Between two rounds of questions."""
 MOST_SIGNALS = 200
 
 
-class MonitorLine(LookingLine):
+class MonitorLine(ReadOnlyLineDevice):
     """A box of inputs, which has given each of them a name."""
 
     def __init__(self, address: SerialLine | Tcp, times: MonitorTimes | None = None) -> None:

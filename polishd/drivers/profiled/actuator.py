@@ -19,8 +19,8 @@ from polishd.config.device_tables import ActuatorTable
 from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
 from polishd.drivers.profiled.device import ProfiledDevice
-from polishd.drivers.profiled.wire import Wire
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.profiled.wire import ProfileTransport
+from polishd.drivers.transport.pace import PeriodicTimer
 
 BEAT_S = 0.05
 """Period of samples and heartbeats."""
@@ -28,7 +28,7 @@ AT_REST = "the tool is off its rest: only retracting opens the link again"
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ActuatorReading:
     """What the actuator says of itself; the set point is the last that was written where it does not say."""
 
     state: str
@@ -40,10 +40,10 @@ class Reading:
     """In words."""
 
 
-def reading_of(profile: DeviceProfile, values: Values, asked_n: float = 0.0) -> Reading:
+def reading_of(profile: DeviceProfile, values: Values, asked_n: float = 0.0) -> ActuatorReading:
     """What the values say; ProtocolError on what the profile does not have."""
     fault = meaning.fault_of(profile, values)
-    return Reading(
+    return ActuatorReading(
         state=meaning.state_of(profile, values),
         force_n=meaning.number(values, "force", 0.0),
         setpoint_n=meaning.number(values, "set_point", asked_n),
@@ -53,10 +53,10 @@ def reading_of(profile: DeviceProfile, values: Values, asked_n: float = 0.0) -> 
     )
 
 
-class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
+class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
     """A ForceActuator over a wire."""
 
-    def __init__(self, wire: Wire, times: ActuatorTimes) -> None:
+    def __init__(self, wire: ProfileTransport, times: ActuatorTimes) -> None:
         table = wire.profile.actuator
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no actuator")
@@ -89,7 +89,7 @@ class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
-        pace = Pace(BEAT_S)
+        pace = PeriodicTimer(BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield ForceSample(
@@ -121,7 +121,7 @@ class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
         """See Device. Retracts, and reads back that it is so; a link lost over it is opened again once."""
         await self._rest(self.retract, self._times.lifted_s, "the tool is retracted")
 
-    def _require_sound(self, reading: Reading) -> None:
+    def _require_sound(self, reading: ActuatorReading) -> None:
         if reading.fault or reading.state == "fault":
             raise DeviceRefused(f"{self._wire.name}: does not press over fault {reading.fault} ({reading.faults})")
 
@@ -150,7 +150,7 @@ class ProfiledActuator(ProfiledDevice[Reading, ActuatorTimes]):
         await self._wire.order("retract")
         self._asked_n = 0.0
 
-    def _reading(self, values: Values) -> Reading:
+    def _reading(self, values: Values) -> ActuatorReading:
         reading = reading_of(self._wire.profile, values, self._asked_n)
         self._link.exposed = reading.state != "retracted"
         return reading

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 from polishd.api import DeviceRefused, ProtocolError
 from polishd.config.device_profile import DeviceProfile
-from polishd.config.device_tables import Ask, Group, ModbusTable, Quantity, Register, Table, Value, WordOrder
+from polishd.config.device_tables import LineRequest, ModbusTable, Quantity, RegexGroup, Register, Value, WordOrder
 from polishd.config.device_units import factor
+from polishd.model.devices import RegisterTable
 
 Values = dict[str, Value]
 LEAST_FLOAT = 1e-30
@@ -20,22 +21,22 @@ FORMATS = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class RegisterBlock:
     """Registers that one request reads."""
 
-    table: Table
+    table: RegisterTable
     address: int
     count: int
     names: tuple[str, ...]
 
 
-def blocks(registers: Mapping[str, Register], names: Sequence[str], most: int) -> tuple[Block, ...]:
+def blocks(registers: Mapping[str, Register], names: Sequence[str], most: int) -> tuple[RegisterBlock, ...]:
     """As few requests as read all of them.
 
     Between them only what the profile knows is read, too: devices refuse addresses that they do not have.
     """
     known = {(one.table, one.address + at) for one in registers.values() for at in range(one.size)}
-    found: list[Block] = []
+    found: list[RegisterBlock] = []
     for name in sorted(names, key=lambda one: (registers[one].table, registers[one].address)):
         register = registers[name]
         last = found[-1] if found else None
@@ -43,13 +44,13 @@ def blocks(registers: Mapping[str, Register], names: Sequence[str], most: int) -
             between = range(last.address + last.count, register.address)
             count = max(register.address + register.size - last.address, last.count)
             if count <= most and all((last.table, at) in known for at in between):
-                found[-1] = Block(last.table, last.address, count, (*last.names, name))
+                found[-1] = RegisterBlock(last.table, last.address, count, (*last.names, name))
                 continue
-        found.append(Block(register.table, register.address, register.size, (name,)))
+        found.append(RegisterBlock(register.table, register.address, register.size, (name,)))
     return tuple(found)
 
 
-def values_of(profile: DeviceProfile, block: Block, words: Sequence[int], pole_pairs: int = 1) -> Values:
+def values_of(profile: DeviceProfile, block: RegisterBlock, words: Sequence[int], pole_pairs: int = 1) -> Values:
     """What the words (or bits) of a block say, in N, mm, rpm or ms; see ``signed``."""
     order, found = (profile.modbus or ModbusTable()).word_order, Values()
     for name in block.names:
@@ -59,7 +60,7 @@ def values_of(profile: DeviceProfile, block: Block, words: Sequence[int], pole_p
     return found
 
 
-def fields_of(profile: DeviceProfile, ask: Ask, answer: str, pole_pairs: int = 1) -> Values:
+def fields_of(profile: DeviceProfile, ask: LineRequest, answer: str, pole_pairs: int = 1) -> Values:
     """What an answer's line says, in N, mm, rpm or ms; see ``signed``."""
     match = re.fullmatch(ask.answer, answer)
     if match is None:
@@ -67,7 +68,7 @@ def fields_of(profile: DeviceProfile, ask: Ask, answer: str, pole_pairs: int = 1
     found = Values()
     for name, text in match.groupdict().items():
         if text is not None:
-            group = profile.values.get(name, Group())
+            group = profile.values.get(name, RegexGroup())
             found[name] = worth(group, _raw(group, ask.send, text), pole_pairs)
     return found
 
@@ -138,7 +139,7 @@ def _text(words: Sequence[int]) -> str:
         raise ProtocolError(f"identity text is not ASCII: {raw!r}") from None
 
 
-def _raw(group: Group, request: str, text: str) -> Value:
+def _raw(group: RegexGroup, request: str, text: str) -> Value:
     if group.type == "text":
         return text
     try:

@@ -8,10 +8,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 from typing import Generic, TypeVar
 
-from polishd.api import Identity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
 from polishd.drivers.profiled.codec import Values
-from polishd.drivers.profiled.exchange import Exchange
-from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.profiled.exchange import RequestChannel
+from polishd.drivers.profiled.wire import ProfileTransport
 
 ANSWERS_S = 2.0
 """Of ``make_safe``, beyond the action itself: a link that is lost over it is opened again once."""
@@ -23,11 +23,11 @@ T = TypeVar("T")
 class ProfiledDevice(ABC, Generic[R, T]):
     """A device over a wire: R is what it says of itself, T are its times."""
 
-    def __init__(self, wire: Wire, times: T, watchdog_s: float | None, at_rest: str) -> None:
+    def __init__(self, wire: ProfileTransport, times: T, watchdog_s: float | None, at_rest: str) -> None:
         """See Exchange for ``watchdog_s`` and ``at_rest``."""
         self._wire = wire
         self._times = times
-        self._link = Exchange(wire, watchdog_s, at_rest)
+        self._link = RequestChannel(wire, watchdog_s, at_rest)
 
     @abstractmethod
     def _reading(self, values: Values) -> R:
@@ -46,7 +46,7 @@ class ProfiledDevice(ABC, Generic[R, T]):
         """See Device."""
         await self._link.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         return await self._link.identify()
 

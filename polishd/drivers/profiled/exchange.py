@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from polishd.api import Identity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
 from polishd.drivers.profiled.meaning import identity, state_of
-from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.profiled.wire import ProfileTransport
 from polishd.drivers.transport.requests import RequestQueue
 
 T = TypeVar("T")
 
 
-class Exchange:
+class RequestChannel:
     """Requests to a profile's device.
 
     A lost link is opened again by the next request only while the device is known to be at rest. Else all requests
     raise LinkError until ``open``; only urgent ones, which take it to rest, try to reach it again.
     """
 
-    def __init__(self, wire: Wire, watchdog_s: float | None, at_rest: str) -> None:
+    def __init__(self, wire: ProfileTransport, watchdog_s: float | None, at_rest: str) -> None:
         """``watchdog_s`` is told to the device after each opening; ``at_rest`` says what opens the link again."""
         self.wire = wire
         self.exposed = False
@@ -56,7 +56,7 @@ class Exchange:
         await self._queue.stop()
         await self.wire.disconnect()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """Who is there."""
         return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.told)))
 

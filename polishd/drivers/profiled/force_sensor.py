@@ -12,15 +12,15 @@ from polishd.config.device_tables import ForceSensorTable
 from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
 from polishd.drivers.profiled.device import ProfiledDevice
-from polishd.drivers.profiled.wire import Wire
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.profiled.wire import ProfileTransport
+from polishd.drivers.transport.pace import PeriodicTimer
 
 PERIOD_S = 0.05
 """Of readings, at most so often."""
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ForceSensorReading:
     """What the sensor says."""
 
     force_n: float
@@ -31,10 +31,10 @@ class Reading:
     """Of conversions; None where it has no such counter."""
 
 
-class ProfiledForceSensor(ProfiledDevice[Reading, SensorTimes]):
+class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
     """A ForceSensor over a wire. A link that is lost while samples are taken stays so until that has ended."""
 
-    def __init__(self, wire: Wire, times: SensorTimes) -> None:
+    def __init__(self, wire: ProfileTransport, times: SensorTimes) -> None:
         table = wire.profile.force_sensor
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no force sensor")
@@ -69,7 +69,7 @@ class ProfiledForceSensor(ProfiledDevice[Reading, SensorTimes]):
 
     async def samples(self) -> AsyncIterator[SensedForce]:
         """See ForceSensor. Where the sensor counts its conversions, one that was told before is none."""
-        pace, last = Pace(PERIOD_S), -1.0
+        pace, last = PeriodicTimer(PERIOD_S), -1.0
         self._link.exposed = True
         try:
             while True:
@@ -81,10 +81,10 @@ class ProfiledForceSensor(ProfiledDevice[Reading, SensorTimes]):
         finally:
             self._link.exposed = False
 
-    def _reading(self, values: Values) -> Reading:
+    def _reading(self, values: Values) -> ForceSensorReading:
         profile = self._wire.profile
         fault = meaning.fault_of(profile, values)
         broken = any(rule.holds(values[rule.when]) for rule in profile.states)  # it has no state but that one
         count = meaning.number(values, "count", -1.0) if "count" in values else None
         force_n = meaning.number(values, "force", 0.0)
-        return Reading(force_n, fault or int(broken), meaning.fault_words(profile, fault), count)
+        return ForceSensorReading(force_n, fault or int(broken), meaning.fault_words(profile, fault), count)

@@ -11,7 +11,7 @@ from polishd.drivers.profiled.force_sensor import ProfiledForceSensor
 from polishd.drivers.profiled.lines import LineWire
 from polishd.drivers.profiled.modbus import ModbusWire
 from polishd.drivers.profiled.spindle import ProfiledSpindle
-from polishd.drivers.profiled.wire import Wire
+from polishd.drivers.profiled.wire import ProfileTransport
 from polishd.drivers.transport.address import SerialLine, Tcp, line_address
 
 
@@ -27,7 +27,7 @@ def address_of(profile: DeviceProfile, text: str, base_dir: Path) -> SerialLine 
 
 def wire_of(
     profile: DeviceProfile, address: SerialLine | Tcp, silence_s: float, *, unit: int | None = None, pole_pairs: int = 1
-) -> Wire:
+) -> ProfileTransport:
     """The wire; opens nothing."""
     if profile.modbus:
         return ModbusWire(profile, address, silence_s, unit=unit, pole_pairs=pole_pairs)

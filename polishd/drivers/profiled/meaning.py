@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from polishd.api import Identity, ProtocolError
+from polishd.api import DeviceIdentity, ProtocolError
 from polishd.config.device_profile import IDENTITY, DeviceProfile
 from polishd.config.device_tables import Value
 from polishd.drivers.profiled.codec import Values
@@ -44,11 +44,11 @@ def number(values: Values, name: str, default: float) -> float:
     return value
 
 
-def identity(profile: DeviceProfile, values: Values) -> Identity:
+def identity(profile: DeviceProfile, values: Values) -> DeviceIdentity:
     """What the device says of itself, and for the rest what the profile does."""
     said = {name: _plain(values[name]) for name in IDENTITY if name in values}
     boot = said.pop("boot", "")
-    return Identity(**{**dict(profile.identity), **said}, boot_id=boot)
+    return DeviceIdentity(**{**dict(profile.identity), **said}, boot_id=boot)
 
 
 def _plain(value: Value) -> str:

@@ -14,13 +14,13 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from pymodbus.pdu import bit_message as bit
 from pymodbus.pdu import register_message as word
 
-from polishd.config.device_tables import Table
 from polishd.drivers.profiled.unnumbered import UnnumberedLink
 from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 from polishd.drivers.transport.streams import drop_stale
+from polishd.model.devices import RegisterTable
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 
-READS: dict[Table, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
+READS: dict[RegisterTable, tuple[type[ModbusPDU], type[ModbusPDU]]] = {
     "coil": (bit.ReadCoilsRequest, bit.ReadCoilsResponse),
     "discrete": (bit.ReadDiscreteInputsRequest, bit.ReadDiscreteInputsResponse),
     "holding": (word.ReadHoldingRegistersRequest, word.ReadHoldingRegistersResponse),
@@ -65,7 +65,7 @@ class ModbusLink(UnnumberedLink):
         self._number = 0
         self._heard = 0.0
 
-    async def read(self, table: Table, address: int, count: int) -> list[int]:
+    async def read(self, table: RegisterTable, address: int, count: int) -> list[int]:
         """Words, or bits as 0 and 1."""
         answer = await self._ask(*_read(table, address, count))
         found = [int(one) for one in answer.bits or answer.registers]
@@ -74,7 +74,7 @@ class ModbusLink(UnnumberedLink):
             raise await self._nonsense(f"read of {count} from {table} {address}", answer)
         return found[:count]
 
-    async def write(self, table: Table, address: int, values: Sequence[int], *, many: bool) -> None:
+    async def write(self, table: RegisterTable, address: int, values: Sequence[int], *, many: bool) -> None:
         """To holding registers or coils; ``many`` chooses the function that writes several."""
         request, response = _write(table, address, values, many=many)
         answer = await self._ask(request, response)
@@ -159,12 +159,12 @@ class ModbusLink(UnnumberedLink):
         return ProtocolError(f"{self.name}: the {what} was answered by {said}")
 
 
-def read_frame(unit: int, table: Table, address: int, count: int) -> bytes:
+def read_frame(unit: int, table: RegisterTable, address: int, count: int) -> bytes:
     """The request on a serial line, as manuals print it."""
     return _frame(unit, _read(table, address, count)[0])
 
 
-def write_frame(unit: int, table: Table, address: int, values: Sequence[int], *, many: bool) -> bytes:
+def write_frame(unit: int, table: RegisterTable, address: int, values: Sequence[int], *, many: bool) -> bytes:
     """The request on a serial line, as manuals print it."""
     return _frame(unit, _write(table, address, values, many=many)[0])
 
@@ -174,13 +174,13 @@ def _frame(unit: int, request: ModbusPDU) -> bytes:
     return FramerRTU(DecodePDU(False)).buildFrame(request)
 
 
-def _read(table: Table, address: int, count: int) -> tuple[ModbusPDU, ModbusPDU]:
+def _read(table: RegisterTable, address: int, count: int) -> tuple[ModbusPDU, ModbusPDU]:
     """Request, and the answer to be filled."""
     request, response = READS[table]
     return request(address=address, count=count), response()
 
 
-def _write(table: Table, address: int, values: Sequence[int], *, many: bool) -> tuple[ModbusPDU, ModbusPDU]:
+def _write(table: RegisterTable, address: int, values: Sequence[int], *, many: bool) -> tuple[ModbusPDU, ModbusPDU]:
     """Request, and the answer to be filled."""
     bits = [bool(value) for value in values]
     if table == "coil":

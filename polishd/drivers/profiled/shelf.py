@@ -7,7 +7,7 @@ from pathlib import Path
 from polishd.api import ConfigError
 from polishd.config.device_file import load_device_profile
 from polishd.config.device_profile import DeviceProfile
-from polishd.config.places import did_you_mean, listed
+from polishd.config.places import did_you_mean, join_words
 
 FOLDER = Path(__file__).with_name("profiles")
 
@@ -23,6 +23,8 @@ def profile_of(name: str, base_dir: Path) -> DeviceProfile:
         return load_device_profile(base_dir / Path(name).expanduser())
     known = shipped()
     if name not in known:
-        hint = f"{did_you_mean(name, known)} polishd has {listed(known)}; a profile of your own is a file, NAME.toml"
+        hint = (
+            f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
+        )
         raise ConfigError(f"profile {name!r} is not known{hint}")
     return load_device_profile(FOLDER / f"{name}.toml")

@@ -19,8 +19,8 @@ from polishd.config.device_tables import SpindleTable
 from polishd.drivers.profiled import meaning
 from polishd.drivers.profiled.codec import Values
 from polishd.drivers.profiled.device import ProfiledDevice
-from polishd.drivers.profiled.wire import Wire
-from polishd.drivers.transport.pace import Pace
+from polishd.drivers.profiled.wire import ProfileTransport
+from polishd.drivers.transport.pace import PeriodicTimer
 
 BEAT_S = 0.1
 """Period of samples, which feed the drive's watchdog."""
@@ -32,7 +32,7 @@ AT_REST = "the spindle may turn: only stopping opens the link again"
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class SpindleReading:
     """What the drive says of itself. Speed is signed where the profile says by what; forward is positive."""
 
     state: str
@@ -51,10 +51,10 @@ class Reading:
         return self.state == "running" and abs(self.rpm - rpm) <= within * abs(rpm)
 
 
-class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
+class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
     """A Spindle over a wire. Its drive is fed only while somebody iterates ``samples`` or waits in ``set_speed``."""
 
-    def __init__(self, wire: Wire, times: SpindleTimes) -> None:
+    def __init__(self, wire: ProfileTransport, times: SpindleTimes) -> None:
         table = wire.profile.spindle
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no spindle")
@@ -93,7 +93,7 @@ class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
 
     async def samples(self) -> AsyncIterator[SpeedSample]:
         """See Spindle."""
-        pace = Pace(BEAT_S)
+        pace = PeriodicTimer(BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield SpeedSample(time.monotonic(), reading.rpm, self._asked_rpm, reading.fault)
@@ -134,10 +134,10 @@ class ProfiledSpindle(ProfiledDevice[Reading, SpindleTimes]):
         await self._wire.order("stop")
         self._asked_rpm = 0.0
 
-    def _reading(self, values: Values) -> Reading:
+    def _reading(self, values: Values) -> SpindleReading:
         profile = self._wire.profile
         fault = meaning.fault_of(profile, values)
         state, rpm = meaning.state_of(profile, values), meaning.number(values, "speed", 0.0)
-        reading = Reading(state, rpm, fault, meaning.fault_words(profile, fault))
+        reading = SpindleReading(state, rpm, fault, meaning.fault_words(profile, fault))
         self._link.exposed = not reading.stands
         return reading

@@ -9,7 +9,7 @@ from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profiled.codec import Values
 
 
-class Wire(Protocol):
+class ProfileTransport(Protocol):
     """One request and one answer at a time. A call raises LinkError or ProtocolError and is never repeated."""
 
     profile: DeviceProfile

@@ -18,9 +18,9 @@ from polishd.api import (
     RobotTimes,
     Segment,
 )
-from polishd.drivers.robot_link.frames import Kind, encode
-from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, Progress, Welcome, command
-from polishd.drivers.robot_link.session import ExecutionRecord, Session
+from polishd.drivers.robot_link.frames import FrameType, encode
+from polishd.drivers.robot_link.messages import PROTOCOL, Ack, Nak, RobotLinkStatus, Welcome, command
+from polishd.drivers.robot_link.session import ExecutionRecord, RobotLinkSession
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.streams import open_stream
@@ -37,12 +37,12 @@ RESENDS = 3
 Role = Literal["writer", "reader"]
 
 
-class Connection(Background):
+class RobotLinkConnection(Background):
     """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
 
     def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None, times: RobotTimes) -> None:
         super().__init__(str(address))
-        self.session = Session(record)
+        self.session = RobotLinkSession(record)
         self._times = times
         self._address = address
         self._role = role
@@ -58,7 +58,7 @@ class Connection(Background):
         return self.session.welcome
 
     @property
-    def progress(self) -> Progress:
+    def progress(self) -> RobotLinkStatus:
         """The robot's last word; LinkError once the link is down."""
         self.check()
         return self.session.present()
@@ -74,7 +74,7 @@ class Connection(Background):
                 "executed_from": self.session.executed_from,
                 "lease": lease,
             }
-            await self._stream.write(command(Kind.HELLO, hello))
+            await self._stream.write(command(FrameType.HELLO, hello))
             await self.start(self._run, CONNECT_S)
             self._require_lease()
             self._require_watchdog()
@@ -88,7 +88,7 @@ class Connection(Background):
         if self._stream is not None:
             await self._stream.close()
 
-    async def command(self, kind: Kind, content: Mapping[str, Any], within_s: float = ANSWER_S) -> Ack:
+    async def command(self, kind: FrameType, content: Mapping[str, Any], within_s: float = ANSWER_S) -> Ack:
         """Send once and wait for its ACK; ``within_s`` comes on top of the silence that the link is allowed.
 
         DeviceRefused on NAK, LinkError without an answer.
@@ -108,7 +108,7 @@ class Connection(Background):
         """Send blocks as credit allows, again from where the robot asks, until it has accepted them all."""
         credit, end = self.session.credit, segments[-1].seq + 1
         refusal: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
-        self._pending[Kind.BLOCKS] = deque([refusal])
+        self._pending[FrameType.BLOCKS] = deque([refusal])
         credit.go_back()
         rounds = 0
         try:
@@ -121,7 +121,7 @@ class Connection(Background):
                 if rounds > RESENDS:
                     raise ProtocolError(f"{self._address}: does not accept block {credit.accepted}")
         finally:
-            self._pending.pop(Kind.BLOCKS, None)
+            self._pending.pop(FrameType.BLOCKS, None)
             if not refusal.cancel() and not refusal.cancelled():
                 refusal.exception()
 
@@ -175,7 +175,7 @@ class Connection(Background):
         while True:
             await asyncio.sleep(PING_S)
             if self._stream is not None:
-                await self._stream.write(encode(Kind.PING))
+                await self._stream.write(encode(FrameType.PING))
 
     async def _receive(self, ready: Ready) -> None:
         heard = time.monotonic()
@@ -195,7 +195,7 @@ class Connection(Background):
     def _match_answers(self) -> None:
         answers, self.session.answers = self.session.answers, []
         for answer in answers:
-            if isinstance(answer, Nak) and answer.of == Kind.HELLO:
+            if isinstance(answer, Nak) and answer.of == FrameType.HELLO:
                 raise _refused(self._address, answer)
             waiting = self._pending.get(answer.of)
             future = waiting.popleft() if waiting else None
@@ -209,5 +209,5 @@ class Connection(Background):
 
 def _refused(address: Tcp, nak: Nak) -> DeviceError:
     kinds: dict[str, type[DeviceError]] = {"protocol": ProtocolError, "busy": DeviceBusy}
-    name = Kind(nak.of).name if nak.of in tuple(Kind) else f"frame type {nak.of}"
+    name = FrameType(nak.of).name if nak.of in tuple(FrameType) else f"frame type {nak.of}"
     return kinds.get(nak.code, DeviceRefused)(f"{address}: {name} was refused: {nak.code}: {nak.text}")

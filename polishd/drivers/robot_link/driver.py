@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator, Callable, Sequence
 
 from polishd.api import (
     DeviceFault,
+    DeviceIdentity,
     DeviceStatus,
-    Executed,
-    Identity,
+    ExecutedBlock,
     LinkError,
     Plan,
     ProtocolError,
@@ -19,8 +19,8 @@ from polishd.api import (
     RobotTimes,
     Segment,
 )
-from polishd.drivers.robot_link.connection import Connection, Role
-from polishd.drivers.robot_link.frames import Kind
+from polishd.drivers.robot_link.connection import RobotLinkConnection, Role
+from polishd.drivers.robot_link.frames import FrameType
 from polishd.drivers.robot_link.messages import LONGEST_LINE
 from polishd.drivers.robot_link.session import ExecutionRecord
 from polishd.drivers.transport.address import Tcp
@@ -45,7 +45,7 @@ class RobotLink:
         self._role = role
         self._record = ExecutionRecord()
         self._lease = ""
-        self._connection: Connection | None = None
+        self._connection: RobotLinkConnection | None = None
         self._sending = asyncio.Lock()
 
     @property
@@ -78,7 +78,7 @@ class RobotLink:
             self._record = connection.session.record
             await connection.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         return self._open_connection().welcome.identity
 
@@ -97,7 +97,7 @@ class RobotLink:
         if self._connection is not None and self._connection.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await self.hold()
-        connection = Connection(self._address, "reader", None, self._times)
+        connection = RobotLinkConnection(self._address, "reader", None, self._times)
         await connection.open(self._client)
         try:
             await _hold(connection, self._times.stop_s)
@@ -114,7 +114,7 @@ class RobotLink:
             "blocks": len(plan.segments),
             "approach_blocks": plan.approach_blocks,
         }
-        answer = await self._open_connection().command(Kind.LOAD, load)
+        answer = await self._open_connection().command(FrameType.LOAD, load)
         if answer.progress.program_sha256 != sha256:
             raise ProtocolError(f"{self._address}: was given {sha256}, holds {answer.progress.program_sha256!r}")
 
@@ -131,7 +131,7 @@ class RobotLink:
         """See Robot."""
         return self._open_connection().progress
 
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         """See Robot. DeviceFault when the robot reports a fault."""
         connection = self._open_connection()
         record, seq = connection.session.record, from_seq
@@ -149,44 +149,44 @@ class RobotLink:
 
     async def lift(self, distance_mm: float) -> None:
         """See Robot. DeviceRefused where another has the lease."""
-        await self._open_connection().command(Kind.LIFT, {"distance_mm": distance_mm}, self._times.stop_s)
+        await self._open_connection().command(FrameType.LIFT, {"distance_mm": distance_mm}, self._times.stop_s)
 
     async def resume(self, until: int | None = None) -> None:
         """See Robot. Returns when the robot has taken the command; DeviceRefused where it was stopped meanwhile."""
         connection = self._open_connection()
-        await connection.command(Kind.RESUME, {"until": until, "stops": connection.progress.stops})
+        await connection.command(FrameType.RESUME, {"until": until, "stops": connection.progress.stops})
 
     async def abort(self) -> None:
         """Hold, then make the robot forget its program."""
-        await self._open_connection().command(Kind.ABORT, {}, self._times.stop_s)
+        await self._open_connection().command(FrameType.ABORT, {}, self._times.stop_s)
 
-    def _open_connection(self) -> Connection:
+    def _open_connection(self) -> RobotLinkConnection:
         if self._connection is None:
             raise LinkError(f"{self._address}: is not open")
         return self._connection
 
-    async def _connect(self, record: ExecutionRecord) -> Connection:
-        connection = Connection(self._address, self._role, record, self._times)
+    async def _connect(self, record: ExecutionRecord) -> RobotLinkConnection:
+        connection = RobotLinkConnection(self._address, self._role, record, self._times)
         await connection.open(self._client, self._lease)
         self._lease = connection.welcome.lease
         return connection
 
 
-async def _hold(connection: Connection, stop_s: float) -> None:
+async def _hold(connection: RobotLinkConnection, stop_s: float) -> None:
     """Hold and see that the robot stands still; its STATUS will do where the ACK gets lost."""
     with contextlib.suppress(LinkError):
-        await connection.command(Kind.HOLD, {}, HOLD_ANSWER_S)
+        await connection.command(FrameType.HOLD, {}, HOLD_ANSWER_S)
     if not await connection.until(lambda: connection.progress.state != "running", stop_s):
         raise DeviceFault("the robot goes on running after HOLD")
 
 
-def _news(connection: Connection, record: ExecutionRecord) -> Callable[[], bool]:
+def _news(connection: RobotLinkConnection, record: ExecutionRecord) -> Callable[[], bool]:
     """Tells whether the robot has said anything new since now."""
     count, progress = len(record), connection.session.progress
     return lambda: len(record) > count or connection.session.progress != progress
 
 
-def _ended(connection: Connection, record: ExecutionRecord) -> bool:
+def _ended(connection: RobotLinkConnection, record: ExecutionRecord) -> bool:
     """Nothing more will be executed of what the record is of."""
     progress = connection.progress
     if connection.session.record is not record or progress.program_sha256 != record.program_sha256:

@@ -15,7 +15,7 @@ _CRC = struct.Struct(">I")
 _OVERHEAD = _HEADER.size + _CRC.size
 
 
-class Kind(IntEnum):
+class FrameType(IntEnum):
     """Frame types: below 0x80 to the robot, from 0x80 on from it."""
 
     HELLO = 0x01
@@ -48,7 +48,7 @@ def header_check(kind: int, length: int) -> int:
     return crc32(_CHECKED.pack(kind, length)) & 0xFF
 
 
-def encode(kind: Kind, payload: bytes = b"{}") -> bytes:
+def encode(kind: FrameType, payload: bytes = b"{}") -> bytes:
     """A frame's bytes."""
     body = _HEADER.pack(MAGIC, kind, header_check(kind, len(payload)), len(payload)) + payload
     return body + _CRC.pack(crc32(body))

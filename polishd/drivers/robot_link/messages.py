@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard, cast, get_args
 
-from polishd.api import Executed, Identity, ProtocolError, RobotProgress
-from polishd.drivers.robot_link.frames import Kind, encode
+from polishd.api import DeviceIdentity, ExecutedBlock, ProtocolError, RobotProgress
+from polishd.drivers.robot_link.frames import FrameType, encode
 from polishd.model.devices import RobotState
 
 PROTOCOL = 1
@@ -28,7 +28,7 @@ _SEQ = struct.Struct(">I")
 
 
 @dataclass(frozen=True, slots=True)
-class Progress(RobotProgress):
+class RobotLinkStatus(RobotProgress):
     """The robot's word on itself, with what only this link has."""
 
     stops: int = 0
@@ -39,12 +39,12 @@ class Progress(RobotProgress):
 class Welcome:
     """Who the robot is, and how it stands."""
 
-    identity: Identity
+    identity: DeviceIdentity
     watchdog_s: float
     window: int
     lease: str
     """Names the right to write; brings it back on the next connection. Empty for readers."""
-    progress: Progress
+    progress: RobotLinkStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Ack:
     """The robot did as asked."""
 
     of: int
-    progress: Progress
+    progress: RobotLinkStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Nak:
     text: str
 
 
-def command(kind: Kind, content: Mapping[str, Any]) -> bytes:
+def command(kind: FrameType, content: Mapping[str, Any]) -> bytes:
     """A frame with a JSON payload."""
     return encode(kind, json.dumps(content, separators=(",", ":")).encode())
 
@@ -74,7 +74,7 @@ def blocks(first_seq: int, lines: Sequence[bytes]) -> bytes:
     parts = [_BLOCKS.pack(first_seq, len(lines))]
     for line in lines:
         parts += _LENGTH.pack(len(line)), line
-    return encode(Kind.BLOCKS, b"".join(parts))
+    return encode(FrameType.BLOCKS, b"".join(parts))
 
 
 def welcome(payload: bytes) -> Welcome:
@@ -87,7 +87,7 @@ def welcome(payload: bytes) -> Welcome:
     if not _is_count(window) or not _is_time(watchdog_s) or window < 1 or watchdog_s <= 0:
         raise ProtocolError(f"WELCOME with window {window!r}, watchdog_s {watchdog_s!r}")
     lease = _text(content, "lease")
-    return Welcome(Identity(**texts), float(watchdog_s), window, lease, _progress(content.get("status")))
+    return Welcome(DeviceIdentity(**texts), float(watchdog_s), window, lease, _progress(content.get("status")))
 
 
 def ack(payload: bytes) -> Ack:
@@ -102,7 +102,7 @@ def nak(payload: bytes) -> Nak:
     return Nak(_of(content), _text(content, "code"), _text(content, "text"))
 
 
-def status(payload: bytes) -> Progress:
+def status(payload: bytes) -> RobotLinkStatus:
     """Content of STATUS."""
     return _progress(_object(payload))
 
@@ -115,11 +115,11 @@ def accepted(payload: bytes) -> tuple[int, int, float]:
     return next_seq, credit, buffer_s
 
 
-def executed(payload: bytes) -> list[Executed]:
+def executed(payload: bytes) -> list[ExecutedBlock]:
     """Content of EXECUTED."""
     if len(payload) < _LENGTH.size or len(payload) != _LENGTH.size + _LENGTH.unpack_from(payload)[0] * _RECORD.size:
         raise ProtocolError(f"EXECUTED of {len(payload)} bytes does not hold what it counts")
-    records = [Executed(*record) for record in _RECORD.iter_unpack(payload[_LENGTH.size :])]
+    records = [ExecutedBlock(*record) for record in _RECORD.iter_unpack(payload[_LENGTH.size :])]
     for one in records:
         if not (math.isfinite(one.start_s) and one.start_s <= one.end_s < math.inf):
             raise ProtocolError(f"block {one.seq} executed from {one.start_s!r} to {one.end_s!r} s")
@@ -173,7 +173,7 @@ def _of(content: Mapping[str, Any]) -> int:
     return of
 
 
-def _progress(content: Any) -> Progress:
+def _progress(content: Any) -> RobotLinkStatus:
     if not isinstance(content, dict):
         raise ProtocolError(f"no status: {content!r}")
     state, buffer_s = content.get("state"), content.get("buffer_s")
@@ -182,7 +182,7 @@ def _progress(content: Any) -> Progress:
         raise ProtocolError(f"status with state {state!r}, buffer_s {buffer_s!r}")
     if not all(map(_is_count, counts)):
         raise ProtocolError(f"status with accepted, executed, stops {counts!r}")
-    return Progress(
+    return RobotLinkStatus(
         state=cast("RobotState", state),
         program_sha256=_text(content, "program_sha256"),
         accepted=cast("int", counts[0]),

@@ -6,10 +6,10 @@ from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from polishd.api import Executed, LinkError, Segment
+from polishd.api import ExecutedBlock, LinkError, Segment
 from polishd.drivers.robot_link import messages
-from polishd.drivers.robot_link.frames import Frame, FrameReader, Kind
-from polishd.drivers.robot_link.messages import Ack, Nak, Progress, Welcome
+from polishd.drivers.robot_link.frames import Frame, FrameReader, FrameType
+from polishd.drivers.robot_link.messages import Ack, Nak, RobotLinkStatus, Welcome
 
 MAX_BLOCKS = 256
 """Blocks in one frame: small enough that one lost frame costs little."""
@@ -47,10 +47,10 @@ class ExecutionRecord:
     def __len__(self) -> int:
         return len(self._start_s)
 
-    def __getitem__(self, seq: int) -> Executed:
-        return Executed(seq, self._start_s[seq], self._end_s[seq])
+    def __getitem__(self, seq: int) -> ExecutedBlock:
+        return ExecutedBlock(seq, self._start_s[seq], self._end_s[seq])
 
-    def extend(self, executed: Iterable[Executed]) -> None:
+    def extend(self, executed: Iterable[ExecutedBlock]) -> None:
         """Add what is new. LinkError where records were lost: the robot gives them again after a reconnect."""
         for one in executed:
             if one.seq > len(self):
@@ -62,22 +62,22 @@ class ExecutionRecord:
                 self._end_s.append(one.end_s)
 
 
-class Session:
+class RobotLinkSession:
     """What the robot has said on this connection."""
 
     def __init__(self, record: ExecutionRecord | None) -> None:
         self._frames = FrameReader()
         self._handlers: dict[int, Callable[[bytes], None]] = {
-            Kind.WELCOME: self._welcome,
-            Kind.ACK: self._ack,
-            Kind.NAK: lambda payload: self.answers.append(messages.nak(payload)),
-            Kind.ACCEPTED: self._accepted,
-            Kind.EXECUTED: self._executed,
-            Kind.STATUS: lambda payload: self._progressed(messages.status(payload)),
-            Kind.RESEND: lambda payload: self.credit.go_back(messages.resend(payload)),
+            FrameType.WELCOME: self._welcome,
+            FrameType.ACK: self._ack,
+            FrameType.NAK: lambda payload: self.answers.append(messages.nak(payload)),
+            FrameType.ACCEPTED: self._accepted,
+            FrameType.EXECUTED: self._executed,
+            FrameType.STATUS: lambda payload: self._progressed(messages.status(payload)),
+            FrameType.RESEND: lambda payload: self.credit.go_back(messages.resend(payload)),
         }
         self.welcome: Welcome | None = None
-        self.progress: Progress | None = None
+        self.progress: RobotLinkStatus | None = None
         self.credit = Credit()
         self.record = ExecutionRecord() if record is None else record
         self.follows = record is not None
@@ -97,7 +97,7 @@ class Session:
         """What HELLO asks for."""
         return len(self.record) if self.follows else 0xFFFF_FFFF
 
-    def present(self) -> Progress:
+    def present(self) -> RobotLinkStatus:
         """The last STATUS, with what ACCEPTED and EXECUTED have said since."""
         if self.progress is None:
             raise LinkError("the robot has said nothing yet")
@@ -133,7 +133,9 @@ class Session:
         return frame
 
     def _handle(self, frame: Frame) -> None:
-        if frame.kind not in self._handlers or (self.welcome is None and frame.kind not in (Kind.WELCOME, Kind.NAK)):
+        if frame.kind not in self._handlers or (
+            self.welcome is None and frame.kind not in (FrameType.WELCOME, FrameType.NAK)
+        ):
             return  # of a later version, or of before we were welcome
         self._handlers[frame.kind](frame.payload)
 
@@ -148,7 +150,7 @@ class Session:
 
     def _ack(self, payload: bytes) -> None:
         answer = messages.ack(payload)
-        if answer.of == Kind.LOAD and self.welcome is not None:
+        if answer.of == FrameType.LOAD and self.welcome is not None:
             self.record = ExecutionRecord(answer.progress.program_sha256, self.welcome.identity.boot_id)
             self.credit = Credit(limit=self.welcome.window)
         self._progressed(answer.progress)
@@ -164,7 +166,7 @@ class Session:
         if self.follows:
             self.record.extend(messages.executed(payload))
 
-    def _progressed(self, progress: Progress) -> None:
+    def _progressed(self, progress: RobotLinkStatus) -> None:
         boot_id = self.welcome.identity.boot_id if self.welcome is not None else ""
         if progress.boot_id and progress.boot_id != boot_id:
             raise LinkError(f"the robot was started anew (boot id {progress.boot_id}, not {boot_id})")

@@ -10,9 +10,9 @@ from collections.abc import AsyncIterator
 
 from polishd.api import (
     DeviceFault,
+    DeviceIdentity,
     DeviceRefused,
     DeviceStatus,
-    Identity,
     LinkError,
     ProtocolError,
     SpeedSample,
@@ -21,7 +21,7 @@ from polishd.api import (
 from polishd.drivers.spindle_can import codec
 from polishd.drivers.spindle_can.codec import DriveState
 from polishd.drivers.spindle_can.link import DriveLink
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 
 TOLERANCE = 0.02
 
@@ -33,7 +33,9 @@ class SpindleCan:
     after; then the drive hears nothing more and stops by itself.
     """
 
-    def __init__(self, address: Slcan | Socketcand, times: SpindleTimes | None = None, *, node: int = 5) -> None:
+    def __init__(
+        self, address: SlcanAddress | SocketcandAddress, times: SpindleTimes | None = None, *, node: int = 5
+    ) -> None:
         self._address = address
         self._times = times or SpindleTimes()
         self._node = node
@@ -66,7 +68,7 @@ class SpindleCan:
         if link is not None:
             await link.close()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device. Vendor, product and revision are the CiA 301 numbers."""
         link = self._open_link()
         vendor, product, revision, serial, boots = [
@@ -79,7 +81,9 @@ class SpindleCan:
                 codec.BOOT_COUNT,
             )
         ]
-        return Identity(f"0x{vendor:08x}", f"0x{product:08x}", str(serial), f"0x{revision:08x}", boot_id=str(boots))
+        return DeviceIdentity(
+            f"0x{vendor:08x}", f"0x{product:08x}", str(serial), f"0x{revision:08x}", boot_id=str(boots)
+        )
 
     async def status(self) -> DeviceStatus:
         """See Device. Safe means stopped."""

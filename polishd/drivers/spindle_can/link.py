@@ -8,10 +8,10 @@ import time
 from polishd.api import DeviceFault, LinkError, ProtocolError
 from polishd.drivers.spindle_can import codec
 from polishd.drivers.spindle_can.codec import DriveObject, DriveStatus, Heartbeat, SdoAnswer
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.can_bus import CanBus, CanFrame, open_bus
-from polishd.drivers.transport.can_nodes import Heard
+from polishd.drivers.transport.can_nodes import NodesHeard
 
 OPEN_S = 1.0
 REPEAT_S = 0.1
@@ -24,7 +24,7 @@ SDO_S = 3.0
 class DriveLink(Background):
     """From opening the bus to its end; never opened again."""
 
-    def __init__(self, address: Slcan | Socketcand, node: int, silence_s: float) -> None:
+    def __init__(self, address: SlcanAddress | SocketcandAddress, node: int, silence_s: float) -> None:
         """``silence_s`` of heartbeats, or of process data, is the link's end."""
         super().__init__(f"{address} node {node}")
         self._address = address
@@ -33,7 +33,7 @@ class DriveLink(Background):
         self._sdo = asyncio.Lock()
         self._uploads: dict[DriveObject, asyncio.Future[SdoAnswer]] = {}
         self._bus: CanBus | None = None
-        self._heard = Heard()
+        self._heard = NodesHeard()
         self._status: DriveStatus | None = None
         self._status_at = self._beat_at = -1.0
         self._beating = False

@@ -58,7 +58,7 @@ class SerialLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Slcan:
+class SlcanAddress:
     """A CAN bus behind a serial adapter that speaks slcan."""
 
     path: Path
@@ -70,7 +70,7 @@ class Slcan:
 
 
 @dataclass(frozen=True, slots=True)
-class Socketcand:
+class SocketcandAddress:
     """A CAN bus behind a socketcand server."""
 
     host: str
@@ -81,7 +81,7 @@ class Socketcand:
         return f"socketcand://{self.host}:{self.port}/{self.channel}"
 
 
-Address = Tcp | SerialLine | Slcan | Socketcand
+Address = Tcp | SerialLine | SlcanAddress | SocketcandAddress
 
 
 def parse_address(text: str, base_dir: Path, usual: SerialLine | None = None) -> Address:
@@ -111,10 +111,10 @@ def tcp_address(text: str, base_dir: Path, who: str) -> Tcp:
     raise ConfigError(f"address {text!r}: {who} runs over tcp:// only")
 
 
-def can_address(text: str, base_dir: Path, who: str) -> Slcan | Socketcand:
+def can_address(text: str, base_dir: Path, who: str) -> SlcanAddress | SocketcandAddress:
     """The address of a CAN bus; ConfigError where it is none for ``who``."""
     address = parse_address(text, base_dir)
-    if isinstance(address, Slcan | Socketcand):
+    if isinstance(address, SlcanAddress | SocketcandAddress):
         return address
     raise ConfigError(f"address {text!r}: {who} runs over slcan: or socketcand:// only")
 
@@ -130,11 +130,11 @@ def _parse(url: SplitResult, base_dir: Path, usual: SerialLine) -> Address:
             channel = url.path.strip("/")
             if not channel or "/" in channel or options:
                 raise ValueError("write socketcand://host:port/channel")
-            return Socketcand(*_host_port(url), channel)
+            return SocketcandAddress(*_host_port(url), channel)
         case "serial":
             return _serial(replace(usual, path=_path(url, base_dir)), options)
         case "slcan":
-            slcan = Slcan(_path(url, base_dir), **_numbers(options, {"bitrate", "baud"}))
+            slcan = SlcanAddress(_path(url, base_dir), **_numbers(options, {"bitrate", "baud"}))
             if slcan.bitrate not in CAN_BITRATES:
                 raise ValueError(f"bitrate {slcan.bitrate} is none of {', '.join(map(str, CAN_BITRATES))}")
             return slcan

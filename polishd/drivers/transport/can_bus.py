@@ -15,7 +15,7 @@ from can.interfaces.slcan import slcanBus
 from can.interfaces.socketcand import SocketCanDaemonBus
 
 from polishd.api import LinkError
-from polishd.drivers.transport.address import Slcan, Socketcand, Tcp
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, Tcp
 from polishd.drivers.transport.background import open_blocking
 from polishd.drivers.transport.claims import claim_address
 from polishd.drivers.transport.streams import connect_unclaimed, why_closed
@@ -45,7 +45,7 @@ class CanFrame(NamedTuple):
 OnFrame = Callable[[CanFrame], None]
 
 
-async def open_bus(address: Slcan | Socketcand, node: int) -> CanBus:
+async def open_bus(address: SlcanAddress | SocketcandAddress, node: int) -> CanBus:
     """Connect to the bus for the sake of that node; LinkError where that fails.
 
     DeviceClaimed where another program on this computer has the adapter, or that node of a bus behind a server.
@@ -58,18 +58,18 @@ async def open_bus(address: Slcan | Socketcand, node: int) -> CanBus:
         raise
 
 
-async def _connected(address: Slcan | Socketcand) -> can.BusABC:
+async def _connected(address: SlcanAddress | SocketcandAddress) -> can.BusABC:
     logging.getLogger("can").setLevel(logging.CRITICAL)  # what goes wrong is raised here, and told once
-    if isinstance(address, Socketcand):
+    if isinstance(address, SocketcandAddress):
         await _greeted(address)
     try:
         return await open_blocking(lambda: _make(address), lambda bus: bus.shutdown(), OPEN_S, str(address))
     except (can.CanError, OSError, ValueError) as error:
-        port = isinstance(address, Slcan) and error.__cause__
+        port = isinstance(address, SlcanAddress) and error.__cause__
         raise LinkError(f"{address}: {why_closed(port, 'such baud rate') if port else error}") from error
 
 
-async def _greeted(address: Socketcand) -> None:
+async def _greeted(address: SocketcandAddress) -> None:
     """See that a socketcand server is there: python-can would spin for 10 s, or wait for ever for its greeting."""
     server = Tcp(address.host, address.port)
     try:
@@ -89,8 +89,8 @@ async def _greeted(address: Socketcand) -> None:
         await stream.close()
 
 
-def _make(address: Slcan | Socketcand) -> can.BusABC:
-    if isinstance(address, Socketcand):
+def _make(address: SlcanAddress | SocketcandAddress) -> can.BusABC:
+    if isinstance(address, SocketcandAddress):
         return _socketcand(address)
     return PromptSlcan(
         str(address.path),
@@ -101,7 +101,7 @@ def _make(address: Slcan | Socketcand) -> can.BusABC:
     )
 
 
-def _socketcand(address: Socketcand) -> can.BusABC:
+def _socketcand(address: SocketcandAddress) -> can.BusABC:
     """python-can takes a frame that comes along with the server's last ok for a refusal: by chance, so ask again."""
     for left in reversed(range(OPEN_TRIES)):
         try:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import socket
 
-from polishd.drivers.transport.address import Address, SerialLine, Slcan, Tcp
+from polishd.drivers.transport.address import Address, SerialLine, SlcanAddress, Tcp
 from polishd.ports.address_claims import Claim, claim, serial_key, tcp_keys
 
 RESOLVE_S = 1.0
@@ -26,7 +26,7 @@ async def claim_address(address: Address, *, part: str = "") -> Claim:
         DeviceClaimed: another program on this computer has it. Nothing was connected.
     """
     name = str(address)
-    if isinstance(address, SerialLine | Slcan):
+    if isinstance(address, SerialLine | SlcanAddress):
         return claim([serial_key(address.path)], name)
     resolved = await _resolved(address.host, address.port)
     if isinstance(address, Tcp):

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from polishd.api import DeviceRefused, Plan, RobotTimes, Segment
-from polishd.drivers.transport.file_watch import FileWatch
+from polishd.drivers.transport.file_watch import FileProgramTracker
 from polishd.drivers.transport.program_robot import ProgramRobot
 
-W = TypeVar("W", bound=FileWatch)
+W = TypeVar("W", bound=FileProgramTracker)
 Goes = Callable[[float], bool]
 """Asked right before the order to run, with the controller's time: whether it is still wanted."""
 

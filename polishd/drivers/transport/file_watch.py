@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from polishd.api import Plan
 from polishd.drivers.transport.program_file import ProgramFile
-from polishd.drivers.transport.program_watch import ProgramWatch
+from polishd.drivers.transport.program_watch import ProgramTracker
 
 START_S = 1.0
 """So long after being told to run a controller may say that it does not."""
 
 
-class FileWatch(ProgramWatch):
+class FileProgramTracker(ProgramTracker):
     """One program from its load to its end; it may stand at the stops of its file."""
 
     def __init__(self, plan: Plan, blocks: int) -> None:

@@ -7,7 +7,7 @@ import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 
-from polishd.api import Identity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.numbered import NumberedLines, identity
 
@@ -41,7 +41,7 @@ class LineDevice(ABC):
         """See Device."""
         await self._lines.disconnect()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device."""
         return identity(await self.ask("ID?"))
 

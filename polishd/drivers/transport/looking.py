@@ -5,7 +5,7 @@ from __future__ import annotations
 from polishd.drivers.transport.line_device import ANSWERS_S, LineDevice
 
 
-class LookingLine(LineDevice):
+class ReadOnlyLineDevice(LineDevice):
     """What their drivers share."""
 
     async def make_safe(self) -> None:

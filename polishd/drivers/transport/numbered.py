@@ -12,7 +12,7 @@ from operator import xor
 
 from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
 from polishd.drivers.transport.streams import LineReader, open_stream
-from polishd.model.devices import Identity
+from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 from polishd.ports.stream import ByteStream
 
@@ -40,12 +40,12 @@ def decode(line: bytes) -> tuple[int, str] | None:
     return int(number), body
 
 
-def identity(body: str) -> Identity:
+def identity(body: str) -> DeviceIdentity:
     """The answer to ``ID?``; ProtocolError where it is none."""
     parts = body.split(",")
     if len(parts) != 6 or parts[0] != "ID":
         raise ProtocolError(f"no answer to ID?: {body!r}")
-    return Identity(parts[1], parts[2], parts[3], parts[4], boot_id=parts[5])
+    return DeviceIdentity(parts[1], parts[2], parts[3], parts[4], boot_id=parts[5])
 
 
 class NumberedLines:

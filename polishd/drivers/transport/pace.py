@@ -6,7 +6,7 @@ import asyncio
 import time
 
 
-class Pace:
+class PeriodicTimer:
     """One round a period. A round that took longer is not made up for by the next ones."""
 
     def __init__(self, period_s: float) -> None:

@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Generic, TypeVar
 
-from polishd.api import DeviceFault, DeviceRefused, Executed, Plan, RobotProgress, RobotTimes, Segment
+from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, Plan, RobotProgress, RobotTimes, Segment
 from polishd.drivers.transport.background import Background
 from polishd.drivers.transport.blocks import new_blocks
-from polishd.drivers.transport.program_watch import ProgramWatch
+from polishd.drivers.transport.program_watch import ProgramTracker
 from polishd.model.devices import RobotState
 
-W = TypeVar("W", bound=ProgramWatch)
+W = TypeVar("W", bound=ProgramTracker)
 
 
 class ProgramRobot(ABC, Generic[W]):
@@ -67,7 +67,7 @@ class ProgramRobot(ABC, Generic[W]):
             return RobotProgress(state, "", 0, 0, 0.0, override=self._override())
         return self._watch.progress(len(self._lines), self.buffer_s, self._override())
 
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         """See Robot. DeviceFault when the controller stops by itself, or ends the program before its end."""
         self._background.check()
         watch, seq = self._watch, from_seq
@@ -123,7 +123,7 @@ class ProgramRobot(ABC, Generic[W]):
         return self._plan, self._watch
 
 
-def _news(watch: ProgramWatch) -> Callable[[], bool]:
+def _news(watch: ProgramTracker) -> Callable[[], bool]:
     """Tells whether anything was executed since now, or the program is over."""
     count = len(watch)
     return lambda: len(watch) > count or watch.ended or bool(watch.stopped)

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from polishd.api import Executed, Plan, RobotProgress
+from polishd.api import ExecutedBlock, Plan, RobotProgress
 from polishd.model.devices import RobotState
 
 BLOCK_S = 0.01
 """What a block costs beyond its dwell, about."""
 
 
-class ProgramWatch:
+class ProgramTracker:
     """One program from its load to its end. Times are process time: it stands still while the robot is held.
 
     What a controller says of itself is for its own kind to understand: it moves ``clock_s`` on and calls ``record``.
@@ -40,8 +40,8 @@ class ProgramWatch:
     def __len__(self) -> int:
         return len(self._end_s)
 
-    def __getitem__(self, seq: int) -> Executed:
-        return Executed(seq, self._start_s[seq], self._end_s[seq])
+    def __getitem__(self, seq: int) -> ExecutedBlock:
+        return ExecutedBlock(seq, self._start_s[seq], self._end_s[seq])
 
     @property
     def ended(self) -> bool:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from polishd.api import (
     DeviceFault,
+    DeviceIdentity,
     DeviceRefused,
     DeviceStatus,
-    Identity,
     LinkError,
     Plan,
     ProtocolError,
@@ -24,11 +24,11 @@ from polishd.drivers.transport.background import Background
 from polishd.drivers.transport.claims import claim_address
 from polishd.drivers.transport.program_robot import ProgramRobot
 from polishd.drivers.universal_robots import dashboard
-from polishd.drivers.universal_robots.link import Link, Order, Orders
-from polishd.drivers.universal_robots.primary import Upload
-from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
-from polishd.drivers.universal_robots.script import LONGEST_LINE, Block, Settings, assemble, blocks_of
-from polishd.drivers.universal_robots.watch import LIVE, Watch
+from polishd.drivers.universal_robots.link import RtdeConnection, ScriptCommand, ScriptInputs
+from polishd.drivers.universal_robots.primary import ScriptUpload
+from polishd.drivers.universal_robots.sample import RtdeSample, ScriptPhase, UrRuntimeState
+from polishd.drivers.universal_robots.script import LONGEST_LINE, ScriptLine, Settings, assemble, blocks_of
+from polishd.drivers.universal_robots.watch import LIVE, UrProgramTracker
 from polishd.ports.address_claims import Claim
 
 LOAD_S, LOAD_LINE_S = 5.0, 5e-4
@@ -51,7 +51,7 @@ class Addresses:
         return cls(Tcp(host, rtde), Tcp(host, dashboard), Tcp(host, primary))
 
 
-class UniversalRobot(ProgramRobot[Watch]):
+class UniversalRobot(ProgramRobot[UrProgramTracker]):
     """A Robot over RTDE. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
 
     Never switches the robot on, releases no brake and unlocks no stop: that is for the operator, who stands there.
@@ -63,9 +63,9 @@ class UniversalRobot(ProgramRobot[Watch]):
         super().__init__(addresses.rtde.host, times)
         self._addresses = addresses
         self._settings = settings
-        self._link = Link(addresses.rtde, rate_hz, settings.registers, times.silence_s)
+        self._link = RtdeConnection(addresses.rtde, rate_hz, settings.registers, times.silence_s)
         self._link.on_sample = self._seen
-        self._blocks: list[Block] = []
+        self._blocks: list[ScriptLine] = []
         self._claimed: list[Claim] = []
         """On all of the controller's servers: those that are asked once are connected for that alone."""
 
@@ -97,18 +97,22 @@ class UniversalRobot(ProgramRobot[Watch]):
         for one in claimed:
             one.release()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """See Device. Controllers from before 3.12 know neither model nor serial number."""
         self._link.check()
         model = await dashboard.ask(self._addresses.dashboard, "get robot model")
         serial = await dashboard.ask(self._addresses.dashboard, "get serial number")
-        return Identity("Universal Robots", model or "UR", serial or "unknown", self._link.controller)
+        return DeviceIdentity("Universal Robots", model or "UR", serial or "unknown", self._link.controller)
 
     async def status(self) -> DeviceStatus:
         """See Device. Ready: it would take a program and run it as written. Safe: nothing runs and it stands."""
         sample = self._link.last
         why = sample.obstacle() or await self._not_remote()
-        state = Runtime(sample.runtime).name.lower() if sample.runtime in tuple(Runtime) else str(sample.runtime)
+        state = (
+            UrRuntimeState(sample.runtime).name.lower()
+            if sample.runtime in tuple(UrRuntimeState)
+            else str(sample.runtime)
+        )
         return DeviceStatus(ready=not why, safe=self._link.stands, state=state, detail=why)
 
     async def make_safe(self) -> None:
@@ -134,7 +138,7 @@ class UniversalRobot(ProgramRobot[Watch]):
             raise DeviceRefused(f"{self._name}: a program is running; hold it first")
         await self._stop_program()
         self._blocks = []
-        self._announce(plan, Watch)
+        self._announce(plan, UrProgramTracker)
 
     async def send(self, segments: Sequence[Segment]) -> None:
         """See Robot. With the last block the script is sent; it then waits before its first.
@@ -171,7 +175,7 @@ class UniversalRobot(ProgramRobot[Watch]):
             raise DeviceRefused(f"{self._name}: {why}")
         if self._waits(until):
             return
-        if watch.live and sample.runtime in (Runtime.PAUSING, Runtime.PAUSED):
+        if watch.live and sample.runtime in (UrRuntimeState.PAUSING, UrRuntimeState.PAUSED):
             raise DeviceRefused(f"{self._name}: it is paused at the controller: go on there, or prepare it anew")
         if not watch.live:
             await self._upload(watch)
@@ -183,22 +187,22 @@ class UniversalRobot(ProgramRobot[Watch]):
         if watch is None or not self._hears(link.last):
             raise DeviceRefused(f"{self._name}: no program of ours is under way that could lift")
         self._stay()
-        await link.tell(Orders(watch.token, watch.until, Order.LIFT, round(distance_mm * 1000.0)))
-        await link.until(lambda: not self._hears(link.last) and link.last.phase != Phase.ENDS, self._times.stop_s)
+        await link.tell(ScriptInputs(watch.token, watch.until, ScriptCommand.LIFT, round(distance_mm * 1000.0)))
+        await link.until(lambda: not self._hears(link.last) and link.last.phase != ScriptPhase.ENDS, self._times.stop_s)
         watch.drop("lifted off the path")
-        if link.last.phase != Phase.LIFTED:
+        if link.last.phase != ScriptPhase.LIFTED:
             raise DeviceFault(f"{self._name}: the robot does not lift: {link.last.obstacle() or 'no reason is told'}")
         await link.standstill("the lift", self._times.stop_s)
 
-    async def _upload(self, watch: Watch) -> None:
+    async def _upload(self, watch: UrProgramTracker) -> None:
         """Send what is left of the program, and hear that it waits."""
         start = len(watch)
         token = secrets.randbelow((1 << 31) - 1) + 1
         script = assemble(self._blocks, start, watch.spent_s, token, self._settings)
         watch.sent(token, self._blocks)
-        await self._link.tell(Orders(token))
+        await self._link.tell(ScriptInputs(token))
         within_s = LOAD_S + LOAD_LINE_S * len(script.block_of)
-        async with Upload(self._addresses.primary, script.text) as upload:
+        async with ScriptUpload(self._addresses.primary, script.text) as upload:
 
             def settled() -> bool:
                 upload.check()
@@ -211,35 +215,35 @@ class UniversalRobot(ProgramRobot[Watch]):
         if not taken:
             raise DeviceRefused(f"{self._name}: the controller did not start the script within {within_s:g} s")
 
-    async def _go(self, watch: Watch) -> None:
+    async def _go(self, watch: UrProgramTracker) -> None:
         """To the target."""
         self._pending = False
         watch.ordered(watch.blocks if self._target is None else self._target)
-        await self._link.tell(Orders(watch.token, watch.until))
+        await self._link.tell(ScriptInputs(watch.token, watch.until))
 
     async def _stop_program(self) -> None:
         """Ours by its own order, any other by the dashboard. Returns when nothing runs and the robot stands."""
         link, watch, stop_s = self._link, self._watch, self._times.stop_s
         if watch is not None and self._hears(link.last):
-            await link.tell(Orders(watch.token, 0, Order.STOP))
+            await link.tell(ScriptInputs(watch.token, 0, ScriptCommand.STOP))
             await link.until(lambda: link.stands, SOFT_SHARE * stop_s)
-        if link.last.runtime != Runtime.STOPPED:
+        if link.last.runtime != UrRuntimeState.STOPPED:
             await dashboard.stop(self._addresses.dashboard, stop_s)
         await link.standstill("stop", stop_s)
 
-    def _seen(self, sample: Sample) -> None:
+    def _seen(self, sample: RtdeSample) -> None:
         """What the controller does is booked; a program that is over is fed no more."""
         watch = self._watch
         if watch is None:
             return
         watch.update(sample)
-        if watch.heard and not (sample.token == watch.token and sample.phase in (*LIVE, Phase.ENDS)):
+        if watch.heard and not (sample.token == watch.token and sample.phase in (*LIVE, ScriptPhase.ENDS)):
             self._link.orders = None
 
-    def _hears(self, sample: Sample) -> bool:
+    def _hears(self, sample: RtdeSample) -> bool:
         """Our program is there to take orders."""
         ours = self._watch is not None and sample.token == self._watch.token and sample.phase in LIVE
-        return ours and sample.runtime == Runtime.PLAYING
+        return ours and sample.runtime == UrRuntimeState.PLAYING
 
     async def _not_remote(self) -> str:
         remote = await dashboard.in_remote_control(self._addresses.dashboard)

@@ -13,8 +13,8 @@ from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.streams import open_stream
 from polishd.drivers.universal_robots import rtde
-from polishd.drivers.universal_robots.rtde import Kind, Package, PackageReader, Recipe
-from polishd.drivers.universal_robots.sample import OUTPUTS, Registers, Sample
+from polishd.drivers.universal_robots.rtde import Package, PackageReader, PackageType, RtdeRecipe
+from polishd.drivers.universal_robots.sample import OUTPUTS, RtdeSample, UrRegisters
 
 CONNECT_S = 0.8
 OPEN_S = 2.0
@@ -23,7 +23,7 @@ STANDS = 2
 """So many samples in a row are no accident."""
 
 
-class Order(IntEnum):
+class ScriptCommand(IntEnum):
     """What a program that runs is told."""
 
     GO = 0
@@ -32,41 +32,41 @@ class Order(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Orders:
+class ScriptInputs:
     """All that a running program hears. One whose token it is not acts on none of it."""
 
     token: int = 0
     until: int = 0
     """Blocks below it may begin."""
-    order: Order = Order.GO
+    order: ScriptCommand = ScriptCommand.GO
     lift_um: int = 0
 
 
-class Link(Background):
+class RtdeConnection(Background):
     """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by its error."""
 
-    def __init__(self, address: Tcp, rate_hz: float, registers: Registers, silence_s: float) -> None:
+    def __init__(self, address: Tcp, rate_hz: float, registers: UrRegisters, silence_s: float) -> None:
         super().__init__(str(address))
         self._address = address
         self._rate_hz = rate_hz
         self._registers = registers
         self._silence_s = silence_s
         self._stream: ByteStream | None = None
-        self._inputs: Recipe | None = None
-        self._outputs: Recipe | None = None
+        self._inputs: RtdeRecipe | None = None
+        self._outputs: RtdeRecipe | None = None
         self._beat = 0
-        self._last: Sample | None = None
+        self._last: RtdeSample | None = None
         self._stood = 0
         """Samples in a row in which nothing moved."""
         self._count = 0
-        self.on_sample: Callable[[Sample], None] = lambda _sample: None
-        self.orders: Orders | None = None
+        self.on_sample: Callable[[RtdeSample], None] = lambda _sample: None
+        self.orders: ScriptInputs | None = None
         """What is said with each heartbeat; None: nothing is, and a program that hears nothing stops."""
         self.controller = ""
         """Its software."""
 
     @property
-    def last(self) -> Sample:
+    def last(self) -> RtdeSample:
         """The last sample. The link's own error once it is lost."""
         self.check()
         if self._last is None:
@@ -95,7 +95,7 @@ class Link(Background):
         if stream is not None:
             await stream.close()
 
-    async def tell(self, orders: Orders | None) -> None:
+    async def tell(self, orders: ScriptInputs | None) -> None:
         """Say it now, and with each heartbeat from now on."""
         self.orders = orders
         await self._say()
@@ -114,15 +114,15 @@ class Link(Background):
             group.create_task(self._feed(), name=f"{self._address}: heartbeats")
 
     async def _set_up(self, packages: AsyncIterator[Package]) -> None:
-        version = await self._ask(packages, rtde.encode(Kind.VERSION, rtde.PROTOCOL.to_bytes(2)))
+        version = await self._ask(packages, rtde.encode(PackageType.VERSION, rtde.PROTOCOL.to_bytes(2)))
         if not rtde.accepted(version):
             raise DeviceRefused(f"{self._address}: RTDE does not speak version {rtde.PROTOCOL}. To do: update it")
-        self.controller = rtde.controller_of(await self._ask(packages, rtde.encode(Kind.CONTROLLER)))
+        self.controller = rtde.controller_of(await self._ask(packages, rtde.encode(PackageType.CONTROLLER)))
         outputs, inputs = (*OUTPUTS, *self._registers.outputs()), self._registers.inputs()
         answer = await self._ask(packages, rtde.ask_outputs(self._rate_hz, outputs))
-        self._outputs = Recipe.answered(outputs, answer, "outputs")
-        self._inputs = Recipe.answered(inputs, await self._ask(packages, rtde.ask_inputs(inputs)), "inputs")
-        if not rtde.accepted(await self._ask(packages, rtde.encode(Kind.START))):
+        self._outputs = RtdeRecipe.answered(outputs, answer, "outputs")
+        self._inputs = RtdeRecipe.answered(inputs, await self._ask(packages, rtde.ask_inputs(inputs)), "inputs")
+        if not rtde.accepted(await self._ask(packages, rtde.encode(PackageType.START))):
             raise DeviceRefused(f"{self._address}: RTDE does not start")
 
     async def _ask(self, packages: AsyncIterator[Package], question: bytes) -> bytes:
@@ -139,7 +139,7 @@ class Link(Background):
         while self._stream is not None:
             for package in reader.feed(await self._stream.read(1 << 16, self._silence_s)):
                 heard_s = time.monotonic()
-                if package.kind != Kind.TEXT:
+                if package.kind != PackageType.TEXT:
                     yield package
             if time.monotonic() - heard_s > self._silence_s:  # a wrong length waits for what never comes
                 raise LinkError(f"{self._address}: no whole package for {self._silence_s:.2g} s")
@@ -147,13 +147,13 @@ class Link(Background):
     async def _listen(self, packages: AsyncIterator[Package], ready: Ready) -> None:
         heard_s = time.monotonic()
         async for package in packages:
-            values = self._outputs and package.kind == Kind.DATA and self._outputs.unpack(package.payload)
+            values = self._outputs and package.kind == PackageType.DATA and self._outputs.unpack(package.payload)
             if not values:
                 if time.monotonic() - heard_s > self._silence_s:
                     raise LinkError(f"{self._address}: no sample for {self._silence_s:.2g} s")
                 continue
             heard_s = time.monotonic()
-            sample = Sample.of(values, self._registers)
+            sample = RtdeSample.of(values, self._registers)
             if self._last is not None and sample.time_s <= self._last.time_s:
                 raise ProtocolError(f"{self._address}: its clock goes back")
             self._last = sample

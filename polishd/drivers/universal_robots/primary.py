@@ -25,7 +25,7 @@ ROBOT_MESSAGE, RUNTIME_EXCEPTION = 20, 10
 
 
 @dataclass(frozen=True, slots=True)
-class Complaint:
+class ControllerMessage:
     """Why a script does not run."""
 
     line: int
@@ -39,7 +39,7 @@ class MessageReader:
     def __init__(self) -> None:
         self._bytes = bytearray()
 
-    def feed(self, data: bytes) -> Iterator[Complaint]:
+    def feed(self, data: bytes) -> Iterator[ControllerMessage]:
         """The complaints in what is complete. ProtocolError where a length cannot be."""
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
@@ -54,22 +54,22 @@ class MessageReader:
                 yield found
 
 
-def _complaint(payload: bytes) -> Complaint | None:
+def _complaint(payload: bytes) -> ControllerMessage | None:
     if len(payload) < _MESSAGE.size + _WHERE.size or _MESSAGE.unpack_from(payload)[2] != RUNTIME_EXCEPTION:
         return None
     line, _column = _WHERE.unpack_from(payload, _MESSAGE.size)
     text = payload[_MESSAGE.size + _WHERE.size :].decode("utf-8", "replace").strip("\0 \r\n")
-    return Complaint(max(line, 0), text)
+    return ControllerMessage(max(line, 0), text)
 
 
-class Upload(Background):
+class ScriptUpload(Background):
     """One script on its way; as a context it is sent, and listened to for complaints."""
 
     def __init__(self, address: Tcp, script: bytes) -> None:
         super().__init__(str(address))
         self._address = address
         self._script = script
-        self.complaint: Complaint | None = None
+        self.complaint: ControllerMessage | None = None
         """The first one."""
 
     async def __aenter__(self) -> Self:

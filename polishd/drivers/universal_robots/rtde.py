@@ -21,7 +21,7 @@ FORMATS = {
 Value = tuple[float, ...]
 
 
-class Kind(IntEnum):
+class PackageType(IntEnum):
     """What a package is."""
 
     VERSION = ord("V")
@@ -42,19 +42,19 @@ class Package:
     payload: bytes
 
 
-def encode(kind: Kind, payload: bytes = b"") -> bytes:
+def encode(kind: PackageType, payload: bytes = b"") -> bytes:
     """A package's bytes."""
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
 def ask_outputs(rate_hz: float, names: Sequence[str]) -> bytes:
     """Ask for these outputs, so often."""
-    return encode(Kind.OUTPUTS, struct.pack(">d", rate_hz) + ",".join(names).encode("ascii"))
+    return encode(PackageType.OUTPUTS, struct.pack(">d", rate_hz) + ",".join(names).encode("ascii"))
 
 
 def ask_inputs(names: Sequence[str]) -> bytes:
     """Ask to write these inputs."""
-    return encode(Kind.INPUTS, ",".join(names).encode("ascii"))
+    return encode(PackageType.INPUTS, ",".join(names).encode("ascii"))
 
 
 class PackageReader:
@@ -81,7 +81,7 @@ class PackageReader:
 
 
 @dataclass(frozen=True, slots=True)
-class Recipe:
+class RtdeRecipe:
     """What a data package holds: the names that were asked for, and their types."""
 
     number: int
@@ -89,7 +89,7 @@ class Recipe:
     types: tuple[str, ...]
 
     @classmethod
-    def answered(cls, names: Sequence[str], payload: bytes, what: str) -> Recipe:
+    def answered(cls, names: Sequence[str], payload: bytes, what: str) -> RtdeRecipe:
         """Read the answer to a setup.
 
         DeviceRefused where a name is not known, DeviceBusy where somebody else writes one, ProtocolError for nonsense.
@@ -111,7 +111,7 @@ class Recipe:
     def pack(self, values: Mapping[str, int]) -> bytes:
         """A data package with a number for each name."""
         body = struct.pack(">" + self._format, *(values[name] for name in self.names))
-        return encode(Kind.DATA, bytes([self.number]) + body)
+        return encode(PackageType.DATA, bytes([self.number]) + body)
 
     def unpack(self, payload: bytes) -> dict[str, Value] | None:
         """The values of a data package by name; None for another recipe's.

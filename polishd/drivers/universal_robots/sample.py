@@ -15,7 +15,7 @@ FULL, MOST = 0.999, 1.001
 """Of the speed slider: 1, but for rounding."""
 
 
-class Runtime(IntEnum):
+class UrRuntimeState(IntEnum):
     """``runtime_state``."""
 
     STOPPING = 0
@@ -26,7 +26,7 @@ class Runtime(IntEnum):
     RESUMING = 5
 
 
-class Phase(IntEnum):
+class ScriptPhase(IntEnum):
     """What our own program does, by its own word."""
 
     NONE = 0
@@ -59,7 +59,7 @@ RUNNING, NORMAL = 7, 1
 
 
 @dataclass(frozen=True, slots=True)
-class Registers:
+class UrRegisters:
     """Which of the controller's integer registers are ours: five inputs and four outputs from ``first`` on."""
 
     first: int = 24
@@ -74,7 +74,7 @@ class Registers:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class RtdeSample:
     """One sample. Times are the controller's own clock, since it was switched on."""
 
     time_s: float
@@ -96,7 +96,7 @@ class Sample:
     """Grows with each period in which our program runs."""
 
     @classmethod
-    def of(cls, values: Mapping[str, Value], registers: Registers) -> Sample:
+    def of(cls, values: Mapping[str, Value], registers: UrRegisters) -> RtdeSample:
         """From a data package's values. ProtocolError where the speed slider or the scaling is where it cannot be."""
         one = {name: value[0] for name, value in values.items()}
         if not 0.0 <= one["target_speed_fraction"] <= MOST:
@@ -121,12 +121,12 @@ class Sample:
     @property
     def override(self) -> float:
         """Fraction of the programmed speed: the speed slider, times the trajectory limiter's scaling in motion."""
-        return self.slider * (self.scaling if self.runtime == Runtime.PLAYING else 1.0)
+        return self.slider * (self.scaling if self.runtime == UrRuntimeState.PLAYING else 1.0)
 
     @property
     def plays(self) -> bool:
         """A program of anybody's is under way, or the robot moves."""
-        return self.runtime not in (Runtime.STOPPED, Runtime.PAUSED) or self.speed_m_s > STILL_M_S
+        return self.runtime not in (UrRuntimeState.STOPPED, UrRuntimeState.PAUSED) or self.speed_m_s > STILL_M_S
 
     def obstacle(self) -> str:
         """Why it would not run a program as it is written; empty where it would."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from polishd.api import DeviceRefused
-from polishd.drivers.universal_robots.sample import Phase, Registers
+from polishd.drivers.universal_robots.sample import ScriptPhase, UrRegisters
 
 LONGEST_LINE = 4096
 NAME = "polishd"
@@ -87,7 +87,7 @@ end
 class Settings:
     """What all programs of a cell share."""
 
-    registers: Registers
+    registers: UrRegisters
     watchdog_s: float
     """The controller stops a program that hears nothing for so long."""
     into_part: bool = True
@@ -95,7 +95,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class ScriptLine:
     """One line of the plan."""
 
     text: bytes
@@ -111,9 +111,9 @@ class Block:
         return float(match[2]) if match else None
 
 
-def blocks_of(lines: Sequence[bytes]) -> list[Block]:
+def blocks_of(lines: Sequence[bytes]) -> list[ScriptLine]:
     """What each line is. DeviceRefused for what cannot be told where it is: loops, branches, threads."""
-    found: list[Block] = []
+    found: list[ScriptLine] = []
     opened, moving = "", _moving(lines)
     for seq, line in enumerate(lines):
         begin, call = _BEGIN.match(line), _CALL.fullmatch(line)
@@ -125,7 +125,7 @@ def blocks_of(lines: Sequence[bytes]) -> list[Block]:
         dead = bool(opened) and bool(moving) and opened != moving
         calls = call is not None and call[1].decode() == moving and not opened
         frame = begin is not None or ends or calls or dead
-        found.append(Block(line, not frame and _ACTS.match(line) is not None, frame))
+        found.append(ScriptLine(line, not frame and _ACTS.match(line) is not None, frame))
         opened = "" if ends else opened
     if not any(block.acts for block in found):
         raise DeviceRefused("no line of the program moves or waits in URScript: look at [program] format")
@@ -147,7 +147,7 @@ def _moving(lines: Sequence[bytes]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Script:
+class UrScript:
     """A program ready to be sent, from one of its blocks on."""
 
     token: int
@@ -161,7 +161,7 @@ class Script:
         return f"block {block}" if block >= 0 else f"line {line} of what polishd adds"
 
 
-def assemble(blocks: Sequence[Block], start: int, spent_s: float, token: int, settings: Settings) -> Script:
+def assemble(blocks: Sequence[ScriptLine], start: int, spent_s: float, token: int, settings: Settings) -> UrScript:
     """The script for the blocks from ``start`` on, the first of which has waited ``spent_s`` already.
 
     What stands before and takes no time is said again: it may be a tool or a position that the rest needs.
@@ -181,10 +181,10 @@ def assemble(blocks: Sequence[Block], start: int, spent_s: float, token: int, se
         lines.append(b"    " + _rest(block, spent_s if seq == start else 0.0))
         block_of.append(seq)
     tail = _TAIL.format(**words).encode().splitlines()[1:]
-    return Script(token, b"\n".join([*lines, *tail, b""]), [*block_of, *[-1] * len(tail)])
+    return UrScript(token, b"\n".join([*lines, *tail, b""]), [*block_of, *[-1] * len(tail)])
 
 
-def _rest(block: Block, spent_s: float) -> bytes:
+def _rest(block: ScriptLine, spent_s: float) -> bytes:
     """The line; of a dwell, what is left of it."""
     match = _DWELLS.match(block.text)
     if match is None or not spent_s:
@@ -196,7 +196,7 @@ def _words(start: int, blocks: int, token: int, settings: Settings) -> dict[str,
     first = settings.registers.first
     inputs = dict(zip(("beat", "token_in", "until", "order", "lift"), range(first, first + 5), strict=True))
     outputs = dict(zip(("told", "block", "phase", "turns"), range(first, first + 4), strict=True))
-    phases = {phase.name.lower(): int(phase) for phase in Phase}
+    phases = {phase.name.lower(): int(phase) for phase in ScriptPhase}
     return {
         **inputs,
         **outputs,

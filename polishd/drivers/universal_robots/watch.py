@@ -8,19 +8,19 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from polishd.api import Plan, ProtocolError
-from polishd.drivers.transport.program_watch import ProgramWatch
-from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
-from polishd.drivers.universal_robots.script import Block
+from polishd.drivers.transport.program_watch import ProgramTracker
+from polishd.drivers.universal_robots.sample import RtdeSample, ScriptPhase, UrRuntimeState
+from polishd.drivers.universal_robots.script import ScriptLine
 from polishd.model.surface import FloatArray
 
 START_S = 5.0
 """So long after its order it may stand yet: our own clock, since samples from before it may come late."""
 SILENT_S = 0.1
 """A program that has not run for so long is not there any more, whatever its registers say; the same clock."""
-LIVE = (Phase.WAITS, Phase.RUNS)
+LIVE = (ScriptPhase.WAITS, ScriptPhase.RUNS)
 
 
-class Watch(ProgramWatch):
+class UrProgramTracker(ProgramTracker):
     """One program from its load to its end.
 
     A block ends when a sample names a later one; so each boundary is known to one sample, and none is lost between two
@@ -42,7 +42,7 @@ class Watch(ProgramWatch):
         self._ordered_s = 0.0
         self._turned_s = 0.0
         """When the program ran last."""
-        self._last: Sample | None = None
+        self._last: RtdeSample | None = None
 
     @property
     def spent_s(self) -> float:
@@ -54,7 +54,7 @@ class Watch(ProgramWatch):
         """The script that was sent last has spoken."""
         return self._last is not None
 
-    def sent(self, token: int, blocks: Sequence[Block]) -> None:
+    def sent(self, token: int, blocks: Sequence[ScriptLine]) -> None:
         """A script with that token is on its way; it will wait before its first block."""
         self.token, self.until, self._last, self.live = token, 0, None, False
         self._dwells = np.array([block.dwell_s is not None for block in blocks], dtype=bool)
@@ -71,7 +71,7 @@ class Watch(ProgramWatch):
         super().drop(reason)
         self.live = False
 
-    def update(self, sample: Sample) -> None:
+    def update(self, sample: RtdeSample) -> None:
         """Take a sample. ProtocolError where what it says cannot be."""
         if not self.token:
             return
@@ -89,39 +89,39 @@ class Watch(ProgramWatch):
         if not self.ended:
             self._judge(before or sample, sample)
 
-    def _book(self, before: Sample, sample: Sample) -> None:
+    def _book(self, before: RtdeSample, sample: RtdeSample) -> None:
         if not before.block <= sample.block <= self.blocks:
             raise ProtocolError(f"the robot says block {sample.block} of {self.blocks}, after block {before.block}")
         self._advance(before.block)
-        if before.phase == Phase.RUNS or sample.block > before.block:
+        if before.phase == ScriptPhase.RUNS or sample.block > before.block:
             self.clock_s += max(sample.time_s - before.time_s, 0.0)
 
-    def _judge(self, before: Sample, sample: Sample) -> None:
+    def _judge(self, before: RtdeSample, sample: RtdeSample) -> None:
         """What state that is, and whether it is one to go on in."""
         match sample.phase:
-            case Phase.DONE if len(self) == self.blocks:
+            case ScriptPhase.DONE if len(self) == self.blocks:
                 self.state, self.live = "done", False
-            case Phase.HELD:
+            case ScriptPhase.HELD:
                 self.state, self.live = "held", False
-            case Phase.LIFTED:
+            case ScriptPhase.LIFTED:
                 self.drop("lifted off the path")
         if sample.phase not in LIVE:
             return
         self.live = True
         if why := sample.obstacle():
             self._fail(why)
-        elif sample.runtime in (Runtime.PAUSING, Runtime.PAUSED):
+        elif sample.runtime in (UrRuntimeState.PAUSING, UrRuntimeState.PAUSED):
             self._paused()
-        elif sample.runtime == before.runtime == Runtime.STOPPED:
+        elif sample.runtime == before.runtime == UrRuntimeState.STOPPED:
             self._fail("the program was stopped at the controller")
         elif sample.time_s - self._turned_s > SILENT_S:
             self._fail("the controller runs another program, or ours hangs")
-        elif sample.phase == Phase.WAITS:
+        elif sample.phase == ScriptPhase.WAITS:
             self._waits(sample)
         else:
             self.state, self.detail = "running", ""
 
-    def _waits(self, sample: Sample) -> None:
+    def _waits(self, sample: RtdeSample) -> None:
         """It stands before a block: where it is told to, or because the order has not come through yet."""
         if sample.block >= self.until:
             self.state, self.detail = "held", ""

@@ -19,12 +19,12 @@ from polishd.api import (
     Unpowered,
     hookimpl,
 )
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
-from polishd.drivers.cia402.axis import Place
+from polishd.drivers.cia402.axis import CanNodeAddress
 from polishd.drivers.cia402.dictionary import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
-from polishd.drivers.transport.address import Slcan, can_address
+from polishd.drivers.transport.address import SlcanAddress, can_address
 
 POLISHD_API = 1
 
@@ -41,7 +41,7 @@ Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 Scale = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class DriveOptions(Section):
+class DriveOptions(ConfigSection):
     """Keys that both kinds of drive have besides ``type``."""
 
     address: str
@@ -61,7 +61,7 @@ class DriveOptions(Section):
         return self.node + 64 if self.node < 64 else max(self.node - 64, 1)
 
 
-class SpindleOptions(DriveOptions):
+class Cia402SpindleOptions(DriveOptions):
     """Keys of ``[spindle]`` with ``type = "cia402_spindle"``."""
 
     rpm_per_unit: Scale = 1.0
@@ -82,7 +82,7 @@ class SpindleOptions(DriveOptions):
     """Longest from standstill to any speed, or back."""
 
 
-class ActuatorOptions(DriveOptions):
+class Cia402ActuatorOptions(DriveOptions):
     """Keys of ``[actuator]`` with ``type = "cia402_actuator"``."""
 
     n_per_permille: Scale
@@ -127,13 +127,13 @@ class ActuatorOptions(DriveOptions):
     """What its tool does without power: what balances it `lifts` it, or it `stays`; one that `presses` is refused."""
 
 
-def _place(options: SpindleOptions | ActuatorOptions, context: DeviceContext) -> Place:
+def _place(options: Cia402SpindleOptions | Cia402ActuatorOptions, context: DeviceContext) -> CanNodeAddress:
     address = can_address(options.address, context.base_dir, "CANopen")
-    if isinstance(address, Slcan) and address.bitrate < LEAST_BITRATE:
+    if isinstance(address, SlcanAddress) and address.bitrate < LEAST_BITRATE:
         raise ConfigError(f"address {options.address!r}: at least {LEAST_BITRATE} bit/s are needed to ask often enough")
     if options.controller == options.node:
         raise ConfigError(f"controller_node {options.controller} is the drive's own: give our heartbeat another number")
-    return Place(address, options.node, options.controller, options.silence_s, options.watchdog_s)
+    return CanNodeAddress(address, options.node, options.controller, options.silence_s, options.watchdog_s)
 
 
 def _of(record: type[T], options: DriveOptions) -> T:
@@ -142,14 +142,14 @@ def _of(record: type[T], options: DriveOptions) -> T:
     return record(**{name: getattr(options, name) for name in known})
 
 
-def _build_spindle(options: SpindleOptions, context: DeviceContext) -> Spindle:
+def _build_spindle(options: Cia402SpindleOptions, context: DeviceContext) -> Spindle:
     if not options.rpm_per_unit:
         raise ConfigError("rpm_per_unit is 0: say what the drive's unit of velocity is")
     dictionary = read_dictionary(context.base_dir / options.eds, options.node)
     return Cia402Spindle(_place(options, context), dictionary, _of(SpindleScale, options), _of(SpindleTimes, options))
 
 
-def _build_actuator(options: ActuatorOptions, context: DeviceContext) -> ForceActuator:
+def _build_actuator(options: Cia402ActuatorOptions, context: DeviceContext) -> ForceActuator:
     if not (options.n_per_permille and options.mm_per_increment):
         raise ConfigError("n_per_permille or mm_per_increment is 0: say what the drive counts in")
     dictionary = read_dictionary(context.base_dir / options.eds, options.node)
@@ -161,6 +161,6 @@ def _build_actuator(options: ActuatorOptions, context: DeviceContext) -> ForceAc
 def polishd_device_types() -> Sequence[DeviceType]:
     """``cia402_spindle``, ``cia402_actuator``."""
     return [
-        DeviceType("cia402_spindle", "spindle", SpindleOptions, _build_spindle),
-        DeviceType("cia402_actuator", "actuator", ActuatorOptions, _build_actuator),
+        DeviceType("cia402_spindle", "spindle", Cia402SpindleOptions, _build_spindle),
+        DeviceType("cia402_actuator", "actuator", Cia402ActuatorOptions, _build_actuator),
     ]

@@ -20,7 +20,7 @@ from polishd.api import (
     hookimpl,
 )
 from polishd.config.device_profile import DeviceProfile, Kind
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
 
@@ -30,7 +30,7 @@ A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_
 Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
 
 
-class ProfileOptions(Section):
+class ProfileOptions(ConfigSection):
     """Keys of any section whose device is driven by a profile."""
 
     profile: str
@@ -41,7 +41,7 @@ class ProfileOptions(Section):
     """Modbus unit number; left out: the profile's. [1]"""
 
 
-class ActuatorOptions(ProfileOptions):
+class ProfileActuatorOptions(ProfileOptions):
     """Keys of ``[actuator]`` with ``type = "actuator_profile"``. Times that are left out are the profile's."""
 
     silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = ActuatorTimes().silence_s
@@ -58,7 +58,7 @@ class ActuatorOptions(ProfileOptions):
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
 
 
-class SpindleOptions(ProfileOptions):
+class ProfileSpindleOptions(ProfileOptions):
     """Keys of ``[spindle]`` with ``type = "spindle_profile"``. Times that are left out are the profile's."""
 
     pole_pairs: Annotated[int, Field(ge=1, le=24)] = 1
@@ -99,7 +99,7 @@ def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, An
     return {name: getattr(table, name) if value is None else value for name, value in given.items()}
 
 
-def _actuator(options: ActuatorOptions, context: DeviceContext) -> ForceActuator:
+def _actuator(options: ProfileActuatorOptions, context: DeviceContext) -> ForceActuator:
     profile = _profile(options, context, "actuator")
     names = ("watchdog_s", "landing_s", "release_s", "retract_s", "stroke_mm")
     table: Any = profile.actuator  # as its kind says
@@ -108,7 +108,7 @@ def _actuator(options: ActuatorOptions, context: DeviceContext) -> ForceActuator
     return make.actuator(profile, address, times, unit=options.unit)
 
 
-def _spindle(options: SpindleOptions, context: DeviceContext) -> Spindle:
+def _spindle(options: ProfileSpindleOptions, context: DeviceContext) -> Spindle:
     profile = _profile(options, context, "spindle")
     times = SpindleTimes(options.silence_s, **_times(options, profile.spindle, ("watchdog_s", "spin_s")))
     address = make.address_of(profile, options.address, context.base_dir)
@@ -126,7 +126,7 @@ def _force_sensor(options: ForceSensorOptions, context: DeviceContext) -> ForceS
 def polishd_device_types() -> Sequence[DeviceType]:
     """``actuator_profile``, ``spindle_profile``, ``force_sensor_profile``."""
     return [
-        DeviceType("actuator_profile", "actuator", ActuatorOptions, _actuator),
-        DeviceType("spindle_profile", "spindle", SpindleOptions, _spindle),
+        DeviceType("actuator_profile", "actuator", ProfileActuatorOptions, _actuator),
+        DeviceType("spindle_profile", "spindle", ProfileSpindleOptions, _spindle),
         DeviceType("force_sensor_profile", "force_sensor", ForceSensorOptions, _force_sensor),
     ]

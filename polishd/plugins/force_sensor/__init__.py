@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceType, ForceSensor, SensorTimes, hookimpl
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.transport.address import line_address
 
@@ -17,7 +17,7 @@ POLISHD_API = 1
 _TIMES = SensorTimes()
 
 
-class ForceSensorLineOptions(Section):
+class ForceSensorLineOptions(ConfigSection):
     """Keys of ``[force_sensor]`` with ``type = "force_sensor_line"``."""
 
     address: str

@@ -13,11 +13,11 @@ from polishd.api import ConfigError, DeviceContext, OwnLines, read_secret
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.drivers.handover.ads import Ads
 from polishd.drivers.handover.delivery import Delivery, Folder
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from polishd.drivers.handover.modbus import Modbus
-from polishd.drivers.handover.opcua import OpcUa, Papers
+from polishd.drivers.handover.opcua import OpcUa, OpcUaCertificates
 from polishd.drivers.handover.recorded import Recorded, RecordedDelivery
-from polishd.drivers.handover.remote import Ftp, Place, Sftp
+from polishd.drivers.handover.remote import Ftp, RemoteFolder, Sftp
 from polishd.drivers.handover.variables import Variables
 from polishd.drivers.transport.address import tcp_address
 from polishd.plugins.handover.options import HandoverOptions
@@ -28,13 +28,13 @@ EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh
 """Extras of polishd, and the library that each brings."""
 
 
-def build(options: HandoverOptions, context: DeviceContext) -> Handover:
+def build(options: HandoverOptions, context: DeviceContext) -> PlcRobot:
     """The robot. ConfigError where the controller must not polish, or a library is missing."""
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
     make = _link(profile, options, context)
     delivery = RecordedDelivery(_delivery(options, context), options.delivery)
-    return Handover(
+    return PlcRobot(
         f"{profile.name} at {options.address}",
         profile,
         lambda: Recorded(make(), options.address, delivery),
@@ -71,7 +71,7 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             return make
 
 
-def _papers(options: HandoverOptions, base_dir: Path) -> Papers | None:
+def _papers(options: HandoverOptions, base_dir: Path) -> OpcUaCertificates | None:
     """All three files, or None where none is named."""
     names = {key: getattr(options, key) for key in ("certificate", "private_key", "server_certificate")}
     if not any(names.values()):
@@ -81,7 +81,7 @@ def _papers(options: HandoverOptions, base_dir: Path) -> Papers | None:
             said = f"{name!r} is no file" if name else "is missing"
             raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
     require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
-    return Papers(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
+    return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 
 def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
@@ -106,14 +106,14 @@ def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
             )
 
 
-def _place(options: HandoverOptions, context: DeviceContext, port: int) -> Place:
+def _place(options: HandoverOptions, context: DeviceContext, port: int) -> RemoteFolder:
     url = urlsplit(options.delivery)
     if not url.hostname or not url.username or url.password is not None or url.query or url.fragment:
         raise ConfigError(
             f"delivery {options.delivery!r}: write {url.scheme}://user@host/PATH; its password is delivery_password"
         )
     password = read_secret(options.delivery_password, context.base_dir) if options.delivery_password else ""
-    return Place(url.hostname, url.port or port, url.username, password, url.path.removeprefix("/"))
+    return RemoteFolder(url.hostname, url.port or port, url.username, password, url.path.removeprefix("/"))
 
 
 def _ads_address(address: str) -> tuple[str, str, int]:

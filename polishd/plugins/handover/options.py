@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.secret import SecretPlace
 
 
-class HandoverOptions(Section):
+class HandoverOptions(ConfigSection):
     """Keys of ``[robot]`` with ``type = "handover"``."""
 
     profile: str

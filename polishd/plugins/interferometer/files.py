@@ -18,7 +18,7 @@ from heapq import nlargest
 from pathlib import Path
 from typing import NamedTuple
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.files import sync_folder, write_atomic
 from polishd.hookspecs import looks_like
 
@@ -34,7 +34,7 @@ HDF5, HDF5_ZERO_TAIL = b"\x89HDF\r\n\x1a\n", 1 / 16
 """HDF5 may leave room at its end: 3478 bytes of 131,672 in a sound ``.datx``."""
 
 
-class Identity(NamedTuple):
+class FileIdentity(NamedTuple):
     """What must not change while a file is trusted."""
 
     size: int
@@ -42,7 +42,7 @@ class Identity(NamedTuple):
     inode: int
 
 
-def identity(path: Path) -> Identity | None:
+def identity(path: Path) -> FileIdentity | None:
     """Identity of a regular file; None where there is none (gone, folder, link)."""
     try:
         found = path.lstat()
@@ -50,7 +50,7 @@ def identity(path: Path) -> Identity | None:
         return None
     if not stat.S_ISREG(found.st_mode):
         return None
-    return Identity(found.st_size, found.st_mtime_ns, found.st_ino)
+    return FileIdentity(found.st_size, found.st_mtime_ns, found.st_ino)
 
 
 def _names(folder: Path, but: Iterable[Path]) -> list[str]:
@@ -65,7 +65,7 @@ def _names(folder: Path, but: Iterable[Path]) -> list[str]:
     ]
 
 
-def candidates(folder: Path, but: Iterable[Path]) -> dict[Path, Identity]:
+def candidates(folder: Path, but: Iterable[Path]) -> dict[Path, FileIdentity]:
     """Files that may be maps, by name: none hidden, unfinished, or in ``but``. OSError as it comes."""
     paths = [folder / name for name in sorted(_names(folder, but))]
     return {path: seen for path in paths if (seen := identity(path)) is not None}
@@ -80,7 +80,7 @@ class FolderListing:
 
     def __init__(self, folder: Path, but: Sequence[Path]) -> None:
         self._folder, self._but = folder, but
-        self._known: dict[str, Identity | None] = {}
+        self._known: dict[str, FileIdentity | None] = {}
         """In the order in which they were looked at; None: no regular file."""
         self._before: set[str] | None = None
         """Names of the last poll."""
@@ -89,7 +89,7 @@ class FolderListing:
         """Return the number of names that are there."""
         return len(self._before or ())
 
-    def look(self, within_s: float) -> tuple[dict[Path, Identity], set[Path]]:
+    def look(self, within_s: float) -> tuple[dict[Path, FileIdentity], set[Path]]:
         """Return the files that were looked at now, the newest first, and the others that are there still.
 
         OSError as it comes.
@@ -99,7 +99,7 @@ class FolderListing:
         names = _names(self._folder, self._but)
         there = set(names)
         self._known = {name: seen for name, seen in self._known.items() if name in there}
-        found: dict[Path, Identity] = {}
+        found: dict[Path, FileIdentity] = {}
         looked: set[str] = set()
         dated = ((seen.mtime_ns, name) for name, seen in self._known.items() if seen is not None)
         newest = [name for _, name in nlargest(LEAST_LOOKS, dated)]
@@ -121,10 +121,10 @@ class FolderListing:
 
 
 @dataclass(slots=True)
-class Watched:
+class FileStability:
     """A file since it last changed. All times are monotonic: no clock that can be set has a say."""
 
-    identity: Identity
+    identity: FileIdentity
     since_s: float
     not_before_s: float
     polls: int = 1
@@ -132,15 +132,15 @@ class Watched:
     """How often it was read and left where it is."""
 
 
-class Settled:
+class SettledFiles:
     """Follows files over polls: at rest means same size, mtime and inode for so many polls and seconds."""
 
     def __init__(self, polls: int, seconds: float) -> None:
         self._polls = polls
         self._seconds = seconds
-        self._watched: dict[Path, Watched] = {}
+        self._watched: dict[Path, FileStability] = {}
 
-    def poll(self, found: Mapping[Path, Identity], now_s: float, others: Collection[Path] = ()) -> list[Path]:
+    def poll(self, found: Mapping[Path, FileIdentity], now_s: float, others: Collection[Path] = ()) -> list[Path]:
         """Take in what a scan found; the files at rest, but those that were put off.
 
         ``others`` are there and were not looked at. Files that were read least often come first, then the scan's order.
@@ -149,7 +149,7 @@ class Settled:
         for path, identity in found.items():
             before = self._watched.get(path)
             if before is None or before.identity != identity:
-                watched[path] = Watched(identity, now_s, now_s + self._seconds)
+                watched[path] = FileStability(identity, now_s, now_s + self._seconds)
             else:
                 before.polls += 1
                 watched[path] = before
@@ -157,7 +157,7 @@ class Settled:
         rested = [path for path in found if self._is_at_rest(watched[path], now_s)]
         return sorted(rested, key=lambda path: watched[path].reads)
 
-    def _is_at_rest(self, one: Watched, now_s: float) -> bool:
+    def _is_at_rest(self, one: FileStability, now_s: float) -> bool:
         return one.polls >= self._polls and now_s >= one.not_before_s
 
     def rest_s(self, now_s: float, most_s: float) -> float:
@@ -200,7 +200,7 @@ def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
     sha256 = sha256_of(path)
     surface = _read(path, readers)
     if surface.sha256 not in ("", sha256):
-        raise BadMap(f"{path}: it was written to while it was read")
+        raise MapError(f"{path}: it was written to while it was read")
     return replace(surface, sha256=sha256, path=path)
 
 
@@ -210,11 +210,13 @@ def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
         size, zeros = file.seek(0, os.SEEK_END), _zeros_at_end(file.fileno())
     allowed = max(ZERO_TAIL_BYTES, HDF5_ZERO_TAIL * size) if head.startswith(HDF5) else ZERO_TAIL_BYTES
     if zeros > allowed or (size and zeros == size):
-        raise BadMap(f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end")
+        raise MapError(
+            f"{path}: ends in a tail of zeros, {zeros} of {size} bytes: preallocated, not written to its end"
+        )
     for reader in readers:
         try:
             surface = reader.surface_of(head, path)
-        except BadMap as error:
+        except MapError as error:
             if isinstance(error.__cause__, OSError) and error.__cause__.errno:
                 raise error.__cause__ from None  # the share, not the map
             raise
@@ -222,7 +224,7 @@ def _read(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
             return surface
     state = "is empty" if not head else "is in no format that is known"
     known = ", ".join(reader.name for reader in readers) or "no reader is loaded"
-    raise BadMap(f"{path}: {state} (known: {known}){looks_like(readers, head, path)}")
+    raise MapError(f"{path}: {state} (known: {known}){looks_like(readers, head, path)}")
 
 
 def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:
@@ -239,7 +241,7 @@ def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:
     return zeros
 
 
-def claim(path: Path, seen: Identity, target: Path, sha256: str) -> bool:
+def claim_file(path: Path, seen: FileIdentity, target: Path, sha256: str) -> bool:
     """Move a file at one stroke, if it is still the one that was read: False where it changed, and stays watched.
 
     OSError as it comes; whether the file was moved then shows in what lies at ``target``.
@@ -249,30 +251,30 @@ def claim(path: Path, seen: Identity, target: Path, sha256: str) -> bool:
         return False
     path.rename(target)
     _settle(path.parent, target.parent)
-    return identity(target) == seen and still_is(target, sha256, path)
+    return identity(target) == seen and is_unchanged(target, sha256, path)
 
 
-def still_is(target: Path, sha256: str, path: Path) -> bool:
+def is_unchanged(target: Path, sha256: str, path: Path) -> bool:
     """Whether a claimed file holds what its name says. Where somebody wrote on, it goes back to be watched."""
     if sha256_of(target) == sha256:
         return True
-    target.rename(free(path))
+    target.rename(release_file(path))
     return False
 
 
-def quarantine(path: Path, folder: Path, reason: str) -> Path | None:
+def quarantine_file(path: Path, folder: Path, reason: str) -> Path | None:
     """Move a refused file to ``folder``, its reason beside it first; None where it is gone. OSError as it comes."""
     folder.mkdir(exist_ok=True)
     if not os.path.lexists(path):
         return None
-    target = free(folder / path.name)
+    target = release_file(folder / path.name)
     write_atomic(target.with_name(target.name + ".reason.txt"), (reason + "\n").encode())
     path.rename(target)
     _settle(path.parent, folder)
     return target
 
 
-def free(path: Path) -> Path:
+def release_file(path: Path) -> Path:
     """The path, or where it is taken already the first of ``name-1``, ``name-2``, … that is not."""
     number = 0
     found = path

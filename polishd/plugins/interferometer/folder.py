@@ -20,12 +20,12 @@ from typing import Annotated, Any, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, Field
 
 from polishd.api import (
-    BadMap,
     DeviceContext,
+    DeviceIdentity,
     DeviceStatus,
     DeviceType,
-    Identity,
     LinkError,
+    MapError,
     MapRefusal,
     StaleMap,
     SurfaceError,
@@ -34,8 +34,8 @@ from polishd.api import (
 )
 from polishd.files import write_atomic
 from polishd.plugins.interferometer import files
-from polishd.plugins.interferometer.judge import Rules, require_new, require_plausible, source_of
-from polishd.plugins.interferometer.taken import Ask, Given, Taken, heights_digest
+from polishd.plugins.interferometer.judge import MapAcceptanceRules, require_new, require_plausible, source_of
+from polishd.plugins.interferometer.taken import DeliveredMap, MapRequest, TakenMaps, heights_digest
 from polishd.ports.address_claims import Claim, claim, folder_key
 
 T = TypeVar("T")
@@ -96,12 +96,12 @@ class FolderOptions(BaseModel):
 
 
 @dataclass(slots=True)
-class Waiting:
+class MapWait:
     """One wait for a map."""
 
     after: str | None
-    settled: files.Settled
-    ask: Ask | None = None
+    settled: files.SettledFiles
+    ask: MapRequest | None = None
     requested: bool = False
     refused: list[str] = field(default_factory=list)
     refusals: list[MapRefusal] = field(default_factory=list)
@@ -196,14 +196,14 @@ class WatchedFolder:
     def __init__(self, options: FolderOptions, context: DeviceContext) -> None:
         self._options = options
         self._readers = context.readers
-        self._rules = Rules(
+        self._rules = MapAcceptanceRules(
             context.part_id, options.accept_unnamed, options.clock_tolerance_s, instrument=context.instrument
         )
         self._folder = context.base_dir / options.folder
         self._claimed = self._folder / options.claimed
         self._refused = self._folder / options.refused
         self._request = self._folder / options.request_file if options.request_file else None
-        self._taken: Taken | None = None
+        self._taken: TakenMaps | None = None
         self._record = context.state_dir / "maps_taken.json"
         self._polling = threading.Lock()
         self._thread, self._ends = FolderThread(), FolderThread()
@@ -241,9 +241,9 @@ class WatchedFolder:
         self._thread.end()
         self._ends.end()
 
-    async def identify(self) -> Identity:
+    async def identify(self) -> DeviceIdentity:
         """The folder. Which instrument writes into it, each map says itself."""
-        return Identity(vendor="", model="watched folder", serial=str(self._folder), firmware="")
+        return DeviceIdentity(vendor="", model="watched folder", serial=str(self._folder), firmware="")
 
     async def status(self) -> DeviceStatus:
         """Ready where the folder is there, can be written to, and has room; always safe."""
@@ -267,7 +267,7 @@ class WatchedFolder:
         the wait was cancelled) comes first.
         """
         options = self._options
-        wait = Waiting(after, files.Settled(options.stable_polls, options.stable_s))
+        wait = MapWait(after, files.SettledFiles(options.stable_polls, options.stable_s))
         start_s = time.monotonic()
         self._waits += 1
         try:
@@ -310,7 +310,7 @@ class WatchedFolder:
     def _silent(self, silent_s: float) -> str:
         return f"{self._folder}: the file system has not answered for {silent_s:.0f} s"
 
-    def _notice(self, wait: Waiting, trouble: str) -> None:
+    def _notice(self, wait: MapWait, trouble: str) -> None:
         """Keep it for ``status``; the log has each kind once a wait."""
         if not wait.trouble:
             log.warning("%s", trouble)
@@ -326,14 +326,14 @@ class WatchedFolder:
             return f"{self._folder}: the folder cannot be read and written to"
         return ""
 
-    def _load(self) -> Taken:
+    def _load(self) -> TakenMaps:
         if self._taken is None:
-            taken = Taken(self._record, self._claimed)
+            taken = TakenMaps(self._record, self._claimed)
             taken.load()
             self._taken = taken
         return self._taken
 
-    def _poll(self, wait: Waiting, now_s: float) -> SurfaceMap | None:
+    def _poll(self, wait: MapWait, now_s: float) -> SurfaceMap | None:
         """One full scan: the first trusted map, claimed; what is refused is put away and noted.
 
         A wait that is cancelled leaves its last poll running: the lock keeps the next one out of its way.
@@ -355,7 +355,7 @@ class WatchedFolder:
             finally:
                 self._trouble = wait.trouble
 
-    def _asked(self, wait: Waiting) -> Ask:
+    def _asked(self, wait: MapWait) -> MapRequest:
         """What is asked for; the same as before where no map has been taken since. The request is written last."""
         if wait.ask is None:
             taken, part = self._load(), self._rules.part_id
@@ -370,7 +370,7 @@ class WatchedFolder:
                 wait.ask = taken.begin(wait.after, since, present, part)
         return wait.ask
 
-    def _demand(self, wait: Waiting, ask: Ask) -> None:
+    def _demand(self, wait: MapWait, ask: MapRequest) -> None:
         if self._request is None or wait.requested:
             return
         request = {"part": self._rules.part_id, "after": ask.after, "token": ask.token}
@@ -380,18 +380,18 @@ class WatchedFolder:
         write_atomic(self._request, json.dumps(request, indent=1).encode() + b"\n")
         wait.requested = True
 
-    def _candidates(self) -> dict[Path, files.Identity]:
+    def _candidates(self) -> dict[Path, files.FileIdentity]:
         return files.candidates(self._folder, [self._request] if self._request else [])
 
-    def _claimed_before(self, wait: Waiting, ask: Ask) -> SurfaceMap | None:
+    def _claimed_before(self, wait: MapWait, ask: MapRequest) -> SurfaceMap | None:
         """A map that was claimed and has not come further: the daemon was killed, or the share lost the answer."""
         for given in self._load().pending(ask):
             path = self._claimed / given.claimed
-            if not files.still_is(path, given.sha256, self._folder / given.name):
+            if not files.is_unchanged(path, given.sha256, self._folder / given.name):
                 continue
             try:
                 if given.times >= MOST_TIMES:
-                    raise BadMap(f"it was handed on {given.times} times and never journalled: the log says why")
+                    raise MapError(f"it was handed on {given.times} times and never journalled: the log says why")
                 surface = files.read_map(path, self._readers)
                 require_plausible(surface, self._rules)
             except SurfaceError as error:
@@ -401,11 +401,11 @@ class WatchedFolder:
             return surface
         return None
 
-    def _put_away_claimed(self, other: Ask, wait: Waiting) -> None:
+    def _put_away_claimed(self, other: MapRequest, wait: MapWait) -> None:
         """What was claimed for another part and never came further is not this part's, whatever it says."""
         for given in self._load().pending(other):
             path = self._claimed / given.claimed
-            if not files.still_is(path, given.sha256, self._folder / given.name):
+            if not files.is_unchanged(path, given.sha256, self._folder / given.name):
                 continue
             try:
                 require_plausible(files.read_map(path, self._readers), self._rules)
@@ -413,7 +413,7 @@ class WatchedFolder:
             except SurfaceError as error:
                 self._put_away(path, error, wait)
 
-    def _scan(self, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
+    def _scan(self, wait: MapWait, ask: MapRequest, now_s: float) -> SurfaceMap | None:
         """The trusted map that was measured first, claimed."""
         self._demand(wait, ask)
         if wait.listing is None:
@@ -435,7 +435,7 @@ class WatchedFolder:
         self._say_crowded(wait, unread=len(rested) - reads)
         return self._claim(best[1], found[best[1]], best[2], ask) if best else None
 
-    def _say_crowded(self, wait: Waiting, unread: int) -> None:
+    def _say_crowded(self, wait: MapWait, unread: int) -> None:
         """Say that files which are no maps delay one that is."""
         count = len(wait.listing or ())
         if not unread and count <= CROWDED:
@@ -449,11 +449,13 @@ class WatchedFolder:
             log.warning("%s", said)
         wait.crowded = True
 
-    def _judged(self, path: Path, seen: files.Identity, wait: Waiting, ask: Ask, now_s: float) -> SurfaceMap | None:
+    def _judged(
+        self, path: Path, seen: files.FileIdentity, wait: MapWait, ask: MapRequest, now_s: float
+    ) -> SurfaceMap | None:
         """The map where it is to be taken; None where it is put away, or cannot be told yet."""
         try:
             surface = files.read_map(path, self._readers)
-        except BadMap as error:
+        except MapError as error:
             torn_s = TORN_AFTER * max(self._options.stable_s, self._options.poll_s)
             wait.settled.put_off(path, now_s)
             if wait.settled.quiet_s(path, now_s) >= torn_s and files.identity(path) == seen:
@@ -478,9 +480,9 @@ class WatchedFolder:
     def _target(self, path: Path, surface: SurfaceMap) -> Path:
         return self._claimed / f"{surface.sha256}{path.suffix}"
 
-    def _claim(self, path: Path, seen: files.Identity, surface: SurfaceMap, ask: Ask) -> SurfaceMap | None:
+    def _claim(self, path: Path, seen: files.FileIdentity, surface: SurfaceMap, ask: MapRequest) -> SurfaceMap | None:
         target, taken = self._target(path, surface), self._load()
-        given = Given(
+        given = DeliveredMap(
             sha256=surface.sha256,
             name=path.name,
             claimed=target.name,
@@ -489,18 +491,18 @@ class WatchedFolder:
             heights=heights_digest(surface),
         )
         taken.give(ask, given)
-        if not files.claim(path, seen, target, surface.sha256):
+        if not files.claim_file(path, seen, target, surface.sha256):
             return None
         taken.hand_on(ask, given)
         return replace(surface, path=target)
 
-    def _put_away(self, path: Path, error: SurfaceError, wait: Waiting) -> None:
+    def _put_away(self, path: Path, error: SurfaceError, wait: MapWait) -> None:
         why = str(error).removeprefix(f"{path}: ")
         reason = f"{path.name}: {type(error).__name__}: {why}"
         why = why.removeprefix(f"{path.name}: ")
         kept: Path | None = None
         try:
-            kept = files.quarantine(path, self._refused, reason)
+            kept = files.quarantine_file(path, self._refused, reason)
         except OSError as problem:
             wait.trouble = f"{path} cannot be moved to {self._refused}: {problem.strerror or problem}"
             reason += f" (and it cannot be moved to {self._refused}: {problem.strerror or problem})"
@@ -511,7 +513,7 @@ class WatchedFolder:
             wait.refusals.append(MapRefusal(path.name, type(error).__name__, why, todo, str(kept or "")))
 
 
-def _advice(error: SurfaceError, rules: Rules) -> str:
+def _advice(error: SurfaceError, rules: MapAcceptanceRules) -> str:
     match error:
         case WrongPart() if rules.accept_unnamed:
             return f"Put part {rules.part_id!r} on and measure it; files of other parts do not belong into the folder."

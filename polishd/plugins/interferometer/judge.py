@@ -8,8 +8,8 @@ from pathlib import Path
 
 from polishd.api import StaleMap, SurfaceMap, WrongPart
 from polishd.model.instrument import Instrument
-from polishd.plugins.interferometer.files import Identity
-from polishd.plugins.interferometer.taken import Ask, Taken, heights_digest
+from polishd.plugins.interferometer.files import FileIdentity
+from polishd.plugins.interferometer.taken import MapRequest, TakenMaps, heights_digest
 from polishd.process.instrument import require_profile
 
 LATEST_S = 2.0**35
@@ -17,7 +17,7 @@ LATEST_S = 2.0**35
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class MapAcceptanceRules:
     """What every map is held against."""
 
     part_id: str
@@ -31,7 +31,7 @@ def source_of(surface: SurfaceMap) -> str:
     return f"{surface.part_id} | {surface.instrument}"
 
 
-def require_plausible(surface: SurfaceMap, rules: Rules) -> None:
+def require_plausible(surface: SurfaceMap, rules: MapAcceptanceRules) -> None:
     """WrongPart where it shows another part; BadMap where the profile, or none, cannot be applied to it."""
     if not surface.part_id and not rules.accept_unnamed:
         raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
@@ -40,7 +40,9 @@ def require_plausible(surface: SurfaceMap, rules: Rules) -> None:
     require_profile(surface, rules.instrument)  # the daemon applies it, a refusal is ours
 
 
-def require_new(surface: SurfaceMap, seen: tuple[Path, Identity], ask: Ask, taken: Taken, rules: Rules) -> None:
+def require_new(
+    surface: SurfaceMap, seen: tuple[Path, FileIdentity], ask: MapRequest, taken: TakenMaps, rules: MapAcceptanceRules
+) -> None:
     """StaleMap, in words for: duplicate, out of order, stale. A name with the token of the ask is new in any case.
 
     WrongPart where it names no part, and has the heights of a map that was taken for another one.

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from polishd.api import DeviceFault, SurfaceMap
 from polishd.files import write_atomic
-from polishd.plugins.interferometer.files import Identity
+from polishd.plugins.interferometer.files import FileIdentity
 
 SHA256_DIGITS = 64
 
@@ -28,7 +28,7 @@ def heights_digest(surface: SurfaceMap) -> str:
     return hashlib.sha256(f"{surface.height_nm.shape}".encode() + hundredths.astype("<f8").tobytes()).hexdigest()
 
 
-class Given(BaseModel):
+class DeliveredMap(BaseModel):
     """A file that is to be handed on, recorded before it is moved."""
 
     model_config = ConfigDict(frozen=True)
@@ -48,7 +48,7 @@ class Given(BaseModel):
     """How often it was handed on."""
 
 
-class Ask(BaseModel):
+class MapRequest(BaseModel):
     """What is waited for; the same until another map has been taken, also across restarts."""
 
     after: str | None
@@ -56,9 +56,9 @@ class Ask(BaseModel):
     """A file with this in its name is an answer, whatever the clocks say."""
     since: datetime | None
     """By the folder's clock: maps measured earlier are stale; None: any map will do."""
-    present: dict[str, Identity] = Field(default_factory=dict)
+    present: dict[str, FileIdentity] = Field(default_factory=dict)
     """What lay in the folder when it was asked."""
-    given: dict[str, Given] = Field(default_factory=dict)
+    given: dict[str, DeliveredMap] = Field(default_factory=dict)
     """By sha256: what was claimed for it."""
     part: str = ""
     """Whose map is asked for; empty in a record of an earlier version."""
@@ -67,7 +67,7 @@ class Ask(BaseModel):
 class Record(BaseModel):
     """The content of the file."""
 
-    ask: Ask | None = None
+    ask: MapRequest | None = None
     taken: list[str] = Field(default_factory=list)
     last: dict[str, datetime] = Field(default_factory=dict)
     """By source: when the last map that was taken was measured, by the instrument's clock."""
@@ -75,7 +75,7 @@ class Record(BaseModel):
     """By ``heights_digest``: the part that a map was taken for."""
 
 
-class Taken:
+class TakenMaps:
     """The sha256 of every map ever taken, in a file of the state folder and in the names of the claimed files."""
 
     def __init__(self, path: Path, claimed: Path) -> None:
@@ -122,7 +122,7 @@ class Taken:
         found = self._record.heights.get(heights, part)
         return "" if found == part else found
 
-    def ask(self, after: str | None, part: str) -> Ask | None:
+    def ask(self, after: str | None, part: str) -> MapRequest | None:
         """What is asked already for that part's map after ``after``; None: nothing.
 
         A map that was asked for before this part was in may show the last one: another part is another ask.
@@ -130,14 +130,16 @@ class Taken:
         ask = self._record.ask
         return ask if ask is not None and ask.after == after and ask.part in ("", part) else None
 
-    def asked_for_other(self, part: str) -> Ask | None:
+    def asked_for_other(self, part: str) -> MapRequest | None:
         """What is asked for another part; None: nothing."""
         ask = self._record.ask
         return ask if ask is not None and ask.part not in ("", part) else None
 
-    def begin(self, after: str | None, since: datetime | None, present: dict[str, Identity], part: str) -> Ask:
+    def begin(
+        self, after: str | None, since: datetime | None, present: dict[str, FileIdentity], part: str
+    ) -> MapRequest:
         """Ask anew, durably: what was claimed for the ask before is taken for good."""
-        ask = Ask(after=after, token=secrets.token_hex(4), since=since, present=present, part=part)
+        ask = MapRequest(after=after, token=secrets.token_hex(4), since=since, present=present, part=part)
         before = self._record.ask.given.values() if self._record.ask else ()
         done = [one.sha256 for one in before if one.sha256 in (*self._handed, after) or self._lies(one)]
         self._taken.update(done)
@@ -145,7 +147,7 @@ class Taken:
         self._save(self._record.model_copy(update={"ask": ask, "taken": taken}))
         return ask
 
-    def pending(self, ask: Ask) -> list[Given]:
+    def pending(self, ask: MapRequest) -> list[DeliveredMap]:
         """What was claimed for this ask, and has not come into the daemon's hands. OSError where that cannot be told.
 
         One that an earlier process handed on counts, for the journal does not name it; not so where the journal names
@@ -154,11 +156,11 @@ class Taken:
         but = self._handed if ask.after is not None else self._handed | self._handed_before
         return [one for one in ask.given.values() if one.sha256 not in but and self._lies(one)]
 
-    def give(self, ask: Ask, given: Given) -> None:
+    def give(self, ask: MapRequest, given: DeliveredMap) -> None:
         """Record, durably, that a file is about to be claimed."""
         self._update(ask, given)
 
-    def hand_on(self, ask: Ask, given: Given) -> None:
+    def hand_on(self, ask: MapRequest, given: DeliveredMap) -> None:
         """Record, durably, that a claimed map is handed on now."""
         last, heights = dict(self._record.last), dict(self._record.heights)
         if given.measured is not None:
@@ -171,14 +173,14 @@ class Taken:
         """The map is in the daemon's hands."""
         self._handed.add(sha256)
 
-    def _lies(self, given: Given) -> bool:
+    def _lies(self, given: DeliveredMap) -> bool:
         try:
             (self._claimed / given.claimed).lstat()
         except (FileNotFoundError, NotADirectoryError):
             return False
         return True
 
-    def _update(self, ask: Ask, given: Given, **also: Any) -> None:
+    def _update(self, ask: MapRequest, given: DeliveredMap, **also: Any) -> None:
         kept = {**ask.given, given.sha256: given}
         new = ask.model_copy(update={"given": kept})
         self._save(self._record.model_copy(update={"ask": new, **also}))

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from polishd.api import DeviceContext, DeviceType, Loader, LoaderTimes, hookimpl
-from polishd.config.values import Section
+from polishd.api import DeviceContext, DeviceType, LoaderTimes, PartLoader, hookimpl
+from polishd.config.values import ConfigSection
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.transport.address import line_address
 
@@ -17,7 +17,7 @@ POLISHD_API = 1
 _TIMES = LoaderTimes()
 
 
-class LoaderLineOptions(Section):
+class LoaderLineOptions(ConfigSection):
     """Keys of ``[loader]`` with ``type = "loader_line"``."""
 
     address: str
@@ -30,7 +30,7 @@ class LoaderLineOptions(Section):
     """Longest from the order to standstill."""
 
 
-def _build(options: LoaderLineOptions, context: DeviceContext) -> Loader:
+def _build(options: LoaderLineOptions, context: DeviceContext) -> PartLoader:
     address = line_address(options.address, context.base_dir, "a loader")
     return LoaderLine(address, LoaderTimes(options.silence_s, options.change_s, options.stop_s))
 

@@ -8,14 +8,14 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceType, Monitor, MonitorTimes, hookimpl
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.transport.address import line_address
 
 POLISHD_API = 1
 
 
-class MonitorLineOptions(Section):
+class MonitorLineOptions(ConfigSection):
     """Keys of ``[monitor]`` with ``type = "monitor_line"``."""
 
     address: str

@@ -14,13 +14,13 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import ConfigError, LinkError, Notification
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 
 SAID_BYTES = 500
 """As much of the end of its standard error is told."""
 
 
-class CommandOptions(Section):
+class CommandOptions(ConfigSection):
     """Keys of ``[notify.NAME]`` with ``type = "command"``."""
 
     argv: Annotated[list[str], Field(min_length=1)]

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from polishd.api import LinkError, Notification, SecretPlace, Severity, hide, read_secret
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.plugins.notifications.tls import LOOPBACK, STEP_S, trusting
 
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
@@ -29,7 +29,7 @@ def _address(text: str) -> str:
 Address = Annotated[str, AfterValidator(_address)]
 
 
-class MailOptions(Section):
+class MailOptions(ConfigSection):
     """Keys of ``[notify.NAME]`` with ``type = "email"``."""
 
     host: Annotated[str, Field(min_length=1)]

@@ -12,7 +12,7 @@ from urllib.parse import SplitResult, urlsplit
 from pydantic import AfterValidator
 
 from polishd.api import ConfigError, LinkError, Notification, SecretPlace, Severity, hide, read_secret
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.plugins.notifications.tls import LOOPBACK, STEP_S, trusting
 
 NTFY_PRIORITY: Mapping[Severity, str] = {Severity.INFO: "2", Severity.WARNING: "4", Severity.ALARM: "5"}
@@ -41,7 +41,7 @@ def _parsed(url: str) -> SplitResult:
     return parts
 
 
-class WebhookOptions(Section):
+class WebhookOptions(ConfigSection):
     """Keys of ``[notify.NAME]`` with ``type = "webhook"``."""
 
     url: Annotated[str, AfterValidator(_url_or_place)]

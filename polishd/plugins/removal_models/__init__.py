@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 from polishd.api import (
     ComputeError,
-    Evidence,
+    EstimateUpdate,
     Learner,
-    Lesson,
-    MachineBeliefs,
+    MachineEstimates,
+    PassEvidence,
     RemovalAnswer,
     RemovalModel,
     RemovalRequest,
@@ -54,11 +54,11 @@ def measured_tif(request: RemovalRequest) -> RemovalAnswer:
     return effect_along_path(request, *measured_spot_of(request))
 
 
-def _identify_hertz(request: RemovalRequest, evidence: Evidence) -> Lesson:
+def _identify_hertz(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
     return learn_machine(request, evidence, modelled_spot_of)
 
 
-def _identify_measured(request: RemovalRequest, evidence: Evidence) -> Lesson:
+def _identify_measured(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
     return learn_machine(request, evidence, measured_spot_of)
 
 
@@ -68,7 +68,7 @@ def polishd_removal_models() -> Sequence[RemovalModel]:
     both = ((hertz_preston, _identify_hertz), (measured_tif, _identify_measured))
     return [
         RemovalModel(
-            effect.__name__, effect, learners={"machine": Learner(MachineBeliefs(), learn, machine_on_the_next_part)}
+            effect.__name__, effect, learners={"machine": Learner(MachineEstimates(), learn, machine_on_the_next_part)}
         )
         for effect, learn in both
     ]

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polishd.api import ComputeError, Effect, Grid, MachineBeliefs, Program, RemovalAnswer, RemovalRequest
+from polishd.api import ComputeError, Effect, Grid, MachineEstimates, Program, RemovalAnswer, RemovalRequest
 from polishd.model.surface import FloatArray
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.process.convolution import on_nodes
 from polishd.process.curved import on_curved
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, lean_azimuth_rad
+from polishd.process.dynamic_tif import CorrectedSpot, lean_azimuth_rad, tif_at_point
 from polishd.process.edge.correctable import transfer
-from polishd.process.identification.acting import Acting
+from polishd.process.identification.acting import ParameterAction
 from polishd.process.path_compliance import path_compliance
 from polishd.process.robot.refusal import require_number
 from polishd.process.spot import HertzSpot, Spot
@@ -40,7 +40,7 @@ MOST_CONVOLUTIONS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class ProgramPath:
     """A spot along a request's program, as it is believed to act."""
 
     along: SpotPath
@@ -54,7 +54,7 @@ class Path:
     notes: tuple[str, ...]
 
 
-def path_of(request: RemovalRequest, spot: Spot, reference: float) -> Path:
+def path_of(request: RemovalRequest, spot: Spot, reference: float) -> ProgramPath:
     """The spot at each timed point: as the compliance sinks it, and as what was identified moves and scales it.
 
     ``reference`` is the depth ratio of the one spot that the corrections other than "exact" take for all points.
@@ -71,14 +71,14 @@ def path_of(request: RemovalRequest, spot: Spot, reference: float) -> Path:
     level = levelled_axes(program, request.optic)
     along = SpotPath(_laid(level, acting), acting.spot(spot), process, request.rim, curved)
     sunk = acting.sunk(gamma)
-    spots, how = along.on_part(corrected_spot(request.correction, sunk, process.depth_exponent, reference))
+    spots, how = along.on_part(tif_at_point(request.correction, sunk, process.depth_exponent, reference))
     radius = max(request.grid.shape) * request.grid.pitch_mm / 2
     hours = pass_h * (np.arange(program.n) + 0.5) / max(program.n, 1)
     own = np.exp(acting.log_rate(sunk, hours) + acting.log_field(middle, radius))
     notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
     if gamma.size:
         notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
-    return Path(
+    return ProgramPath(
         along,
         replace(spots, factor=spots.factor * own),
         gamma,
@@ -104,13 +104,17 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     )
 
 
-def _acting(request: RemovalRequest) -> tuple[Acting, float]:
+def _acting(request: RemovalRequest) -> tuple[ParameterAction, float]:
     """What was identified, and the hours of contact that the pass is taken to last."""
     known = request.beliefs
-    return (Acting(known.applied), known.pass_h) if isinstance(known, MachineBeliefs) else (Acting({}), 0.0)
+    return (
+        (ParameterAction(known.applied), known.pass_h)
+        if isinstance(known, MachineEstimates)
+        else (ParameterAction({}), 0.0)
+    )
 
 
-def _laid(program: Program, acting: Acting) -> Program:
+def _laid(program: Program, acting: ParameterAction) -> Program:
     """The program where it really runs."""
     if not acting.moves:
         return program

@@ -8,23 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from polishd.api import (
-    Beliefs,
     ComputeError,
-    Evidence,
+    Estimates,
+    EstimateUpdate,
     Grid,
-    Lesson,
-    MachineBeliefs,
+    MachineEstimates,
     MapPixels,
+    PassEvidence,
     RemovalRequest,
     learn_rate,
 )
 from polishd.model.surface import FloatArray
-from polishd.plugins.removal_models.along_path import Path, path_of
+from polishd.plugins.removal_models.along_path import ProgramPath, path_of
 from polishd.process.dynamic_tif import lean_azimuth_rad
 from polishd.process.identification.beliefs import beliefs_of, knowledge_of, on_the_next_part
 from polishd.process.identification.decision import LOOK, decide
-from polishd.process.identification.identify import Identified, identify
-from polishd.process.identification.passes import Blocks, Noise, Pixels, Removed
+from polishd.process.identification.identify import IdentificationResult, identify
+from polishd.process.identification.passes import ExecutedBlocks, MapPixelData, RemovalMap, RemovalNoise
 from polishd.process.registration.record import Registration
 from polishd.process.registration.resampling import averaging
 from polishd.process.spot import HertzSpot, Spot
@@ -40,11 +40,11 @@ BELIEVED = "believed"
 
 
 def learn_machine(
-    request: RemovalRequest, evidence: Evidence, spot_of: Callable[[RemovalRequest], tuple[Spot, float]]
-) -> Lesson:
+    request: RemovalRequest, evidence: PassEvidence, spot_of: Callable[[RemovalRequest], tuple[Spot, float]]
+) -> EstimateUpdate:
     """Identification (docs/identification.md) of a pass; the rate alone where that does not settle."""
     beliefs = request.beliefs
-    if not isinstance(beliefs, MachineBeliefs):
+    if not isinstance(beliefs, MachineEstimates):
         raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
     rate_alone = learn_rate(request, evidence)
     try:
@@ -61,24 +61,24 @@ def learn_machine(
     how = {**rate_alone.found, "rate": after.rate.value / beliefs.rate.value, "parameters": _table(found)}
     said = tuple(f"{one.words}: corrected" for one in decision.corrected if one.name != "rate")
     said += tuple(f"{one.words}: found, and not certain" for one in decision.left if one.name != "rate")
-    return Lesson(after, how, said, "; ".join(decision.stops))
+    return EstimateUpdate(after, how, said, "; ".join(decision.stops))
 
 
-def machine_on_the_next_part(beliefs: Beliefs, days: float) -> MachineBeliefs:
+def machine_on_the_next_part(beliefs: Estimates, days: float) -> MachineEstimates:
     """What a job on another part begins with. ComputeError where another polishd kept other parameters."""
-    if not isinstance(beliefs, MachineBeliefs):
+    if not isinstance(beliefs, MachineEstimates):
         raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
     return on_the_next_part(beliefs, days)
 
 
 def _identified(
-    request: RemovalRequest, evidence: Evidence, beliefs: MachineBeliefs, spot: Spot, reference: float
-) -> Identified:
+    request: RemovalRequest, evidence: PassEvidence, beliefs: MachineEstimates, spot: Spot, reference: float
+) -> IdentificationResult:
     path = path_of(replace(request, beliefs=replace(beliefs, applied={})), spot, reference)  # as configured
     blocks = blocks_along(path, evidence.executed_s, evidence.acted_s)
-    noise = Noise(NOISE_NM if evidence.noise_nm is None else evidence.noise_nm)
+    noise = RemovalNoise(NOISE_NM if evidence.noise_nm is None else evidence.noise_nm)
     measured = np.nan_to_num(evidence.measured_nm)
-    removed = Removed(request.grid, measured, evidence.mask, noise, _pixels(evidence.pixels, request.grid))
+    removed = RemovalMap(request.grid, measured, evidence.mask, noise, _pixels(evidence.pixels, request.grid))
     step = float(np.median(spot.step_mm(path.spots.depth_ratio)))
     odd = max(int(FINE * step / request.grid.pitch_mm) - 1, 0) // 2 * 2 + 1
     prior = knowledge_of(beliefs, turns=not isinstance(spot, HertzSpot))
@@ -94,7 +94,7 @@ def _identified(
     )
 
 
-def blocks_along(path: Path, executed_s: FloatArray, acted_s: FloatArray | None = None) -> Blocks:
+def blocks_along(path: ProgramPath, executed_s: FloatArray, acted_s: FloatArray | None = None) -> ExecutedBlocks:
     """A path's blocks as identification takes them: (n,) s executed, and at the process's own force and speed."""
     acted = executed_s if acted_s is None else acted_s
     share = np.divide(acted, executed_s, out=np.ones_like(executed_s), where=executed_s > 0)
@@ -103,17 +103,17 @@ def blocks_along(path: Path, executed_s: FloatArray, acted_s: FloatArray | None 
     curved = path.along.curved
     wider = None if curved is None else np.sqrt(curved.wider.prod(axis=1))
     by_projection = {BELIEVED: path.spots.depth_ratio}
-    return Blocks(*ends, executed_s, lean, by_projection, path.spots.factor * share, wider=wider)
+    return ExecutedBlocks(*ends, executed_s, lean, by_projection, path.spots.factor * share, wider=wider)
 
 
-def _pixels(at: MapPixels | None, grid: Grid) -> Pixels | None:
+def _pixels(at: MapPixels | None, grid: Grid) -> MapPixelData | None:
     """Left out where they are so fine that their mean is that over the cell: of 0.4 of the pitch it is not yet."""
     if at is None or at.grid.pitch_mm < COARSE * grid.pitch_mm:
         return None
-    return Pixels(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
+    return MapPixelData(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
 
 
-def _table(found: Identified) -> dict[str, dict[str, float | str | bool]]:
+def _table(found: IdentificationResult) -> dict[str, dict[str, float | str | bool]]:
     """Each parameter for ``learned.json``."""
     return {
         one.parameter.name: {

@@ -13,7 +13,7 @@ import numpy as np
 from polishd.api import Program, ProgramError
 from polishd.drivers.linuxcnc.interpreter import PRINTED, Call, canonical_calls, exact_python
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 
 _SILENT = frozenset((b"COMMENT", b"MESSAGE", b"SET_FEED_RATE", b"SET_FEED_MODE", b"DWELL"))
 """Calls that move nothing: what a change of times may change."""
@@ -62,16 +62,16 @@ class _Timed:
         self.at = to
 
 
-def readable(dialect: AnyDialect) -> Dialect:
+def readable(dialect: AnyDialect) -> GcodeDialect:
     """The dialect; ProgramError where no program of it is one for LinuxCNC's interpreter."""
-    if isinstance(dialect, Dialect):
+    if isinstance(dialect, GcodeDialect):
         return dialect
     raise ProgramError(
         f"LinuxCNC's interpreter reads NC text, and {dialect.name} is none. To do: verify without --with rs274."
     )
 
 
-def interpreted(old: Program, new: Program, dialect: Dialect) -> Interpreted:
+def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> Interpreted:
     """Run both programs through LinuxCNC's interpreter at the same time, and compare call by call.
 
     Compared are all calls but DWELL, SET_FEED_RATE, SET_FEED_MODE and comments; their order counts. Dwells are then
@@ -95,7 +95,7 @@ def interpreted(old: Program, new: Program, dialect: Dialect) -> Interpreted:
     return Interpreted(None if difference is None else f"LinuxCNC: {difference}", count, checked, digits)
 
 
-def _means_the_same(program: Program, dialect: Dialect) -> bool:
+def _means_the_same(program: Program, dialect: GcodeDialect) -> bool:
     """Whether the numbers that carry the time mean to LinuxCNC what they mean in the dialect."""
     if program.encoding != "dwell":
         return dialect.feed.unit == "mm/min" and dialect.feed.g93 == "1/min"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.dialect import DEFAULT, LANGUAGES, AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, LANGUAGES, AnyDialect, GcodeDialect
 
 HEAD_BYTES = 1 << 20
 """What is looked at of a program."""
@@ -123,16 +123,16 @@ def require_language(profile: AnyDialect, head: bytes, name: str) -> None:
     """ProgramError where the text is of another language than the dialect: it would be misread."""
     found = language(head, name)
     if found is None or found[1] == 0:
-        if isinstance(profile, Dialect) or profile.name not in LANGUAGES or not _G_CODE.search(head):
+        if isinstance(profile, GcodeDialect) or profile.name not in LANGUAGES or not _G_CODE.search(head):
             return
         raise ProgramError(
             f"{name}: not {_title(profile.name)}: the file looks like G-code. To do: use the dialect of its controller "
             f'(--dialect {DEFAULT}, or program.format = "{DEFAULT}" in a cell).'
         )
     known, line = found
-    if profile.name == known.dialect or not (isinstance(profile, Dialect) or profile.name in LANGUAGES):
+    if profile.name == known.dialect or not (isinstance(profile, GcodeDialect) or profile.name in LANGUAGES):
         return
-    what = "G-code" if isinstance(profile, Dialect) else _title(profile.name)
+    what = "G-code" if isinstance(profile, GcodeDialect) else _title(profile.name)
     advice = (
         f'use --dialect {known.dialect} (program.format = "{known.dialect}" in a cell)'
         if known.dialect

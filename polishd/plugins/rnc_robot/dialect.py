@@ -11,11 +11,11 @@ from pydantic import ValidationError
 
 from polishd.api import ConfigError
 from polishd.files import toml_text
-from polishd.plugins.rnc_robot.languages.profile import Profile, parse
-from polishd.plugins.rnc_robot.nc.dialect import Dialect, DwellWord
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
+from polishd.plugins.rnc_robot.nc.dialect import DwellWord, GcodeDialect
 from polishd.plugins.rnc_robot.nc.tables import tables
 
-__all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "Dialect", "DwellWord", "dialect"]
+__all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "GcodeDialect", "DwellWord", "dialect"]
 
 FOLDER = Path(__file__).with_name("dialects")
 DIALECTS = (
@@ -25,7 +25,7 @@ DIALECTS = (
 LANGUAGES = frozenset({"rapid", "krl", "fanuc-tp", "urscript"})
 """Of those, the robots' own: profiles of templates."""
 DEFAULT = "rs274"
-AnyDialect = Dialect | Profile
+AnyDialect = GcodeDialect | LanguageProfile
 
 
 def dialect(name_or_path: str | Path) -> AnyDialect:
@@ -42,7 +42,7 @@ def dialect(name_or_path: str | Path) -> AnyDialect:
     if content.get("kind") == "template":
         return parse(content, str(path))
     try:
-        found = Dialect.model_validate(content)
+        found = GcodeDialect.model_validate(content)
         tables(found)
         return found
     except ConfigError as error:

@@ -10,7 +10,7 @@ from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import languages
 from polishd.plugins.rnc_robot.detect import HEAD_BYTES, require_language
-from polishd.plugins.rnc_robot.dialect import DIALECTS, LANGUAGES, AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import DIALECTS, LANGUAGES, AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as profile_of
 from polishd.plugins.rnc_robot.make import path_program
 from polishd.plugins.rnc_robot.nc import program as nc
@@ -27,7 +27,7 @@ def shipped(name: str) -> AnyDialect:
 def read(dialect: AnyDialect, text: bytes, name: str) -> Program:
     """Read a program; ``name`` is for messages. ProgramError names the line and the reason."""
     require_language(dialect, text[:HEAD_BYTES], name)
-    return nc.read(dialect, text, name) if isinstance(dialect, Dialect) else languages.read(dialect, text, name)
+    return nc.read(dialect, text, name) if isinstance(dialect, GcodeDialect) else languages.read(dialect, text, name)
 
 
 def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding: Encoding | None = None) -> bytes:
@@ -35,7 +35,7 @@ def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding:
 
     ``encoding``: where the time is to sit; as in the program by default.
     """
-    if isinstance(dialect, Dialect):
+    if isinstance(dialect, GcodeDialect):
         if encoding in (None, program.encoding):
             return nc.rewrite(dialect, program, time_s)
         return recode(dialect, program, time_s, encoding)
@@ -44,7 +44,7 @@ def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding:
     return languages.rewrite(dialect, program, time_s)
 
 
-def make(dialect: Dialect, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, name: str) -> bytes:
+def make(dialect: GcodeDialect, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, name: str) -> bytes:
     """A program along (n, 3) points with (n, 3) tool axes, time in its feeds. ProgramError."""
     return path_program(points_mm, axis, feed_mm_min, name, to=dialect)
 
@@ -61,7 +61,7 @@ def rewrite_shipped(name: str, program: Program, time_s: FloatArray, encoding: E
 
 def make_shipped(name: str, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, of: str) -> bytes:
     """As `make`, in the shipped dialect of that name, which is none of the robots' languages."""
-    return make(cast(Dialect, shipped(name)), points_mm, axis, feed_mm_min, of)
+    return make(cast(GcodeDialect, shipped(name)), points_mm, axis, feed_mm_min, of)
 
 
 def misread_shipped(name: str, lines: OwnLines) -> str:
@@ -85,7 +85,7 @@ def shipped_formats() -> list[ProgramFormat]:
 
 def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
-    made = partial(make, dialect) if isinstance(dialect, Dialect) else None
+    made = partial(make, dialect) if isinstance(dialect, GcodeDialect) else None
     return ProgramFormat(
         dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(misread, dialect)
     )

@@ -7,14 +7,14 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceType, RobotTimes
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.robot_link import REPORT_S, RobotLink
 from polishd.drivers.transport.address import tcp_address
 
 _TIMES = RobotTimes()
 
 
-class RobotLinkOptions(Section):
+class RobotLinkOptions(ConfigSection):
     """Keys of ``[robot]`` with ``type = "robot_link"``."""
 
     address: str

@@ -9,12 +9,12 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceType, OwnLines
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.linuxcnc.driver import TIMES, LinuxCnc
 from polishd.drivers.transport.address import tcp_address
 
 
-class LinuxCncOptions(Section):
+class LinuxCncOptions(ConfigSection):
     """Keys of ``[robot]`` with ``type = "linuxcnc"``."""
 
     address: str

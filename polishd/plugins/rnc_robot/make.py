@@ -10,7 +10,7 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.plugins.rnc_robot.dialect import DEFAULT, Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, GcodeDialect, dialect
 from polishd.process.frames import angles_from_axis
 
 SAFE_Z_MM = 20.0
@@ -30,7 +30,7 @@ def path_program(
     *,
     encoding: Encoding = "feed",
     dwell_s: FloatArray | float = 0.0,
-    to: Dialect | str = DEFAULT,
+    to: GcodeDialect | str = DEFAULT,
 ) -> bytes:
     """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
 
@@ -68,7 +68,7 @@ class _Asked:
     """What was asked for, checked as far as the dialect does not matter."""
 
     name: str
-    profile: Dialect
+    profile: GcodeDialect
     encoding: Encoding
     points_mm: FloatArray
     axis: FloatArray
@@ -101,16 +101,16 @@ def _path(name: str, points_mm: FloatArray, axis: FloatArray) -> tuple[FloatArra
     return points, axes
 
 
-def _profile(name: str, to: Dialect | str) -> Dialect:
+def _profile(name: str, to: GcodeDialect | str) -> GcodeDialect:
     profile = dialect(to) if isinstance(to, str) else to
-    if not isinstance(profile, Dialect):
+    if not isinstance(profile, GcodeDialect):
         raise ProgramError(f"{name}: no programs are made in {profile.name}. To do: take an NC dialect.")
     if profile.axes.rotary and _pair(profile) not in profile.axes.rotary:
         raise ProgramError(f"{name}: {profile.title} has no A and C axes. To do: take another dialect.")
     return profile
 
 
-def _pair(profile: Dialect) -> str:
+def _pair(profile: GcodeDialect) -> str:
     """The rotary pair that programs are made with: of the head, C turns A; of a table, A tilts C."""
     return "AC" if profile.axes.turns == "table" else "CA"
 

@@ -11,13 +11,13 @@ from polishd.api import Program
 from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.languages.columns import numbers
-from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.scan import scan
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc.checks import Checks
-from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.pieces import ProgramChunk
 from polishd.plugins.rnc_robot.nc.points import Points
 from polishd.plugins.rnc_robot.nc.stream import look_through
 
@@ -26,7 +26,7 @@ COLUMNS = ("x", "y", "z", "a", "b", "c", "i", "j", "k")
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class ProgramMotion:
     """A program's moves in order, m of them."""
 
     program: Program
@@ -42,17 +42,17 @@ class Motion:
     """(s, 2) byte offsets of the numbers that carry the points' time, rising."""
 
 
-def motion(dialect: AnyDialect, text: bytes, name: str) -> Motion:
+def motion(dialect: AnyDialect, text: bytes, name: str) -> ProgramMotion:
     """Read a program. ProgramError names the line and the reason."""
     program = formats.read(dialect, text, name)
-    return _of_nc(program, dialect) if isinstance(dialect, Dialect) else _of_language(program, dialect)
+    return _of_nc(program, dialect) if isinstance(dialect, GcodeDialect) else _of_language(program, dialect)
 
 
-def _of_nc(program: Program, dialect: Dialect) -> Motion:
+def _of_nc(program: Program, dialect: GcodeDialect) -> ProgramMotion:
     moves, places, spans, owners = [], [], [], []
     begin = 0
 
-    def keep(piece: Piece, timed: Points, _checks: Checks) -> None:
+    def keep(piece: ProgramChunk, timed: Points, _checks: Checks) -> None:
         nonlocal begin
         moves.append(piece.moves)
         places.append(piece.places[:, : c.AXES])
@@ -63,7 +63,7 @@ def _of_nc(program: Program, dialect: Dialect) -> Motion:
 
     look_through(dialect, BytesIO(program.text), program.name, each=keep)
     line = np.concatenate([rows[:, c.M_LINE] for rows in moves])
-    return Motion(
+    return ProgramMotion(
         program=program,
         line=line,
         kind=np.concatenate([rows[:, c.M_KIND] for rows in moves]) & ~c.K_INVERSE,
@@ -73,10 +73,10 @@ def _of_nc(program: Program, dialect: Dialect) -> Motion:
     )
 
 
-def _of_language(program: Program, profile: Profile) -> Motion:
+def _of_language(program: Program, profile: LanguageProfile) -> ProgramMotion:
     """Moves without a dwell are left to the text: what they say may stand in positions declared elsewhere."""
     timed = scan(profile, program.text, program.name).points
-    return Motion(
+    return ProgramMotion(
         program=program,
         line=program.line,
         kind=np.zeros(program.n, dtype=np.int64),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from polishd.api import OwnLines
-from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
-from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 
 _UNIT_S = {"s": 1.0, "ms": 1e-3}
 _OFF_S = 1e-6
@@ -22,13 +22,13 @@ _DWELL = re.compile(
 def misread(dialect: AnyDialect, lines: OwnLines) -> str:
     """Return the first line that means something else in this dialect, and what; empty where none does."""
     for seconds, line in lines.dwells.items():
-        rests = _nc_dwell_s(dialect, line) if isinstance(dialect, Dialect) else _language_dwell_s(dialect, line)
+        rests = _nc_dwell_s(dialect, line) if isinstance(dialect, GcodeDialect) else _language_dwell_s(dialect, line)
         if rests is None:
             return f"{line!r} is no dwell in {dialect.name}"
         if abs(rests - seconds) > _OFF_S:
             return f"{line!r} rests for {rests:g} s in {dialect.name}, not for {seconds:g} s"
     for line in filter(None, lines.stops):
-        if isinstance(dialect, Dialect):
+        if isinstance(dialect, GcodeDialect):
             if not _STOP.fullmatch(_bare(dialect, line)):
                 return f"{line!r} is no stop and no end of a program in {dialect.name}"
         elif _NC.fullmatch(line) or _NC.fullmatch(re.sub(r"\(.*?\)|;.*", "", line)):
@@ -36,14 +36,14 @@ def misread(dialect: AnyDialect, lines: OwnLines) -> str:
     return ""
 
 
-def _bare(dialect: Dialect, line: str) -> str:
+def _bare(dialect: GcodeDialect, line: str) -> str:
     """Return the line without the comments that this dialect knows."""
     for comment in dialect.text.comments:
         line = re.sub(r"\([^()]*\)" if comment == "()" else r";.*", "", line)
     return line.strip()
 
 
-def _nc_dwell_s(dialect: Dialect, line: str) -> float | None:
+def _nc_dwell_s(dialect: GcodeDialect, line: str) -> float | None:
     """Seconds of a block that is nothing but a dwell; None: it is something else."""
     if (found := _DWELL.fullmatch(_bare(dialect, line))) is None or float(found["code"]) not in dialect.dwell.codes:
         return None
@@ -52,7 +52,7 @@ def _nc_dwell_s(dialect: Dialect, line: str) -> float | None:
     return None if unit is None or unit not in _UNIT_S else float(found["number"]) * _UNIT_S[unit]
 
 
-def _language_dwell_s(profile: Profile, line: str) -> float | None:
+def _language_dwell_s(profile: LanguageProfile, line: str) -> float | None:
     """Seconds of a statement that is a dwell of this language; None: it is something else."""
     for pattern in profile.patterns:
         if pattern.kind.startswith("dwell") and (found := pattern.regex.fullmatch(line.strip().encode())):

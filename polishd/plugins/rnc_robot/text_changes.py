@@ -42,7 +42,7 @@ _TIMING = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class LineChange:
     """A line that differs in more than its time."""
 
     kind: Kind
@@ -82,7 +82,7 @@ class _Side:
 
 
 @dataclass(frozen=True)
-class Rules:
+class ChangeRules:
     """What may differ besides the numbers that carry time."""
 
     comments: Sequence[str]
@@ -106,7 +106,9 @@ class Rules:
         return timing.sub(b"", self.code(line)).strip()
 
 
-def changes(old: bytes, new: bytes, old_spans: IntArray, new_spans: IntArray, rules: Rules) -> Iterator[Change]:
+def changes(
+    old: bytes, new: bytes, old_spans: IntArray, new_spans: IntArray, rules: ChangeRules
+) -> Iterator[LineChange]:
     """The lines of two programs that differ in more than the numbers at their spans, in order.
 
     Args:
@@ -126,7 +128,7 @@ def changes(old: bytes, new: bytes, old_spans: IntArray, new_spans: IntArray, ru
             i, j = i + 1, j + 1
             continue
         kind, taken, added = _step(before.bones, i, after.bones, j, rules)
-        yield Change(
+        yield LineChange(
             kind,
             i + 1 if taken else None,
             j + 1 if added else None,
@@ -141,7 +143,7 @@ def _lines(text: bytes) -> list[bytes]:
     return BytesIO(text).readlines()
 
 
-def _step(old: Sequence[bytes], i: int, new: Sequence[bytes], j: int, rules: Rules) -> tuple[Kind, bool, bool]:
+def _step(old: Sequence[bytes], i: int, new: Sequence[bytes], j: int, rules: ChangeRules) -> tuple[Kind, bool, bool]:
     """What the difference at lines i and j is, and on which side a line is consumed."""
     one = old[i] if i < len(old) else None
     other = new[j] if j < len(new) else None
@@ -162,7 +164,7 @@ def _step(old: Sequence[bytes], i: int, new: Sequence[bytes], j: int, rules: Rul
     return "other", gone <= come, come <= gone
 
 
-def _same(one: bytes, other: bytes, rules: Rules) -> Kind | None:
+def _same(one: bytes, other: bytes, rules: ChangeRules) -> Kind | None:
     """The kind of a change within a line; None where the lines differ in more than comments and timing."""
     if not one.strip() or not other.strip():
         return None
@@ -177,7 +179,7 @@ def _indent(line: bytes) -> bytes:
     return line[: len(line) - len(line.lstrip())]
 
 
-def _only(line: bytes | None, rules: Rules) -> Kind | None:
+def _only(line: bytes | None, rules: ChangeRules) -> Kind | None:
     """The kind of a whole line that may come or go; None for lines that do something else."""
     if line is None or rules.bare(line):
         return None

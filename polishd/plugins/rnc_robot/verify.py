@@ -12,8 +12,8 @@ from polishd.api import ProgramError
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.canonical import interpreted, readable
 from polishd.plugins.rnc_robot.dialect import AnyDialect
-from polishd.plugins.rnc_robot.motion import COLUMNS, Motion, motion
-from polishd.plugins.rnc_robot.text_changes import Change, Rules, changes
+from polishd.plugins.rnc_robot.motion import COLUMNS, ProgramMotion, motion
+from polishd.plugins.rnc_robot.text_changes import ChangeRules, LineChange, changes
 
 LISTED = 1000
 """Most changes beside times that are listed."""
@@ -37,7 +37,7 @@ class Verification:
     range_before_s: tuple[float, float]
     """Shortest and longest time of a point."""
     range_after_s: tuple[float, float]
-    other_changes: tuple[Change, ...]
+    other_changes: tuple[LineChange, ...]
     """Lines that differ in more than numbers that carry time, in order; the first ``LISTED`` of them."""
     proved_by: tuple[str, ...]
     """What was compared and found the same, in words; empty where motion is not proved."""
@@ -79,12 +79,12 @@ def _content(program: bytes | Path, name: str) -> tuple[bytes, str]:
         raise ProgramError(f"{program}: cannot be read: {error.strerror}. To do: check the path.") from error
 
 
-def _texts(old: Motion, new: Motion, dialect: AnyDialect) -> tuple[tuple[Change, ...], str | None]:
+def _texts(old: ProgramMotion, new: ProgramMotion, dialect: AnyDialect) -> tuple[tuple[LineChange, ...], str | None]:
     """Lines that differ in more than time, and the first of them that motion may depend on, in words."""
     one, other = old.program, new.program
     comments = dialect.text.comments if dialect.kind == "nc" else dialect.comments
-    rules = Rules(tuple(comments), encoding_changed=one.encoding != other.encoding)
-    listed: list[Change] = []
+    rules = ChangeRules(tuple(comments), encoding_changed=one.encoding != other.encoding)
+    listed: list[LineChange] = []
     worst = None
     for change in changes(one.text, other.text, old.spans, new.spans, rules):
         if worst is None and change.kind == "other":
@@ -96,7 +96,7 @@ def _texts(old: Motion, new: Motion, dialect: AnyDialect) -> tuple[tuple[Change,
     return tuple(listed), worst
 
 
-def _places(old: Motion, new: Motion) -> str | None:
+def _places(old: ProgramMotion, new: ProgramMotion) -> str | None:
     """The first move that is not the same in both, in words."""
     count = min(len(old.line), len(new.line))
     here, there = old.places[:count], new.places[:count]
@@ -121,7 +121,11 @@ def _words(place: FloatArray) -> str:
 
 
 def _verification(
-    old: Motion, new: Motion, listed: tuple[Change, ...], difference: str | None, proved: tuple[str, ...]
+    old: ProgramMotion,
+    new: ProgramMotion,
+    listed: tuple[LineChange, ...],
+    difference: str | None,
+    proved: tuple[str, ...],
 ) -> Verification:
     one, other = old.program, new.program
     change = _changes_s(old, new) if difference is None else np.zeros(0)
@@ -140,7 +144,7 @@ def _verification(
     )
 
 
-def _changes_s(old: Motion, new: Motion) -> FloatArray:
+def _changes_s(old: ProgramMotion, new: ProgramMotion) -> FloatArray:
     """By how much the time of each move changed that is a point of both programs."""
     before, after = np.full(len(old.line), np.nan), np.full(len(new.line), np.nan)
     before[old.point], after[new.point] = old.program.time_s, new.program.time_s

@@ -20,9 +20,9 @@ POLISHD_API = 1
 def polishd_on_event(event: Event) -> None:
     """Write the report, or the gate's picture, into the folder that the event names; other events pass by."""
     match event:
-        case events.GateStopped():
+        case events.RemovalCheckFailed():
             _draw(event.cycle_dir, "gate")
-        case events.JobFinished() | events.PlanWritten():
+        case events.RunFolderCompleted() | events.PlanWritten():
             _draw(event.run_dir)
         case _:
             pass

@@ -29,7 +29,7 @@ EXECUTED_COLUMNS = frozenset({"seq", "start_s", "end_s", "contact"})
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class ReportSurface:
     """A measured map as the daemon used it: ``height_nm`` (ny, nx), row 0 the top, NaN = no data."""
 
     height_nm: FloatArray
@@ -61,7 +61,7 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True)
-class Executed:
+class ExecutedTimes:
     """Blocks in contact that were executed, summed over pieces of one block: (k,) sequence numbers and seconds."""
 
     seq: NDArray[np.int64]
@@ -81,17 +81,17 @@ class Cycle:
     """What the folder of one cycle holds."""
 
     name: str
-    surface: Surface | None
+    surface: ReportSurface | None
     plan: Arrays | None
     certificate: Mapping[str, Any] | None
-    executed: Executed | None
+    executed: ExecutedTimes | None
     files: tuple[str, ...]
     notes: tuple[str, ...] = ()
     """What was said of what the pass before it taught, of the part's settling, and of its seat."""
 
 
 @dataclass(frozen=True, slots=True)
-class RunFolder:
+class RunFolderReader:
     """A run folder, or a plan folder (``planned``: a single cycle that lies in the folder itself)."""
 
     path: Path
@@ -107,7 +107,7 @@ class RunFolder:
         return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 
 
-def read_folder(path: Path) -> RunFolder:
+def read_folder(path: Path) -> RunFolderReader:
     """Read all that is there."""
     reader = _Reader(path)
     summary = reader.json(path / "summary.json") or {}
@@ -116,7 +116,7 @@ def read_folder(path: Path) -> RunFolder:
     cycles = tuple(map(reader.cycle, folders))
     if not cycles:
         reader.missing.append("cycle-00: no measurement was taken")
-    return RunFolder(path, planned, summary, cycles, reader.missing)
+    return RunFolderReader(path, planned, summary, cycles, reader.missing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ class _Reader:
         notes = (self.json(path) or {}).get("notes") if path.exists() else None
         return [str(note) for note in notes] if isinstance(notes, list) else []
 
-    def surface(self, path: Path) -> Surface | None:
+    def surface(self, path: Path) -> ReportSurface | None:
         """``surface.npz``; without a mask, all data count."""
         arrays = self.read(path, _arrays)
         if arrays is None:
@@ -182,7 +182,7 @@ class _Reader:
         if height.ndim != 2 or mask.shape != height.shape:
             self.lacks(path, f"shapes {height.shape} and {mask.shape} do not fit")
             return None
-        return Surface(height, mask, pitch)
+        return ReportSurface(height, mask, pitch)
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -191,7 +191,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         return {name: stored[name] for name in stored.files}
 
 
-def _executed(path: Path) -> Executed:
+def _executed(path: Path) -> ExecutedTimes:
     """``executed.csv`` (seq, start_s, end_s, contact): the blocks in contact."""
     found, seconds = array("q"), array("d")
     with path.open(encoding="utf-8", newline="") as lines:
@@ -206,4 +206,4 @@ def _executed(path: Path) -> Executed:
                 seconds.append(float(row[end_s]) - float(row[start_s]))
     order, which = np.unique(np.array(found, dtype=np.int64), return_inverse=True)  # one in pieces stands there twice
     seconds_of = np.bincount(which, weights=np.array(seconds), minlength=order.size)
-    return Executed(order, seconds_of.astype(np.float64))  # of no block at all they are whole numbers
+    return ExecutedTimes(order, seconds_of.astype(np.float64))  # of no block at all they are whole numbers

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from polishd.files import write_atomic
-from polishd.plugins.run_report.folder import Surface
+from polishd.plugins.run_report.folder import ReportSurface
 from polishd.plugins.run_report.maps import WIDTH_IN, colour_bar, scale_nm, show
 from polishd.show.style import figure, png, polishd_style
 
@@ -27,7 +27,7 @@ def write_gate(folder: Path) -> None:
 def _draw(arrays: dict[str, Any], verdict: dict[str, Any]) -> Figure:
     """Removal above, what each explanation leaves below, all on the scale of the measured one."""
     mask = arrays["metric_mask"]
-    measured = Surface(np.where(mask, arrays["measured_nm"], np.nan), mask, float(arrays["pitch_mm"]))
+    measured = ReportSurface(np.where(mask, arrays["measured_nm"], np.nan), mask, float(arrays["pitch_mm"]))
     limit = scale_nm(measured)
     best = verdict["best"]
     x, y = (round(shift, 1) + 0.0 for shift in best["shift_mm"])  # never -0.0

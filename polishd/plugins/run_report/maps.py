@@ -8,14 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from polishd.plugins.run_report.folder import Cycle, FloatArray, Surface
+from polishd.plugins.run_report.folder import Cycle, FloatArray, ReportSurface
 from polishd.show.style import BLUE, DIVERGING, INK, MUTED, NO_DATA, ORANGE, figure, ruled
 
 WIDTH_IN = 10.6
 HEIGHT_LABEL = "height on the process grid (nm)"
 
 
-def overview(surfaces: list[tuple[str, Surface]]) -> Figure:
+def overview(surfaces: list[tuple[str, ReportSurface]]) -> Figure:
     """All measurements side by side, on the scale of the first."""
     limit = scale_nm(surfaces[0][1])
     columns = max(len(surfaces), 3)
@@ -33,7 +33,7 @@ def overview(surfaces: list[tuple[str, Surface]]) -> Figure:
     return fig
 
 
-def before_and_after(before: Surface, after: Surface, after_name: str) -> Figure:
+def before_and_after(before: ReportSurface, after: ReportSurface, after_name: str) -> Figure:
     """Two maps on one scale, the second on its own too, and both on the horizontal line through the middle."""
     limit = scale_nm(before)
     fig = figure(WIDTH_IN * 4 / 3, 3.5)
@@ -47,7 +47,7 @@ def before_and_after(before: Surface, after: Surface, after_name: str) -> Figure
     return fig
 
 
-def measured_only(surface: Surface, first: Surface) -> Figure:
+def measured_only(surface: ReportSurface, first: ReportSurface) -> Figure:
     """The last measurement: on the scale of the first, on its own, and the spread of its heights."""
     fig, axes = row_of_three()
     limit, own = scale_nm(first), scale_nm(surface)
@@ -61,7 +61,7 @@ def measured_only(surface: Surface, first: Surface) -> Figure:
     return fig
 
 
-def prediction(cycle: Cycle, after: Surface) -> Figure:
+def prediction(cycle: Cycle, after: ReportSurface) -> Figure:
     """What the plan said would remain, what was measured, and the difference, on one scale."""
     predicted = residual_of(cycle)
     if predicted.shape != after.height_nm.shape:
@@ -89,13 +89,13 @@ def row_of_three() -> tuple[Figure, list[Axes]]:
     return fig, list(fig.subplots(1, 3))
 
 
-def scale_nm(surface: Surface, height_nm: FloatArray | None = None) -> float:
+def scale_nm(surface: ReportSurface, height_nm: FloatArray | None = None) -> float:
     """Half-width of the colour scale: nearly the largest height in the clear aperture."""
     inside = np.abs(surface.inside(height_nm))
     return max(float(np.percentile(inside, 99.5)), 1e-3) if inside.size else 1.0
 
 
-def show(ax: Axes, surface: Surface, height_nm: FloatArray, limit_nm: float, title: str) -> AxesImage:
+def show(ax: Axes, surface: ReportSurface, height_nm: FloatArray, limit_nm: float, title: str) -> AxesImage:
     """One map with the clear aperture outlined."""
     colours = mpl.colormaps[DIVERGING].with_extremes(bad=NO_DATA)
     image = ax.imshow(
@@ -113,7 +113,7 @@ def show(ax: Axes, surface: Surface, height_nm: FloatArray, limit_nm: float, tit
     return image
 
 
-def outline(ax: Axes, surface: Surface) -> None:
+def outline(ax: Axes, surface: ReportSurface) -> None:
     """The edge of the clear aperture, as a thin line."""
     mask = np.pad(surface.metric_mask, 1).astype(np.float64)
     if not mask.any():
@@ -134,7 +134,7 @@ def colour_bar(fig: Figure, image: AxesImage, axes: list[Axes], label: str = HEI
     bar.outline.set_visible(False)
 
 
-def profiles(ax: Axes, before: Surface, after: Surface, after_name: str) -> None:
+def profiles(ax: Axes, before: ReportSurface, after: ReportSurface, after_name: str) -> None:
     """Heights on the row through the middle of the part."""
     for surface, name, colour in ((before, "before", MUTED), (after, after_name.lower(), ORANGE)):
         height = surface.levelled()

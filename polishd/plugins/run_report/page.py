@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from jinja2 import Template
 
-from polishd.plugins.run_report.folder import RunFolder
+from polishd.plugins.run_report.folder import RunFolderReader
 from polishd.show import words
 from polishd.show.sheet import Picture
 from polishd.show.sheet_html import templates
@@ -64,7 +64,7 @@ CERTIFICATE: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class ReportSection:
     """A part of the page."""
 
     title: str
@@ -81,7 +81,7 @@ class Section:
         return [(CERTIFICATE.get(key, key), held[key]) for key in keys]
 
 
-def render(folder: RunFolder, sections: Sequence[Section]) -> str:
+def render(folder: RunFolderReader, sections: Sequence[ReportSection]) -> str:
     """The whole page."""
     rows, outcome = folder.rows(), "planned" if folder.planned else text(folder.summary.get("outcome"))
     return _template().render(
@@ -105,7 +105,7 @@ def _template() -> Template:
     return page.get_template("report.html.jinja")
 
 
-def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
+def facts_of(folder: RunFolderReader) -> list[tuple[str, str]]:
     """Names and values for the header; empty values are left out."""
     summary, rows = folder.summary, folder.rows()
     period = summary.get("tolerance_period_mm") or 0
@@ -129,7 +129,7 @@ def facts_of(folder: RunFolder) -> list[tuple[str, str]]:
     ]
 
 
-def notes_of(folder: RunFolder) -> list[str]:
+def notes_of(folder: RunFolderReader) -> list[str]:
     """The summary's notes, those of each measurement and of what was learned by it, and what was found in passes."""
     notes = [text(note) for note in folder.summary.get("notes") or []]
     for index, row in enumerate(folder.rows()):

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from polishd.files import write_atomic
 from polishd.plugins.run_report import along_path, maps, trend
-from polishd.plugins.run_report.folder import Cycle, RunFolder, Surface, read_folder
-from polishd.plugins.run_report.page import Section, render
+from polishd.plugins.run_report.folder import Cycle, ReportSurface, RunFolderReader, read_folder
+from polishd.plugins.run_report.page import ReportSection, render
 from polishd.show import words
 from polishd.show.sheet import Picture
 from polishd.show.style import png, polishd_style
@@ -63,7 +63,7 @@ class Album:
         return taken
 
 
-def whole_run(folder: RunFolder, album: Album) -> Section:
+def whole_run(folder: RunFolderReader, album: Album) -> ReportSection:
     """Pictures of all measurements together; a plan has only one, and its spectrum."""
     rows = folder.rows()
     tolerance = folder.summary.get("tolerance_nm") or words.rms_limit(rows)
@@ -82,29 +82,31 @@ def whole_run(folder: RunFolder, album: Album) -> Section:
         lsf_mm = float(folder.summary.get("lsf_period_mm") or LSF_PERIOD_MM)
         caption = f"Averaged over directions; edge tapered. Figure (LSF) is left of the dotted line at {lsf_mm:g} mm."
         album.add("psd", caption, lambda: trend.spectra(surfaces, lsf_mm), wide=False)
-    return Section("The whole run" if not folder.planned else "Surface", "", album.take())
+    return ReportSection("The whole run" if not folder.planned else "Surface", "", album.take())
 
 
-def measured(folder: RunFolder) -> list[tuple[int, Surface]]:
+def measured(folder: RunFolderReader) -> list[tuple[int, ReportSurface]]:
     """Cycles whose map can be shown, with their index."""
     return [(index, cycle.surface) for index, cycle in enumerate(folder.cycles) if cycle.surface is not None]
 
 
-def cycle_section(folder: RunFolder, index: int, album: Album) -> Section:
+def cycle_section(folder: RunFolderReader, index: int, album: Album) -> ReportSection:
     """One cycle: a pass between two measurements, or a measurement that no pass followed."""
     cycle = folder.cycles[index]
     if cycle.plan is None:
         last_measurement(folder, index, album)
         at = words.measurement(folder.rows(), index)
-        return Section(f"Measurement {at if index else 'at the start'}", cycle.name, album.take(), None, cycle.files)
+        return ReportSection(
+            f"Measurement {at if index else 'at the start'}", cycle.name, album.take(), None, cycle.files
+        )
     after = folder.cycles[index + 1].surface if index + 1 < len(folder.cycles) else None
     surface_pictures(cycle, after, album)
     path_pictures(folder, index, album)
     title = "Plan" if folder.planned else words.pass_after(folder.rows(), index)
-    return Section(title, "" if folder.planned else cycle.name, album.take(), cycle.certificate, cycle.files)
+    return ReportSection(title, "" if folder.planned else cycle.name, album.take(), cycle.certificate, cycle.files)
 
 
-def last_measurement(folder: RunFolder, index: int, album: Album) -> None:
+def last_measurement(folder: RunFolderReader, index: int, album: Album) -> None:
     """The map that ended the run."""
     surface = folder.cycles[index].surface
     if surface is not None:
@@ -113,7 +115,7 @@ def last_measurement(folder: RunFolder, index: int, album: Album) -> None:
         album.add(f"{folder.cycles[index].name}-maps", caption, lambda: maps.measured_only(surface, first))
 
 
-def surface_pictures(cycle: Cycle, after: Surface | None, album: Album) -> None:
+def surface_pictures(cycle: Cycle, after: ReportSurface | None, album: Album) -> None:
     """Maps before and after the pass; where no map followed, the predicted residual stands in."""
     before = cycle.surface
     if before is None:
@@ -136,12 +138,12 @@ def surface_pictures(cycle: Cycle, after: Surface | None, album: Album) -> None:
     album.add(f"{cycle.name}-prediction", caption, lambda: maps.prediction(cycle, after))
 
 
-def predicted(cycle: Cycle, before: Surface) -> Surface:
+def predicted(cycle: Cycle, before: ReportSurface) -> ReportSurface:
     """The plan's residual as if it had been measured."""
-    return Surface(maps.residual_of(cycle), before.metric_mask, before.pitch_mm)
+    return ReportSurface(maps.residual_of(cycle), before.metric_mask, before.pitch_mm)
 
 
-def path_pictures(folder: RunFolder, index: int, album: Album) -> None:
+def path_pictures(folder: RunFolderReader, index: int, album: Album) -> None:
     """What varies along the path. Compliance is shown again only where it differs from the cycle before."""
     cycle = folder.cycles[index]
     plan = cycle.plan

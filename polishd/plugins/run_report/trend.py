@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from polishd.plugins.run_report.folder import BoolArray, FloatArray, Surface
+from polishd.plugins.run_report.folder import BoolArray, FloatArray, ReportSurface
 from polishd.process import metrics
 from polishd.show.style import BLUE, GREEN, MUTED, ORANGE, figure, ruled
 from polishd.show.words import interrupted
@@ -77,7 +77,7 @@ def number(row: Mapping[str, Any], key: str) -> float:
     return float(value) if isinstance(value, int | float) and value > 0 else math.nan
 
 
-def spectra(surfaces: list[tuple[str, Surface]], lsf_period_mm: float) -> Figure:
+def spectra(surfaces: list[tuple[str, ReportSurface]], lsf_period_mm: float) -> Figure:
     """Radially averaged power spectrum of each measurement: the first grey, the last strong."""
     fig = figure(5.2, 3.7)
     ax = fig.add_subplot()

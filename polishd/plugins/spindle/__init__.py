@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceType, Spindle, SpindleTimes, hookimpl
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import can_address
 
@@ -17,7 +17,7 @@ POLISHD_API = 1
 _TIMES = SpindleTimes()
 
 
-class SpindleCanOptions(Section):
+class SpindleCanOptions(ConfigSection):
     """Keys of ``[spindle]`` with ``type = "spindle_can"``."""
 
     address: str

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from polishd.api import DeviceContext, DeviceRefused, DeviceType, RobotTimes, hookimpl
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.transport.address import tcp_address
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
-from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.sample import UrRegisters
 from polishd.drivers.universal_robots.script import Settings, blocks_of
 
 POLISHD_API = 1
@@ -21,7 +21,7 @@ WAY_S = 0.02
 Port = Annotated[int, Field(ge=1, le=65535)]
 
 
-class UniversalRobotsOptions(Section):
+class UniversalRobotsOptions(ConfigSection):
     """Keys of ``[robot]`` with ``type = "universal_robots"``."""
 
     address: str
@@ -49,7 +49,7 @@ def _build(options: UniversalRobotsOptions, context: DeviceContext) -> Universal
     report_s = 2.0 / options.rate_hz + WAY_S
     times = RobotTimes(options.silence_s, options.watchdog_s, options.stop_s, report_s=report_s)
     addresses = Addresses.of(address.host, address.port, options.dashboard_port, options.primary_port)
-    settings = Settings(Registers(options.first_register), options.watchdog_s, options.tool_z == "into_part")
+    settings = Settings(UrRegisters(options.first_register), options.watchdog_s, options.tool_z == "into_part")
     return UniversalRobot(addresses, settings, times, options.rate_hz)
 
 

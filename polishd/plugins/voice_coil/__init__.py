@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, Unpowered, hookimpl
-from polishd.config.values import Section
+from polishd.config.values import ConfigSection
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.shelf import profile_of
 
@@ -19,7 +19,7 @@ _TIMES = ActuatorTimes()
 Seconds = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
-class VoiceCoilOptions(Section):
+class VoiceCoilOptions(ConfigSection):
     """Keys of ``[actuator]`` besides ``type``."""
 
     address: str

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from polishd.process.absolute.design import Design, Unknown, design
+from polishd.process.absolute.design import Design, UnobservedTerm, design
 from polishd.process.absolute.next_poses import NextPoses, PoseOptions, next_poses
-from polishd.process.absolute.poses import Pose
-from polishd.process.absolute.separate import Separated, separate
+from polishd.process.absolute.poses import PartPose
+from polishd.process.absolute.separate import AbsoluteSolution, separate
 from polishd.process.absolute.solution import PlaceError
-from polishd.process.absolute.told import SystemMap, Told
+from polishd.process.absolute.told import AbsoluteTestResult, SystemMap
 
 __all__ = [
     "Design",
     "NextPoses",
     "PlaceError",
-    "Pose",
+    "PartPose",
     "PoseOptions",
-    "Separated",
+    "AbsoluteSolution",
     "SystemMap",
-    "Told",
-    "Unknown",
+    "AbsoluteTestResult",
+    "UnobservedTerm",
     "design",
     "next_poses",
     "separate",

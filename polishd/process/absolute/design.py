@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
 from polishd.process.absolute.names import term_name
-from polishd.process.absolute.poses import LEVEL, Pose, moved, terms
+from polishd.process.absolute.poses import LEVEL, PartPose, moved, terms
 
 MOST_GAIN = 30.0
 """Noise of a direction, in that of one map, beyond which it counts as unknown."""
@@ -24,7 +24,7 @@ UNKNOWN_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Unknown:
+class UnobservedTerm:
     """A term of the instrument that the poses do not tell."""
 
     n: int
@@ -42,7 +42,7 @@ class Unknown:
 class Design:
     """Poses, and what they tell."""
 
-    poses: tuple[Pose, ...]
+    poses: tuple[PartPose, ...]
     degree: int
     radius_mm: float
     """Of the unit circle."""
@@ -56,11 +56,11 @@ class Design:
     """(j, r) orthonormal: changes of the instrument among them."""
 
     @property
-    def unknown(self) -> tuple[Unknown, ...]:
+    def unknown(self) -> tuple[UnobservedTerm, ...]:
         """The instrument's terms that are unknown, in whole or in part."""
         share = (self.hidden**2).sum(axis=1)
         return tuple(
-            Unknown(n, m, min(float(part), 1.0))
+            UnobservedTerm(n, m, min(float(part), 1.0))
             for (n, m), part in zip(self.terms, share, strict=True)
             if part > UNKNOWN_SHARE
         )
@@ -72,7 +72,7 @@ class Design:
         return int(count * size - (2 * size - self.null.shape[1]))
 
 
-def design(poses: Sequence[Pose], degree: int, radius_mm: float) -> Design:
+def design(poses: Sequence[PartPose], degree: int, radius_mm: float) -> Design:
     """What poses tell of terms up to a radial order over a circle.
 
     Raises:
@@ -87,7 +87,7 @@ def design(poses: Sequence[Pose], degree: int, radius_mm: float) -> Design:
     own, strength, _ = np.linalg.svd(null[size:], full_matrices=False)
     hidden = own[:, strength > 1 / MOST_GAIN]
     if hidden.shape[1] == size:
-        raise BadMap("the part lies alike in all maps, which tells nothing of the instrument: turn it between them, "
+        raise MapError("the part lies alike in all maps, which tells nothing of the instrument: turn it between them, "
                      "by 90 deg say")  # fmt: skip
     return Design(
         poses=tuple(poses),

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.ndimage
 
 from polishd.model.surface import BoolArray
-from polishd.process.absolute.poses import Pose
+from polishd.process.absolute.poses import PartPose
 from polishd.process.absolute.rest import split
 from polishd.process.metrics import zernike
 
@@ -24,7 +24,7 @@ TRIALS = 3
 """Of some 300 waves each: the share is known to a tenth of itself."""
 
 
-def hidden_share(poses: Sequence[Pose], degree: int, radius_mm: float) -> float:
+def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> float:
     """Mean share, 0 to 1, of the square of the instrument's waves above an order that stays in the part.
 
     Args:
@@ -49,7 +49,7 @@ def hidden_share(poses: Sequence[Pose], degree: int, radius_mm: float) -> float:
     return min(hidden / whole, 1.0) if whole else 1.0
 
 
-def _on_part(pose: Pose, mask: BoolArray, pitch_mm: float) -> BoolArray:
+def _on_part(pose: PartPose, mask: BoolArray, pitch_mm: float) -> BoolArray:
     """(ny, nx) samples of the map where the part is."""
     along = (np.arange(len(mask), dtype=np.float64) - RADIUS_PX) * pitch_mm
     x_mm, down_mm = np.meshgrid(along, along)

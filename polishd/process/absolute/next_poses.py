@@ -10,7 +10,7 @@ import numpy as np
 from polishd.model.surface import FloatArray
 from polishd.process.absolute.design import information, null_space
 from polishd.process.absolute.names import reference_for, term_name
-from polishd.process.absolute.poses import LEVEL, Pose, moved, terms
+from polishd.process.absolute.poses import LEVEL, PartPose, moved, terms
 
 KEPT = 12
 """Sets of poses that are followed further, the best of each size."""
@@ -24,7 +24,7 @@ Term = tuple[int, int]
 class PoseOptions:
     """What the cell can do."""
 
-    candidates: tuple[Pose, ...]
+    candidates: tuple[PartPose, ...]
     """Poses that can be had: angles of the rotary port, shifts of the stage."""
     radius_mm: float
     """Of the aperture."""
@@ -38,7 +38,7 @@ class PoseOptions:
 class NextPoses:
     """What to measure, and what comes of it."""
 
-    poses: tuple[Pose, ...]
+    poses: tuple[PartPose, ...]
     """In order; none where all that a pose can tell is told already."""
     sigma_nm: Mapping[Term, float | None]
     """Of each wanted term after them; None: it stays unknown."""
@@ -54,7 +54,7 @@ class NextPoses:
         return ". ".join([asked, *(f"{term_name(*term)} needs {what}" for term, what in self.demanded.items())])
 
 
-def next_poses(wanted_nm: Mapping[Term, float], have: Sequence[Pose], options: PoseOptions) -> NextPoses:
+def next_poses(wanted_nm: Mapping[Term, float], have: Sequence[PartPose], options: PoseOptions) -> NextPoses:
     """The least number of further poses, by a search that keeps the best sets of each size.
 
     Args:
@@ -94,12 +94,12 @@ class _Search:
     options: PoseOptions
     degree: int
 
-    def told(self, poses: Sequence[Pose]) -> FloatArray:
+    def told(self, poses: Sequence[PartPose]) -> FloatArray:
         """(2 j, 2 j) what maps at these poses tell, for noise of 1."""
         size = 2 * len(self.terms)
         return sum((self._information(pose) for pose in poses), np.zeros((size, size)))
 
-    def _information(self, pose: Pose) -> FloatArray:
+    def _information(self, pose: PartPose) -> FloatArray:
         return information(moved(self.degree, pose, self.options.radius_mm)[LEVEL:, LEVEL:])
 
     def sigma_nm(self, told: FloatArray) -> dict[Term, float]:
@@ -114,7 +114,7 @@ class _Search:
         share = (null_space(told)[len(self.terms) :] ** 2).sum(axis=1) * 2  # half of a direction is the part's
         return {term for term, part in zip(self.terms, share, strict=True) if part > 0.1 and term in self.wanted_nm}
 
-    def best(self, start: FloatArray, reachable: Sequence[Term]) -> tuple[Pose, ...]:
+    def best(self, start: FloatArray, reachable: Sequence[Term]) -> tuple[PartPose, ...]:
         """The smallest set by which all that is reachable is met; else the best of the largest size."""
 
         def missing(told: FloatArray) -> tuple[float, float]:

@@ -19,7 +19,7 @@ LEVEL = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class PartPose:
     """Of the part in one map."""
 
     angle_deg: float
@@ -51,7 +51,7 @@ def terms(degree: int) -> tuple[tuple[int, int], ...]:
     return order("ansi", (degree + 1) * (degree + 2) // 2)
 
 
-def moved(degree: int, pose: Pose, radius_mm: float) -> FloatArray:
+def moved(degree: int, pose: PartPose, radius_mm: float) -> FloatArray:
     """What a pose makes of terms, (k, k): ``seen = moved @ part``, both of RMS norm over the unit circle.
 
     Exact: a polynomial that is turned and shifted is one of the same degree. Solved on a lattice of points.

@@ -14,7 +14,7 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.absolute.poses import Pose
+from polishd.process.absolute.poses import PartPose
 
 SWEEPS = 12
 """Of both means. A wave of which each sweep finds half is known to 1/4096 after them."""
@@ -29,7 +29,7 @@ Way = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class PixelRemainder:
     """Two maps of (ny, nx) on the grid of the maps, NaN where fewer than two show a sample."""
 
     instrument_nm: FloatArray
@@ -67,8 +67,8 @@ class _Turned:
 
 
 def split(
-    heights_nm: Sequence[FloatArray], poses: Sequence[Pose], axis_px: tuple[float, float], pitch_mm: float
-) -> Rest:
+    heights_nm: Sequence[FloatArray], poses: Sequence[PartPose], axis_px: tuple[float, float], pitch_mm: float
+) -> PixelRemainder:
     """Part and instrument of maps that piston, tilt and the low terms were taken off.
 
     Args:
@@ -93,7 +93,7 @@ def split(
     off = [(height - way.take(part) - instrument)[enough] for height, way in zip(heights_nm, back, strict=True)]
     left = np.concatenate([one[np.isfinite(one)] for one in off])
     freedom = left.size - np.count_nonzero(enough) - np.count_nonzero(shown >= LEAST_MAPS)
-    return Rest(
+    return PixelRemainder(
         instrument_nm=np.where(enough, instrument, np.nan),
         part_nm=np.where(shown >= LEAST_MAPS, part, np.nan),
         noise_nm=float(np.sqrt((left**2).sum() / freedom)) if freedom > LEAST_SHARE * left.size else None,

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.absolute.design import Design, design
 from polishd.process.absolute.hidden_rest import hidden_share
-from polishd.process.absolute.poses import LEVEL, Pose
-from polishd.process.absolute.rest import Rest, split
-from polishd.process.absolute.solution import PlaceError, Solution, solve, solve_noise
+from polishd.process.absolute.poses import LEVEL, PartPose
+from polishd.process.absolute.rest import PixelRemainder, split
+from polishd.process.absolute.solution import PlaceError, TermSolution, solve, solve_noise
 from polishd.process.metrics import zernike
 from polishd.process.metrics.zernike_terms import values
 
@@ -32,14 +32,14 @@ LEAST_FREEDOM = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Separated:
+class AbsoluteSolution:
     """Part and instrument, and how sure the instrument is."""
 
     instrument_nm: FloatArray
     """(ny, nx) in the maps' frame, NaN where fewer than two maps have data; no piston, tilt, nor what is hidden."""
     part_nm: FloatArray
     """(ny, nx) as it lies at 0 deg, the axis where the maps have it; with what is hidden."""
-    solution: Solution
+    solution: TermSolution
     design: Design
     circle_px: tuple[float, float, float]
     """(row, column) about which the part was turned, and the radius of the terms' unit circle."""
@@ -75,14 +75,14 @@ class Separated:
 
 def separate(
     heights_nm: Sequence[FloatArray],
-    poses: Sequence[Pose],
+    poses: Sequence[PartPose],
     pitch_mm: float,
     *,
     degree: int = DEGREE,
     axis_px: tuple[float, float] | None = None,
     noise_nm: float | None = None,
     place: PlaceError | None = None,
-) -> Separated:
+) -> AbsoluteSolution:
     """Tell instrument and part apart.
 
     Args:
@@ -110,7 +110,7 @@ def separate(
     ]
     found = design(poses, degree, radius * pitch_mm)
     if noise_nm is None and found.freedom < LEAST_FREEDOM:
-        raise BadMap(f"{len(poses)} maps up to order {degree} have nothing in common to tell their noise by: give it, "
+        raise MapError(f"{len(poses)} maps up to order {degree} have nothing in common to tell their noise by: give it, "
                      "measure at more angles, or take more orders")  # fmt: skip
     seen = np.stack([fit.coefficients_nm[LEVEL:] for fit in fits])
     per_noise = np.stack([fit.per_noise[LEVEL:, LEVEL:] for fit in fits])
@@ -121,7 +121,7 @@ def separate(
         poses, axis, pitch_mm,
     )  # fmt: skip
     share = hidden_share(poses, degree, radius * pitch_mm)
-    return Separated(
+    return AbsoluteSolution(
         instrument_nm=rest.instrument_nm + _surface(found, solution.instrument_nm, rest.instrument_nm, axis, radius),
         part_nm=rest.part_nm + _surface(found, solution.part_nm, rest.part_nm, axis, radius),
         solution=solution,
@@ -138,18 +138,18 @@ def separate(
     )
 
 
-def _require_alike(heights_nm: Sequence[FloatArray], poses: Sequence[Pose]) -> None:
+def _require_alike(heights_nm: Sequence[FloatArray], poses: Sequence[PartPose]) -> None:
     if len(heights_nm) != len(poses):
-        raise BadMap(f"{len(heights_nm)} maps and {len(poses)} poses: give an angle for each map, in their order")
+        raise MapError(f"{len(heights_nm)} maps and {len(poses)} poses: give an angle for each map, in their order")
     if len(heights_nm) < 2:
-        raise BadMap("one map does not tell the instrument from the part: turn the part and measure again")
+        raise MapError("one map does not tell the instrument from the part: turn the part and measure again")
     shapes = sorted({height.shape for height in heights_nm})
     if len(shapes) > 1:
-        raise BadMap(f"maps of {' and '.join(f'{rows} x {columns}' for rows, columns in shapes)} samples are not of "
+        raise MapError(f"maps of {' and '.join(f'{rows} x {columns}' for rows, columns in shapes)} samples are not of "
                      "one camera's frame: measure all with one zoom and one crop")  # fmt: skip
 
 
-def _middles(masks: Sequence[BoolArray], poses: Sequence[Pose], pitch_mm: float) -> FloatArray:
+def _middles(masks: Sequence[BoolArray], poses: Sequence[PartPose], pitch_mm: float) -> FloatArray:
     """(maps, 2) row and column of the middle of each map's data, less its shift."""
     middle = np.array([zernike.enclosing(mask)[:2] for mask in masks])
     return middle - np.array([(-pose.y_mm, pose.x_mm) for pose in poses]) / pitch_mm
@@ -161,7 +161,7 @@ def _furthest(mask: BoolArray, axis_px: tuple[float, float]) -> float:
     return float(np.hypot(row - axis_px[0], column - axis_px[1]).max())
 
 
-def _hidden_nm(rest: Rest, share: float, maps: int, noise_nm: float) -> float:
+def _hidden_nm(rest: PixelRemainder, share: float, maps: int, noise_nm: float) -> float:
     """RMS of what is hidden of the rest, by what is shown of it less the noise of the mean over maps."""
     shown = max(1.0 - share, LEAST_SHOWN)
     own = noise_nm if rest.noise_nm is None else rest.noise_nm
@@ -176,7 +176,7 @@ def _sense(found: Design, seen_nm: FloatArray, per_noise: FloatArray) -> bool:
     least = float(np.finfo(float).eps * (seen_nm**2).sum() / per_noise[0, 0, 0])
     ours, theirs = (solve(one, seen_nm, per_noise).chi2 + least for one in (found, other))
     if theirs * BY_FAR < ours:
-        raise BadMap(
+        raise MapError(
             f"the maps fit {np.sqrt(ours / theirs):.3g} times better with the angles' signs turned: angles are "
             "counter-clockwise as the maps are displayed; turn their signs, or see whether the maps are mirrored"
         )

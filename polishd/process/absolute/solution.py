@@ -9,7 +9,7 @@ import scipy
 
 from polishd.model.surface import FloatArray
 from polishd.process.absolute.design import Design
-from polishd.process.absolute.poses import LEVEL, Pose, moved
+from polishd.process.absolute.poses import LEVEL, PartPose, moved
 
 LEAST_SHARE = 0.1
 """Noise, in that of a fit with exact poses, below which it is not sought: the poses' errors explain all."""
@@ -25,7 +25,7 @@ class PlaceError:
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class TermSolution:
     """Terms of both, and how sure they are. What is hidden is the part's: the instrument's share of it is 0."""
 
     part_nm: FloatArray
@@ -40,7 +40,7 @@ class Solution:
     """Of ``left_nm`` in the covariance of what was seen; its expectation is the design's freedom."""
 
 
-def solve(design: Design, seen_nm: FloatArray, covariance: FloatArray) -> Solution:
+def solve(design: Design, seen_nm: FloatArray, covariance: FloatArray) -> TermSolution:
     """Least squares over what the poses tell.
 
     Args:
@@ -61,7 +61,7 @@ def solve(design: Design, seen_nm: FloatArray, covariance: FloatArray) -> Soluti
     both, spread = gauge @ (known @ value), gauge @ spread
     part, instrument = both[:size], both[size:]
     left = seen_nm - (design.moves @ part + instrument)
-    return Solution(
+    return TermSolution(
         part_nm=part,
         instrument_nm=instrument,
         covariance=spread[size:] @ spread[size:].T,
@@ -72,7 +72,7 @@ def solve(design: Design, seen_nm: FloatArray, covariance: FloatArray) -> Soluti
 
 def solve_noise(
     design: Design, seen_nm: FloatArray, per_noise: FloatArray, place: PlaceError, noise_nm: float | None
-) -> tuple[Solution, float]:
+) -> tuple[TermSolution, float]:
     """The solution, and the noise of a sample: the one that is given, or that at which the misfit is as expected.
 
     Errors of the poses act through the part, as a first solution without them has it.
@@ -106,7 +106,7 @@ def misplaced(design: Design, part_nm: FloatArray, place: PlaceError) -> FloatAr
     """(maps, j, j) covariance that errors of the poses give to the terms that are seen, nm^2."""
     whole = np.concatenate([np.zeros(LEVEL), part_nm])
 
-    def seen(pose: Pose) -> FloatArray:
+    def seen(pose: PartPose) -> FloatArray:
         return np.asarray((moved(design.degree, pose, design.radius_mm) @ whole)[LEVEL:])
 
     found = []
@@ -137,6 +137,6 @@ def _gauge(design: Design) -> FloatArray:
     return found
 
 
-def _scaled(found: Solution, noise_nm: float) -> Solution:
+def _scaled(found: TermSolution, noise_nm: float) -> TermSolution:
     """The same for noise that is not 1 nm a sample."""
     return replace(found, covariance=found.covariance * noise_nm**2, chi2=found.chi2 / noise_nm**2)

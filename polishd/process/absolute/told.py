@@ -8,9 +8,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
-from polishd.process.absolute.separate import Separated
+from polishd.process.absolute.separate import AbsoluteSolution
 from polishd.process.metrics import zernike
 from polishd.process.metrics.zernike_terms import values
 from polishd.process.plausible import SAME_PITCH
@@ -21,7 +21,7 @@ Term = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class AbsoluteTestResult:
     """All that the bound of a figure needs to know of the instrument's map."""
 
     degree: int
@@ -38,20 +38,20 @@ class Told:
     """(row, column, radius) of the terms' unit circle in the map's frame."""
 
     @classmethod
-    def of(cls, found: Separated) -> Self:
+    def of(cls, found: AbsoluteSolution) -> Self:
         """Of maps that were told apart."""
         design = found.design
         share = {(one.n, one.m): one.share for one in design.unknown}
         return cls(design.degree, design.terms, found.solution.covariance, share, found.hidden_rest_nm, found.circle_px)
 
-    def with_reference(self, term: Term, sigma_nm: float) -> Told:
+    def with_reference(self, term: Term, sigma_nm: float) -> AbsoluteTestResult:
         """The same where a reference has told a term that no pose tells: known to ``sigma_nm``, one standard deviation.
 
         Raises:
             BadMap: the poses told it already, or there is no such term.
         """
         if term not in self.unknown:
-            raise BadMap(f"the term (n, m) = {term} is none that the poses left unknown: leave the reference out")
+            raise MapError(f"the term (n, m) = {term} is none that the poses left unknown: leave the reference out")
         at = self.terms.index(term)
         covariance = self.covariance.copy()
         covariance[at, :] = covariance[:, at] = 0.0
@@ -100,7 +100,7 @@ class SystemMap:
 
     surface: SurfaceMap
     """As the instrument's profile turns and scales its maps: of one frame with them."""
-    told: Told
+    told: AbsoluteTestResult
 
     def off(self, surface: SurfaceMap) -> SurfaceMap:
         """The map less the instrument's error, sample by sample; no data where that has none.
@@ -116,7 +116,7 @@ class SystemMap:
         if other != own or pitch is None or abs(pitch - wanted) > SAME_PITCH * wanted:
             name = surface.path.name if surface.path is not None else "the map"
             given = "no pitch" if pitch is None else f"{pitch:.6g} mm"
-            raise BadMap(
+            raise MapError(
                 f"{name} has {other[0]} x {other[1]} samples of {given}, the instrument's system map "
                 f"{own[0]} x {own[1]} of {wanted:.6g} mm: measure with the zoom and crop of its calibration, or "
                 "calibrate it with these"

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from polishd.model.dwell import Certificate, DwellSolution
+from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.convolution import ConvolutionEffect
@@ -86,7 +86,7 @@ class ArrayDwell:
         return self.solution.residual_nm
 
     @property
-    def certificate(self) -> Certificate:
+    def certificate(self) -> OptimalityCertificate:
         """Figures and optimality, in float64."""
         return self.solution.certificate
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polishd.model.errors import ComputeError
-from polishd.process.dwell.curve import Row, Solve, Solved, highest_price, solved
+from polishd.process.dwell.curve import CurvePoint, Row, Solve, highest_price, solved
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.validation import check
 
@@ -20,7 +20,9 @@ MAX_SOLVES = 60
 LEAST_PRICE = 1e-13
 
 
-def within_budget(problem: DwellProblem, budget_s: float, solve: Solve, tolerance: float = BUDGET_TOLERANCE) -> Solved:
+def within_budget(
+    problem: DwellProblem, budget_s: float, solve: Solve, tolerance: float = BUDGET_TOLERANCE
+) -> CurvePoint:
     """The best residual with ``sum(t) <= budget_s``: the price of time at which the budget is just used up.
 
     Args:
@@ -55,7 +57,7 @@ def within_budget(problem: DwellProblem, budget_s: float, solve: Solve, toleranc
     return _noted(found, binds if better is None else f"{binds}: no dwell within it leaves {better:.2g} nm less")
 
 
-def better_within_nm(found: Solved, budget_s: float) -> float | None:
+def better_within_nm(found: CurvePoint, budget_s: float) -> float | None:
     """By how much less any dwell that takes no more than ``budget_s`` can leave at most, nm of the objective's root.
 
     The price is the budget's multiplier: whatever keeps to the budget costs no less than the priced least, less the
@@ -82,7 +84,7 @@ class Goal:
         """There is one."""
         return self.rms_nm is not None or self.slope_urad is not None
 
-    def share(self, point: Solved) -> float:
+    def share(self, point: CurvePoint) -> float:
         """What a residual has of what it may have, the worst of both: 1 just reaches it."""
         shares = []
         if self.rms_nm is not None:
@@ -96,12 +98,12 @@ class Goal:
         return " with ".join([*asked, *([] if self.slope_urad is None else [f"a slope of {self.slope_urad:.6g} urad"])])
 
 
-def to_target(problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> Solved:
+def to_target(problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> CurvePoint:
     """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``; see `to_goal`."""
     return to_goal(problem, Goal(rms_nm), solve, tolerance)
 
 
-def to_goal(problem: DwellProblem, goal: Goal, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> Solved:
+def to_goal(problem: DwellProblem, goal: Goal, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> CurvePoint:
     """The least total time whose residual reaches the goal.
 
     As `within_budget`: the highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
@@ -129,9 +131,9 @@ def to_goal(problem: DwellProblem, goal: Goal, solve: Solve, tolerance: float = 
 class FloorCost:
     """A problem with its dwell floor, without it, and with it and as much more to remove as the floor itself takes."""
 
-    bounded: Solved
-    free: Solved
-    raised: Solved
+    bounded: CurvePoint
+    free: CurvePoint
+    raised: CurvePoint
 
     def row(self) -> Row:
         """What JSON can hold of it; a cost is what the floor adds to the free dwell's (0.02 is 2 %)."""
@@ -171,13 +173,13 @@ def floor_cost(problem: DwellProblem, solve: Solve) -> FloorCost:
 
 
 def _search(
-    cheap: Solved,
+    cheap: CurvePoint,
     solve: Solve,
-    miss: Callable[[Solved], float],
+    miss: Callable[[CurvePoint], float],
     *,
-    accept: Callable[[Solved], bool],
-    feasible: Callable[[Solved], bool],
-) -> Solved:
+    accept: Callable[[CurvePoint], bool],
+    feasible: Callable[[CurvePoint], bool],
+) -> CurvePoint:
     """The price at which ``miss``, which rises with it and is negative for ``cheap``, is about 0.
 
     False position on the logarithm of the price, after Illinois: a residual far above its neighbour's is halved.
@@ -207,7 +209,7 @@ def _search(
     return min(accepted or filter(feasible, seen), key=lambda point: abs(miss(point)))
 
 
-def _noted(point: Solved, note: str) -> Solved:
+def _noted(point: CurvePoint, note: str) -> CurvePoint:
     certificate = point.solution.certificate
     noted = replace(certificate, notes=(*certificate.notes, note))
-    return Solved(point.problem, replace(point.solution, certificate=noted))
+    return CurvePoint(point.problem, replace(point.solution, certificate=noted))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from polishd.model.dwell import Certificate, DwellSolution
+from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic
+from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic
 from polishd.process.dwell.setup import conditioning_note
 from polishd.process.metrics import band_rms
 from polishd.process.several import note as effect_note
@@ -24,7 +24,7 @@ def certified(
     seconds: float,
     stopped: str,
     notes: tuple[str, ...] = (),
-    f: Quadratic | None = None,
+    f: QuadraticObjective | None = None,
 ) -> DwellSolution:
     """A dwell with its certificate and the surface that it predicts.
 
@@ -59,7 +59,7 @@ def certified(
     objective, slope = f.at(t)
     gap = gap_at(problem, t, objective, slope)
     told = [note for note in (conditioning_note(problem, f), *_effect_notes(problem, removal)) if note is not None]
-    certificate = Certificate(
+    certificate = OptimalityCertificate(
         solver=solver,
         objective=objective,
         kkt_residual=_kkt_residual(problem, t, f, slope),
@@ -93,7 +93,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def largest_gap(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:
+def largest_gap(problem: DwellProblem, time_s: FloatArray, f: QuadraticObjective | None = None) -> float:
     """By how much the objective at ``time_s`` (n,) is above the least one within the bounds, at most, nm^2.
 
     The objective curves by twice the regularisation P at least: ``f(s) >= f(t) + g (s - t) + P |s - t|^2``, whose least
@@ -118,7 +118,7 @@ def gap_at(problem: DwellProblem, time_s: FloatArray, value: float, g: FloatArra
     return float((np.abs(g) * step - (p * step**2 if p > 0 else 0.0)).sum())
 
 
-def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None = None) -> float:
+def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: QuadraticObjective | None = None) -> float:
     """Largest projected gradient at ``time_s`` (n,), relative to the largest gradient at the lower bound.
 
     0 exactly at the minimum, at most about 1 at the lower bound. Where the lower bound itself has no gradient, 0 for a
@@ -128,7 +128,7 @@ def kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic | None 
     return _kkt_residual(problem, time_s, f, f.gradient(time_s))
 
 
-def _kkt_residual(problem: DwellProblem, time_s: FloatArray, f: Quadratic, slope: FloatArray) -> float:
+def _kkt_residual(problem: DwellProblem, time_s: FloatArray, f: QuadraticObjective, slope: FloatArray) -> float:
     lower = problem.lower_s
     left = float(np.abs(projected_gradient(slope, time_s, lower, problem.upper_s, f.safe_step)).max())
     scale = float(np.abs(f.gradient(lower)).max())

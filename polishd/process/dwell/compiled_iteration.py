@@ -14,18 +14,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.process.dwell.iteration import RELAXATION, Array, Split, firmness, misfit_share
+from polishd.process.dwell.iteration import RELAXATION, Array, SplitProblem, firmness, misfit_share
 from polishd.process.transforms.butterflies import inline
 from polishd.process.transforms.kernel import kernel
 from polishd.process.transforms.lanes import COUNT, least, load, most, splat, store
-from polishd.process.transforms.plane import Order, Plane, columns_back, columns_forth, plane, rows_back, rows_forth
+from polishd.process.transforms.plane import (
+    FftFields,
+    FftPlanArrays,
+    columns_back,
+    columns_forth,
+    plane,
+    rows_back,
+    rows_forth,
+)
 
 Floats = NDArray[np.float32]
 
 _ONE, _NONE = np.float32(1), np.float32(0)
 
 
-class Work(NamedTuple):
+class IterationBuffers(NamedTuple):
     """What compiled functions read and write; fields as `plane` keeps them, of rank k."""
 
     fields: Floats
@@ -47,7 +55,7 @@ class Work(NamedTuple):
     target: Floats
 
 
-class Numbers(NamedTuple):
+class DouglasRachfordScalars(NamedTuple):
     """Those of an iteration, each a float32."""
 
     relaxation: np.float32
@@ -67,7 +75,7 @@ def _not_begun() -> None:
 class Compiled:
     """An Iteration in float32, by compiled code; made by `compiled_iteration`."""
 
-    plane: Plane
+    plane: FftFields
     kernels: Floats | None = None
     go: Callable[[], None] = _not_begun
 
@@ -79,12 +87,12 @@ class Compiled:
         """See Iteration."""
         return self._each(self.plane.unpacked, field, 4)
 
-    def begin(self, work: Split) -> None:
+    def begin(self, work: SplitProblem) -> None:
         """See Iteration."""
         if self.kernels is None:
             self.kernels = np.stack([self.plane.spectrum(kernel) for kernel in work.spectra])
         ny, nx = self.plane.size
-        ready = Work(
+        ready = IterationBuffers(
             fields=np.stack([work.y, *work.w]),
             columns=self.plane.columns(work.rank + 1),
             kernels=self.kernels,
@@ -100,9 +108,9 @@ class Compiled:
         )
         numbers = (RELAXATION, work.mu, work.price, work.rho / work.mu, 1 / (2 * ny * nx))
         kernel(_begin)(ready, self.plane.order)
-        self.go = partial(kernel(_advance), ready, Numbers(*map(np.float32, numbers)), self.plane.order)
+        self.go = partial(kernel(_advance), ready, DouglasRachfordScalars(*map(np.float32, numbers)), self.plane.order)
 
-    def advance(self, _work: Split) -> None:
+    def advance(self, _work: SplitProblem) -> None:
         """See Iteration."""
         self.go()
 
@@ -116,13 +124,13 @@ def compiled_iteration(size: tuple[int, int]) -> Compiled:
     return Compiled(plane(size))
 
 
-def _begin(work: Work, order: Order) -> None:
+def _begin(work: IterationBuffers, order: FftPlanArrays) -> None:
     for f in range(len(work.fields)):
         for slab in range(order.slabs):
             rows_forth(work.fields[f], slab, order)
 
 
-def _advance(work: Work, numbers: Numbers, order: Order) -> None:
+def _advance(work: IterationBuffers, numbers: DouglasRachfordScalars, order: FftPlanArrays) -> None:
     for block in range(order.blocks):
         for f in range(len(work.fields)):
             columns_forth(work.fields[f], block, work.columns[f], order)
@@ -140,7 +148,7 @@ def _advance(work: Work, numbers: Numbers, order: Order) -> None:
 
 
 @inline
-def _meet(work: Work, numbers: Numbers, block: int, ny: int) -> None:
+def _meet(work: IterationBuffers, numbers: DouglasRachfordScalars, block: int, ny: int) -> None:
     """Frequency by frequency: how y and each w must change so that ``y = sum K w``."""
     for row in range(ny):
         i = row * COUNT
@@ -162,7 +170,7 @@ def _meet(work: Work, numbers: Numbers, block: int, ny: int) -> None:
 
 
 @inline
-def _keep_to_bounds(work: Work, numbers: Numbers, where: tuple[int, int], nx: int) -> None:
+def _keep_to_bounds(work: IterationBuffers, numbers: DouglasRachfordScalars, where: tuple[int, int], nx: int) -> None:
     """Point by point: the dwell nearest to where each w is reflected to, and w drawn towards it."""
     for x in range(nx):
         i = x * COUNT
@@ -181,7 +189,7 @@ def _keep_to_bounds(work: Work, numbers: Numbers, where: tuple[int, int], nx: in
 
 
 @inline
-def _fit(work: Work, numbers: Numbers, where: tuple[int, int], nx: int) -> None:
+def _fit(work: IterationBuffers, numbers: DouglasRachfordScalars, where: tuple[int, int], nx: int) -> None:
     """Sample by sample: the removal drawn towards its target."""
     for x in range(nx):
         i = x * COUNT

@@ -9,23 +9,23 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import walk
-from polishd.process.dwell.walk import RELAXATION, Walk, best_sizes
+from polishd.process.dwell.walk import RELAXATION, AlternatingStep, best_sizes
 from polishd.process.spreading import compiled
 from polishd.process.spreading.compiled import (
+    BlockWeights,
     CompiledSpread,
     Floats,
-    Laid,
     Nodes,
     collect,
     compiled_spread,
-    lay,
     remove,
     restore,
+    spread_blocks,
 )
 from polishd.process.transforms.butterflies import inline
 from polishd.process.transforms.kernel import kernel
 from polishd.process.transforms.lanes import COUNT, load, store
-from polishd.process.transforms.plane import Order, columns_back, columns_forth, rows_back, rows_forth
+from polishd.process.transforms.plane import FftPlanArrays, columns_back, columns_forth, rows_back, rows_forth
 
 sizes = inline(best_sizes)
 
@@ -61,7 +61,7 @@ class Fields(NamedTuple):
     """What a sample counts in the curvature; 0 where none does."""
 
 
-class Numbers(NamedTuple):
+class AlternatingStepScalars(NamedTuple):
     """Those of a step."""
 
     relaxation: float
@@ -71,7 +71,7 @@ class Numbers(NamedTuple):
 
 
 @dataclass(slots=True)
-class CompiledWalk(Walk):
+class CompiledWalk(AlternatingStep):
     """A Walk whose steps are compiled; its effect has nodes as wide as samples."""
 
     _spread: CompiledSpread | None = None
@@ -83,7 +83,7 @@ class CompiledWalk(Walk):
         """See Walk."""
         self._spread = spread = self._spread or compiled_spread(self.near.effect)
         self._fields = fields = self._fields or self._made(spread)
-        numbers = Numbers(RELAXATION, self.near.pull, self.near.held, self.problem.regularisation)
+        numbers = AlternatingStepScalars(RELAXATION, self.near.pull, self.near.held, self.problem.regularisation)
         found = (np.empty_like(self.free) for _ in range(3))
         self._bounds = bounds = self._bounds or (self.problem.lower_s.copy(), self.problem.upper_s.copy())
         dwells = Dwells(*bounds, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found)
@@ -107,7 +107,14 @@ class CompiledWalk(Walk):
         return Fields(metric, metric.reshape(-1), on.spectrum(self.near.share)[0], counts)
 
 
-def _step(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Numbers, order: Order) -> None:
+def _step(
+    dwells: Dwells,
+    laid: BlockWeights,
+    nodes: Nodes,
+    fields: Fields,
+    numbers: AlternatingStepScalars,
+    order: FftPlanArrays,
+) -> None:
     _lay_uphill(dwells, laid, fields, numbers)
     _measure(nodes, fields, order)
     _lay_way(dwells, laid, nodes, fields, numbers)
@@ -127,7 +134,7 @@ def _step(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Num
 
 
 @inline
-def _lay_uphill(dwells: Dwells, laid: Laid, fields: Fields, numbers: Numbers) -> None:
+def _lay_uphill(dwells: Dwells, laid: BlockWeights, fields: Fields, numbers: AlternatingStepScalars) -> None:
     """Which way is up, onto the metric's nodes."""
     fields.flat[:] = 0
     for i in range(len(dwells.free)):
@@ -139,7 +146,7 @@ def _lay_uphill(dwells: Dwells, laid: Laid, fields: Fields, numbers: Numbers) ->
 
 
 @inline
-def _measure(nodes: Nodes, fields: Fields, order: Order) -> None:
+def _measure(nodes: Nodes, fields: Fields, order: FftPlanArrays) -> None:
     """The metric's nodes, by its share of each frequency."""
     columns = nodes.columns[0]
     for slab in range(order.slabs):
@@ -157,7 +164,7 @@ def _measure(nodes: Nodes, fields: Fields, order: Order) -> None:
 
 
 @inline
-def _lay_way(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: Numbers) -> None:
+def _lay_way(dwells: Dwells, laid: BlockWeights, nodes: Nodes, fields: Fields, numbers: AlternatingStepScalars) -> None:
     """The way down in the metric, onto each convolution's nodes."""
     nodes.flat[:] = 0
     for i in range(len(dwells.way)):
@@ -165,11 +172,11 @@ def _lay_way(dwells: Dwells, laid: Laid, nodes: Nodes, fields: Fields, numbers: 
         for j in range(laid.first[i], laid.first[i + 1]):
             near += laid.weight[j] * fields.flat[laid.node[j]]
         dwells.way[i] = (near - dwells.uphill[i]) / numbers.held
-        lay(i, dwells.way[i], laid, nodes)
+        spread_blocks(i, dwells.way[i], laid, nodes)
 
 
 @inline
-def _weigh(nodes: Nodes, fields: Fields, order: Order) -> None:
+def _weigh(nodes: Nodes, fields: Fields, order: FftPlanArrays) -> None:
     """Sample by sample: what the removal there counts."""
     removal = nodes.fields[0]
     for slab in range(order.slabs):
@@ -182,7 +189,7 @@ def _weigh(nodes: Nodes, fields: Fields, order: Order) -> None:
 
 
 @inline
-def _bend(dwells: Dwells, laid: Laid, nodes: Nodes, numbers: Numbers) -> tuple[float, float]:
+def _bend(dwells: Dwells, laid: BlockWeights, nodes: Nodes, numbers: AlternatingStepScalars) -> tuple[float, float]:
     """What the way does to the slope, and how far to go along it and along the last one."""
     down = last_down = p = q = r = 0.0
     for i in range(len(dwells.way)):

@@ -27,7 +27,7 @@ CERTIFIED = ("objective", "kkt_residual", "at_lower", "at_upper", "solver", "ite
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
+class CurvePoint:
     """A problem and its solution: the certificate is to be read against this problem's price and regularisation."""
 
     problem: DwellProblem
@@ -69,13 +69,13 @@ class Solved:
 class Curve:
     """A path of solved problems, in the order they were solved, each certified by itself."""
 
-    points: tuple[Solved, ...]
+    points: tuple[CurvePoint, ...]
 
     def rows(self) -> list[Row]:
         """One JSON-able object a point."""
         return [point.row() for point in self.points]
 
-    def at_target(self, rms_nm: float) -> Solved:
+    def at_target(self, rms_nm: float) -> CurvePoint:
         """The shortest total time whose residual RMS is at or below ``rms_nm``.
 
         Raises:
@@ -90,7 +90,7 @@ class Curve:
             )
         return min(good, key=lambda point: point.total_s)
 
-    def within(self, budget_s: float) -> Solved:
+    def within(self, budget_s: float) -> CurvePoint:
         """The least residual RMS whose total time is at most ``budget_s``.
 
         Raises:
@@ -102,7 +102,7 @@ class Curve:
             raise ComputeError(f"no point of the curve takes at most {budget_s:.6g} s: the quickest takes {least:.6g}")
         return min(quick, key=lambda point: point.rms_nm)
 
-    def knee(self) -> Solved:
+    def knee(self) -> CurvePoint:
         """Where more time stops to pay: beyond it, 1 % more time buys less than 1 % of the residual.
 
         Walks back from the longest total time as long as ``residual RMS * total time`` falls. Unlike the largest
@@ -136,7 +136,7 @@ def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[
     """
     check(problem)
     prices = highest_price(problem) * np.array(PRICES) if prices_nm2_per_s is None else prices_nm2_per_s
-    points: list[Solved] = []
+    points: list[CurvePoint] = []
     for price in prices:
         step = replace(problem, price_nm2_per_s=float(price))
         check(step)
@@ -152,6 +152,6 @@ def highest_price(problem: DwellProblem) -> float:
     return max(float(downhill.max()), 0.0)
 
 
-def solved(problem: DwellProblem, solve: Solve, warm: Start | None = None) -> Solved:
+def solved(problem: DwellProblem, solve: Solve, warm: Start | None = None) -> CurvePoint:
     """Solve once, from ``warm`` (default: the problem's own)."""
-    return Solved(replace(problem, warm=None), solve(problem if warm is None else replace(problem, warm=warm)))
+    return CurvePoint(replace(problem, warm=None), solve(problem if warm is None else replace(problem, warm=warm)))

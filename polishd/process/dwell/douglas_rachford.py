@@ -19,7 +19,7 @@ from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic
-from polishd.process.dwell.splitting import Splitting, continued, splitting
+from polishd.process.dwell.splitting import SplittingState, continued, splitting
 from polishd.process.dwell.validation import check
 
 NAME = "douglas_rachford"
@@ -78,7 +78,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-6) -
     return replace(found, state=work.state)
 
 
-def minimise(work: Splitting, stop: Stop, expired: Callable[[], bool], ask_every: int = ASK_EVERY) -> str:
+def minimise(work: SplittingState, stop: Stop, expired: Callable[[], bool], ask_every: int = ASK_EVERY) -> str:
     """Iterate until ``stop``, asked every so many iterations, says why to, or time is up, or for `MAX_ITERATIONS`."""
     for count in range(1, MAX_ITERATIONS + 1):
         work.iterate()

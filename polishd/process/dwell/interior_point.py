@@ -23,7 +23,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, narrow, projected_gradient, quadratic
+from polishd.process.dwell.quadratic import QuadraticObjective, narrow, projected_gradient, quadratic
 from polishd.process.dwell.validation import check
 from polishd.process.effect import SparseEffect
 
@@ -181,7 +181,7 @@ class _State:
 class _Interior:
     """One run: the problem in the Hessian's order."""
 
-    def __init__(self, f: Quadratic, hessian: BandedHessian, lower: FloatArray, upper: FloatArray) -> None:
+    def __init__(self, f: QuadraticObjective, hessian: BandedHessian, lower: FloatArray, upper: FloatArray) -> None:
         self._f, self._hessian, self._order = f, hessian, hessian.order
         self._bounds = lower, upper
         self._room = (upper - lower)[self._order]

@@ -15,7 +15,7 @@ Array = NDArray[Any]
 
 
 @dataclass(slots=True)
-class Split:
+class SplitProblem:
     """The problem in two parts, and the iterate. Of (ny, nx) a field is as its `Iteration` keeps it."""
 
     spectra: Array
@@ -56,14 +56,14 @@ class Iteration(Protocol):
     def shown(self, field: Array) -> Array:
         """The way back."""
 
-    def begin(self, work: Split) -> None:
+    def begin(self, work: SplitProblem) -> None:
         """Make ready: the step parameters or the iterate are other ones."""
 
-    def advance(self, work: Split) -> None:
+    def advance(self, work: SplitProblem) -> None:
         """One iteration: y, w and dwell change in place."""
 
 
-class Plain:
+class NumpyIteration:
     """By scipy's transforms, in either precision, fields as they are."""
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -78,7 +78,7 @@ class Plain:
         """See Iteration."""
         return field
 
-    def begin(self, work: Split) -> None:
+    def begin(self, work: SplitProblem) -> None:
         """See Iteration."""
         real = work.y.dtype.type
         kept, firm = misfit_share(work), firmness(work)
@@ -94,13 +94,13 @@ class Plain:
             "scratch": np.empty_like(work.dwell),
         }
 
-    def advance(self, work: Split) -> None:
+    def advance(self, work: SplitProblem) -> None:
         """See Iteration."""
         fixed, ranks = self._fixed, range(work.rank)
         spectrum = fft.rfft2(work.y)
-        for kernel, w in zip(work.spectra, work.w, strict=True):
+        for response, w in zip(work.spectra, work.w, strict=True):
             part = fft.rfft2(w)
-            part *= kernel
+            part *= response
             spectrum -= part
         spectrum *= fixed["gain"]
         moved = [fft.irfft2(kernel * spectrum, self._size, overwrite_x=True) for kernel in fixed["back"]]
@@ -119,7 +119,7 @@ class Plain:
         work.y += change
         work.y += fixed["y_add"]
 
-    def _dwell_nearest_to(self, wanted: list[Array], work: Split) -> None:
+    def _dwell_nearest_to(self, wanted: list[Array], work: SplitProblem) -> None:
         """The dwell within its bounds, point by point, where each w's (ny, nx), regularisation and price agree."""
         gain, scratch = self._fixed["t_gain"], self._fixed["scratch"]
         np.multiply(wanted[0], gain[0], out=work.dwell)
@@ -131,13 +131,13 @@ class Plain:
         np.clip(work.dwell, *work.bounds, out=work.dwell)
 
 
-def misfit_share(work: Split) -> Array:
+def misfit_share(work: SplitProblem) -> Array:
     """The misfit's share in a sample's step."""
     pull = work.pull.astype(np.float64)
     return np.asarray(pull / (pull + work.rho))
 
 
-def firmness(work: Split) -> Array:
+def firmness(work: SplitProblem) -> Array:
     """One over the curvature in each point's dwell; 0 where none lies."""
     square = (work.coefficient.astype(np.float64) ** 2).sum(axis=0)
     return np.asarray(1 / np.where(square > 0, 2 * work.regularisation + work.mu * square, np.inf))

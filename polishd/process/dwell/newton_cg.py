@@ -17,7 +17,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
+from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.validation import check
 
 NAME = "newton_cg"
@@ -74,7 +74,7 @@ def solve(
 
 
 def minimise(
-    f: Quadratic,
+    f: QuadraticObjective,
     bounds: tuple[FloatArray, FloatArray],
     start: FloatArray,
     stop: Stop,
@@ -109,7 +109,9 @@ def minimise(
     return t, MAX_ROUNDS, "iterations"
 
 
-def _newton_direction(f: Quadratic, gradient: FloatArray, free: BoolArray, expired: Callable[[], bool]) -> FloatArray:
+def _newton_direction(
+    f: QuadraticObjective, gradient: FloatArray, free: BoolArray, expired: Callable[[], bool]
+) -> FloatArray:
     """(n,) about ``-H_FF^-1 g_F`` on the free points, zero elsewhere; downhill however early it is stopped.
 
     Float32 is enough for it: whether it leads down, and how far, is found in float64.
@@ -138,7 +140,7 @@ def _newton_direction(f: Quadratic, gradient: FloatArray, free: BoolArray, expir
 
 
 def _advance(
-    f: Quadratic,
+    f: QuadraticObjective,
     bounds: tuple[FloatArray, FloatArray],
     t: FloatArray,
     gradient: FloatArray,

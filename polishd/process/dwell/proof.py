@@ -25,7 +25,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Product, Quadratic, quadratic
+from polishd.process.dwell.quadratic import Product, QuadraticObjective, quadratic
 from polishd.process.dwell.spectral import stepping
 from polishd.process.spreading.effect import SpreadEffect
 
@@ -41,7 +41,7 @@ SPARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class LowerBound:
     """What every dwell keeps to that is no worse than one of this objective."""
 
     low: FloatArray
@@ -54,7 +54,7 @@ class Reach:
     """Of that, over all points."""
 
     @classmethod
-    def of(cls, problem: DwellProblem, f: Quadratic, value: float) -> Reach:
+    def of(cls, problem: DwellProblem, f: QuadraticObjective, value: float) -> LowerBound:
         """Of dwells whose objective is ``value`` (nm^2) at most; one product with R transposed."""
         high, m = problem.upper_s, f.target.size
         if problem.regularisation > 0:
@@ -111,7 +111,7 @@ def proved(problem: DwellProblem, solution: DwellSolution, enough: float, within
 
 
 def smallest_gap(
-    problem: DwellProblem, f: Quadratic, time_s: FloatArray, enough: float, expired: Callable[[], bool]
+    problem: DwellProblem, f: QuadraticObjective, time_s: FloatArray, enough: float, expired: Callable[[], bool]
 ) -> float:
     """By how much the objective at ``time_s`` (n,) is above the least one within the bounds, at most, nm^2.
 
@@ -120,7 +120,7 @@ def smallest_gap(
     """
     p, bend = problem.regularisation, _bend(problem, f)
     value, gradient = f.at(time_s)
-    reach, at_s, at_value = Reach.of(problem, f, value), time_s, value
+    reach, at_s, at_value = LowerBound.of(problem, f, value), time_s, value
     least = reach.least(at_s, at_value, gradient, p)
     for _ in range(ROUNDS):
         if value - least <= enough * value or expired():
@@ -133,7 +133,7 @@ def smallest_gap(
     return max(value - least, 0.0) + ROUNDING * value
 
 
-def _bend(problem: DwellProblem, f: Quadratic) -> Product:
+def _bend(problem: DwellProblem, f: QuadraticObjective) -> Product:
     """The Hessian's product, roughly: of the effect on a coarser grid where it has one."""
     effect = problem.effect
     if isinstance(effect, SpreadEffect) and effect.coarse is not None:

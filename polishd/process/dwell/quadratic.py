@@ -23,7 +23,7 @@ GRAM_MOST = 32
 
 
 @dataclass(frozen=True)
-class Quadratic:
+class QuadraticObjective:
     """``f(t) = |R t - h|^2 / N_r + regularisation |t|^2 + price sum(t)`` (eq. 50, with its square outside the sum).
 
     R is restricted to the m = N_r samples that count; with weights its rows, and h, carry their square roots.
@@ -98,7 +98,7 @@ class Quadratic:
         return image
 
 
-def quadratic(problem: DwellProblem) -> Quadratic:
+def quadratic(problem: DwellProblem) -> QuadraticObjective:
     """The objective of a problem that ``validation.check`` has passed.
 
     A SparseEffect is cut to the samples that count, with narrow indices: its products are memory traffic. Any other
@@ -113,11 +113,13 @@ def quadratic(problem: DwellProblem) -> Quadratic:
         if problem.weight is not None:
             rows = narrow(sparse.csr_array(sparse.diags_array(root) @ rows))
         columns = narrow(sparse.csr_array(rows.T))
-        return Quadratic(rows.__matmul__, columns.__matmul__, target, effect.n, *rest, gram=_gram(rows, columns))
+        return QuadraticObjective(
+            rows.__matmul__, columns.__matmul__, target, effect.n, *rest, gram=_gram(rows, columns)
+        )
 
     rough = single(effect)
     roughly = None if rough is effect else _products(rough, mask, root)
-    return Quadratic(*_products(effect, mask, root), target, effect.n, *rest, roughly=roughly)
+    return QuadraticObjective(*_products(effect, mask, root), target, effect.n, *rest, roughly=roughly)
 
 
 def _gram(rows: sparse.csr_array, columns: sparse.csr_array) -> Product | None:
@@ -159,7 +161,7 @@ def projected_gradient(
     return (time_s - np.clip(time_s - step * gradient, lower, upper)) / step
 
 
-def warm_start_s(problem: DwellProblem, f: Quadratic) -> FloatArray | None:
+def warm_start_s(problem: DwellProblem, f: QuadraticObjective) -> FloatArray | None:
     """(n,) s of the problem's warm start, within the bounds; None without one, or where the lower bound is better."""
     if problem.warm is None or problem.warm.time_s.shape != problem.lower_s.shape:
         return None

@@ -7,7 +7,7 @@ import numpy as np
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, quadratic
+from polishd.process.dwell.quadratic import QuadraticObjective, quadratic
 from polishd.process.effect import Effect
 from polishd.process.several import single
 from polishd.process.spreading.effect import SpreadEffect
@@ -92,7 +92,7 @@ def regularisation_from_rho(effect: Effect, solve_mask: BoolArray, rho: float) -
     return rho * sigma_max(effect, solve_mask) ** 2 / samples
 
 
-def condition(problem: DwellProblem, f: Quadratic | None = None) -> float:
+def condition(problem: DwellProblem, f: QuadraticObjective | None = None) -> float:
     """Condition number of the Hessian, ``sigma_max^2 / (N_r regularisation) + 1``, at most; infinite without it.
 
     sigma_max by its bound, the largest row sum of ``R'R``: one product, and a few per cent above for wide parts.
@@ -102,7 +102,7 @@ def condition(problem: DwellProblem, f: Quadratic | None = None) -> float:
     return 1 / ((f or quadratic(problem)).safe_step * held) if held > 0 else float("inf")
 
 
-def conditioning_note(problem: DwellProblem, f: Quadratic | None = None) -> str | None:
+def conditioning_note(problem: DwellProblem, f: QuadraticObjective | None = None) -> str | None:
     """What a certificate has to say of a regularisation that is too small for float64; None where it is not."""
     number = condition(problem, f)
     if number <= ILL_CONDITIONED:

@@ -23,9 +23,9 @@ from polishd.process.dwell import newton_cg
 from polishd.process.dwell.certificate import certified, gap_at
 from polishd.process.dwell.limit import TimeLimit
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic, projected_gradient, quadratic, warm_start_s
+from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.validation import check
-from polishd.process.dwell.walk import Walk, metric
+from polishd.process.dwell.walk import AlternatingStep, metric
 from polishd.process.spreading import quick
 from polishd.process.spreading.effect import SpreadEffect
 
@@ -88,7 +88,11 @@ def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
 
 
 def _minimise(
-    problem: DwellProblem, effect: SpreadEffect, f: Quadratic, tolerances: tuple[float, float], limit: TimeLimit
+    problem: DwellProblem,
+    effect: SpreadEffect,
+    f: QuadraticObjective,
+    tolerances: tuple[float, float],
+    limit: TimeLimit,
 ) -> tuple[FloatArray, int, str]:
     """(n,) the best dwell by its KKT residual, the steps taken, and why it stopped."""
     kkt_tolerance, gap = tolerances
@@ -119,7 +123,7 @@ def _minimise(
     return best, MAX_STEPS, "iterations"
 
 
-def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradient: FloatArray) -> Walk:
+def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradient: FloatArray) -> AlternatingStep:
     """From a dwell within the bounds, (n,) s, and the gradient of the objective there.
 
     ``problem`` is one of ``effect``, whose curvature is to find steps with.
@@ -128,7 +132,7 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
     lower, upper = problem.lower_s, problem.upper_s
     held_back = ((start <= lower) & (gradient > 0)) | ((start >= upper) & (gradient < 0))
     multiplier = -np.where(held_back, gradient, 0.0) / near.pull
-    kind: type[Walk] = Walk
+    kind: type[AlternatingStep] = AlternatingStep
     if effect.n >= quick.COMPILED_BLOCKS and effect.finer == 1:
         from polishd.process.dwell.compiled_walk import CompiledWalk as kind  # noqa: N813
     none, same = np.zeros_like(start), start.copy
@@ -138,7 +142,7 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
 class _Look:
     """Where a dwell stands, by the effect itself: in float64 where float32 does not tell enough."""
 
-    def __init__(self, problem: DwellProblem, f: Quadratic, *, finely: bool) -> None:
+    def __init__(self, problem: DwellProblem, f: QuadraticObjective, *, finely: bool) -> None:
         self._f, self._finely = f, finely
         self._bounds = problem.lower_s, problem.upper_s
         self._scale = float(np.abs(f.rough_at(problem.lower_s)[1]).max()) or 1.0

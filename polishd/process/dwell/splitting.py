@@ -21,7 +21,7 @@ from scipy import fft
 from polishd.model.dwell import Start
 from polishd.model.surface import FloatArray
 from polishd.process.convolution import ConvolutionEffect
-from polishd.process.dwell.iteration import Array, Iteration, Plain, Split
+from polishd.process.dwell.iteration import Array, Iteration, NumpyIteration, SplitProblem
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic, warm_start_s
 
@@ -38,12 +38,12 @@ ADAPT_POWER = 0.25
 
 
 @dataclass(slots=True)
-class Splitting:
+class SplittingState:
     """The iteration's state, and what it is to know beside it; made by `splitting`."""
 
     effect: ConvolutionEffect
     iteration: Iteration
-    split: Split
+    split: SplitProblem
     balance: FloatArray
     """(k,) by which the effect's kernels are multiplied, and its coefficients divided."""
     iterations: int = 0
@@ -101,7 +101,7 @@ class Splitting:
         self.changed = True
 
 
-def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.float32) -> Splitting:
+def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.float32) -> SplittingState:
     """The iteration for a problem with that effect (its own), from its warm start if it has one."""
     size, samples = effect.size, int(np.count_nonzero(problem.solve_mask))
     pull, target = np.zeros(size), np.zeros(size)
@@ -127,7 +127,7 @@ def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.
     def kept(field: Array) -> Array:
         return iteration.kept(field.astype(real))
 
-    split = Split(
+    split = SplitProblem(
         spectra=spectra.astype(complex_type),
         coefficient=kept(coefficient),
         pull=kept(pull),
@@ -141,7 +141,7 @@ def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.
         w=kept(np.zeros((effect.rank, *size))),
         dwell=kept(np.zeros(size)),
     )
-    found = Splitting(effect, iteration, split, balance)
+    found = SplittingState(effect, iteration, split, balance)
     start = warm_start_s(problem, quadratic(problem))
     if problem.warm is not None and start is not None:
         _start_warm(found, problem.warm, start)
@@ -153,10 +153,10 @@ def _iteration(size: tuple[int, int], real: type) -> Iteration:
         from polishd.process.dwell.compiled_iteration import compiled_iteration
 
         return compiled_iteration(size)
-    return Plain(size)
+    return NumpyIteration(size)
 
 
-def continued(last: Splitting, anew: Splitting) -> Splitting:
+def continued(last: SplittingState, anew: SplittingState) -> SplittingState:
     """``anew``, which has the same domain, from where ``last`` has come to: how float64 takes over from float32."""
     anew.go_on_from(last.state["y"], last.state["w"], last.split.rho, last.split.mu)
     anew.iterations = last.iterations
@@ -173,7 +173,7 @@ def _balance(effect: ConvolutionEffect) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(size, 1e-12 * size.max()) / size.max()), dtype=np.float64)
 
 
-def _start_warm(found: Splitting, warm: Start, time_s: FloatArray) -> None:
+def _start_warm(found: SplittingState, warm: Start, time_s: FloatArray) -> None:
     """From the state of a solution where it fits; else from its dwell, (n,) within the bounds."""
     state, split, size = warm.state, found.split, found.effect.size
     if "w" in state and state["w"].shape == (split.rank, *size):

@@ -13,12 +13,12 @@ from itertools import combinations
 
 import numpy as np
 
-from polishd.model.dwell import Certificate
+from polishd.model.dwell import OptimalityCertificate
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.arrays import DwellCase, array_problem, default_solve
 from polishd.process.dwell.budget import Goal, to_goal, within_budget
-from polishd.process.dwell.curve import Row, Solve, Solved, solved
+from polishd.process.dwell.curve import CurvePoint, Row, Solve, solved
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import regularisation_from_rho
 from polishd.process.robot.refusal import require_number
@@ -66,7 +66,7 @@ class ToolsDwell:
     """Of the tools taken, in the order in which they were given."""
     problem: DwellProblem
     """The one that was solved, of their points one after another."""
-    certificate: Certificate
+    certificate: OptimalityCertificate
     """Of all together."""
     residual_nm: FloatArray
     """(ny, nx) after the last of them, mean removed in the clear aperture; NaN outside the mask."""
@@ -173,13 +173,13 @@ def _joined(problems: Sequence[DwellProblem], case: DwellCase) -> DwellProblem:
     )
 
 
-def _found(problem: DwellProblem, run: Solve, goal: Goal, budget_s: float | None) -> Solved:
+def _found(problem: DwellProblem, run: Solve, goal: Goal, budget_s: float | None) -> CurvePoint:
     if goal.wanted:
         return to_goal(problem, goal, run)
     return solved(problem, run) if budget_s is None else within_budget(problem, budget_s, run)
 
 
-def _row(found: Solved, names: list[str], change_s: float) -> Row:
+def _row(found: CurvePoint, names: list[str], change_s: float) -> Row:
     return {
         "tools": names,
         "total_s": found.total_s + change_s,

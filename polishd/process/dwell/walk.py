@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import Quadratic
+from polishd.process.dwell.quadratic import QuadraticObjective
 from polishd.process.spreading.effect import SpreadEffect
 
 RELAXATION = 1.7
@@ -25,7 +25,7 @@ LEAST_REGULARISATION = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class Metric:
+class StepMetric:
     """About the objective's curvature and so much more, inverted; made by `metric`."""
 
     effect: SpreadEffect
@@ -59,14 +59,14 @@ class Metric:
 
 
 @dataclass(slots=True)
-class Walk:
+class AlternatingStep:
     """Where the two dwells stand; (n,) each, s."""
 
     problem: DwellProblem
     """Whose curvature steps are found with."""
-    f: Quadratic
+    f: QuadraticObjective
     """Its objective."""
-    near: Metric
+    near: StepMetric
     bounded: FloatArray
     free: FloatArray
     """Without bounds."""
@@ -135,7 +135,7 @@ def best_sizes(slopes: tuple[float, float], curvatures: tuple[float, float, floa
     return (q * b - r * a) / across, (q * a - p * b) / across
 
 
-def metric(problem: DwellProblem, effect: SpreadEffect) -> Metric:
+def metric(problem: DwellProblem, effect: SpreadEffect) -> StepMetric:
     """The metric of a problem of that effect, with the pull that is tried first."""
     kernel = np.tensordot(effect.coefficients.mean(axis=0), effect.spectra, axes=1)
     mask, weight = (
@@ -147,4 +147,4 @@ def metric(problem: DwellProblem, effect: SpreadEffect) -> Metric:
     square = np.abs(kernel) ** 2 * (2 * weight / (np.count_nonzero(mask) * effect.finer**2))
     least, most = 2 * problem.regularisation, density * float(square.max())
     pull = PULL * float(np.sqrt(max(least, LEAST_REGULARISATION * most) * most))
-    return Metric(effect.single(), least, square, density, pull)
+    return StepMetric(effect.single(), least, square, density, pull)

@@ -27,7 +27,7 @@ SQUARES_A_PERIOD = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Transfer:
+class SpotTransferFunction:
     """Transfer function of a spot at rest: how much a dwell that varies with a frequency still removes of it."""
 
     frequency_per_mm: FloatArray
@@ -42,10 +42,10 @@ class Transfer:
 
 
 @dataclass(frozen=True, slots=True)
-class Correctable:
+class CorrectablePeriods:
     """A surface, split at the spot's cut-off."""
 
-    transfer: Transfer
+    transfer: SpotTransferFunction
     rms_nm: float
     """Of the surface inside the mask, mean removed."""
     within_reach_rms_nm: float
@@ -56,7 +56,9 @@ class Correctable:
     """Whether the map shows periods below the cut-off at all; where it does not, nothing is known of them."""
 
 
-def transfer(spot: Spot, depth_ratio: float = 1.0, azimuth_rad: float = 0.0, share: float = SHARE) -> Transfer:
+def transfer(
+    spot: Spot, depth_ratio: float = 1.0, azimuth_rad: float = 0.0, share: float = SHARE
+) -> SpotTransferFunction:
     """Transfer function of a spot at one depth ratio; moving it along a block takes more away.
 
     The patch's squares are summed for each frequency, and what averaging over squares takes away is given back.
@@ -74,10 +76,12 @@ def transfer(spot: Spot, depth_ratio: float = 1.0, azimuth_rad: float = 0.0, sha
     modulus = np.mean([_modulus(patch, side, frequency, angle) for angle in _angles()], axis=0) / total
     null = _null_period_mm(frequency, modulus)
     cutoff = null if null is not None and modulus.min() > share else _cutoff_period_mm(frequency, modulus, share)
-    return Transfer(frequency, modulus, share, max(cutoff, null or 0.0), null)
+    return SpotTransferFunction(frequency, modulus, share, max(cutoff, null or 0.0), null)
 
 
-def correctable(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, of: Transfer) -> Correctable:
+def correctable(
+    height_nm: FloatArray, mask: BoolArray, pitch_mm: float, of: SpotTransferFunction
+) -> CorrectablePeriods:
     """What of a surface the spot can correct, by `split_bands` at its cut-off.
 
     Args:
@@ -90,7 +94,7 @@ def correctable(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, of: Tra
         BadMap: the mask is empty, or the surface not finite inside it.
     """
     above, below = split_bands(height_nm, mask, pitch_mm, (of.cutoff_period_mm,))
-    return Correctable(
+    return CorrectablePeriods(
         transfer=of,
         rms_nm=float(height_nm[mask].std()),
         within_reach_rms_nm=float(above[mask].std()),

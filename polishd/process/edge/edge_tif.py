@@ -67,11 +67,11 @@ def rim_contact(
     radius = contact.contact_radius_mm(process, depth_ratio * contact.hertz_depth_mm(process))
     inside = rim.inside_mm(*centre_mm.T) / radius
     refuse_where(~np.isfinite(inside), inside, "the distance from the rim over the contact's radius", "", "no number")
-    sunk = np.minimum(sinking(inside), most_sunk)
-    return RimContact(inside, depth_ratio * sunk, carried(inside, sunk))
+    sunk = np.minimum(rim_sink_mm(inside), most_sunk)
+    return RimContact(inside, depth_ratio * sunk, load_share(inside, sunk))
 
 
-def sunk_at_rim(
+def rim_depth_mm(
     spots: CorrectedSpot, rim: Outline, process: ToolProcess, spot: Spot, program: Program
 ) -> tuple[CorrectedSpot, str]:
     """The spots along a program, deeper where the bonnet hangs over a free rim; and a note that says how many.
@@ -84,7 +84,7 @@ def sunk_at_rim(
     return replace(spots, depth_ratio=found.depth_ratio), note
 
 
-def sinking(inside: FloatArray) -> FloatArray:
+def rim_sink_mm(inside: FloatArray) -> FloatArray:
     """(n,) depth over the undisturbed one at which the contact carries its whole force; 1 where ``inside >= 1``."""
     c = np.minimum(inside, 1.0)
     s = 2.0 + 1.5 * np.abs(c)
@@ -94,7 +94,7 @@ def sinking(inside: FloatArray) -> FloatArray:
     return np.asarray(np.where(c >= 1, 1.0, s**2), dtype=np.float64)
 
 
-def carried(inside: FloatArray, sunk: FloatArray) -> FloatArray:
+def load_share(inside: FloatArray, sunk: FloatArray) -> FloatArray:
     """(n,) force on the part over the whole, of contacts ``inside`` undisturbed radii from the rim and sunk so far."""
     x = np.clip(inside / np.sqrt(sunk), -1.0, 1.0)
     return np.asarray(np.where(inside >= 1, 1.0, sunk**1.5 * (2 + 3 * x - x**3) / 4), dtype=np.float64)

@@ -30,7 +30,7 @@ SLACK = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class Extended:
+class ExtendedSurface:
     """A surface and its extension."""
 
     height_nm: FloatArray
@@ -51,7 +51,7 @@ def extend(
     method: Extension,
     *,
     cutoff_period_mm: float | None = None,
-) -> Extended:
+) -> ExtendedSurface:
     """Extend a surface by ``reach_mm`` beyond its data; holes are filled in the same way.
 
     Args:
@@ -80,7 +80,7 @@ def extend(
         case _:
             raise ComputeError(f"no extension {method!r}; use nearest, c1 or gerchberg_papoulis")
     height = np.where(mask, height_nm, np.where(reached, full, np.nan))
-    return Extended(height, reached, rounds, misfit)
+    return ExtendedSurface(height, reached, rounds, misfit)
 
 
 def _check(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, reach_mm: float) -> None:

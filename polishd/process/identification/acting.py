@@ -9,7 +9,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.process.metrics import zernike_terms
-from polishd.process.spot import Spot, WiderSpot, turned
+from polishd.process.spot import Spot, WiderSpot, rotate_spot
 
 FIELD = "field_"
 """What the rate's terms over the part begin with; Noll's number follows."""
@@ -18,7 +18,7 @@ LEAST_RATIO = 0.01
 """Depth ratio below which no compliance sinks a block."""
 
 
-class Acting:
+class ParameterAction:
     """Values of parameters, by name (`parameters.usual_parameters`); one that is not named is 0."""
 
     def __init__(self, values: Mapping[str, float]) -> None:
@@ -36,7 +36,7 @@ class Acting:
         lean = azimuth_rad + np.radians(at["turn"] + at["rotation"])
         angle = np.radians(at["rotation"])
         rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # of rows
-        off = turned(at["offset_x"], at["offset_y"], lean)
+        off = rotate_spot(at["offset_x"], at["offset_y"], lean)
         return place_mm @ rotation + off + [at["shift_x"], at["shift_y"]], lean
 
     def sunk(self, depth_ratio: FloatArray) -> FloatArray:

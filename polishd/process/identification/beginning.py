@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from polishd.model.surface import FloatArray
-from polishd.process.identification.forward import Forward
-from polishd.process.identification.parameters import Knowledge
-from polishd.process.identification.passes import Removed
+from polishd.process.identification.forward import ForwardModel
+from polishd.process.identification.parameters import PriorKnowledge
+from polishd.process.identification.passes import RemovalMap
 from polishd.process.identification.residual import without_plane
 
 LOST = 0.3
@@ -22,7 +22,7 @@ PLACES = (("offset_x", "offset_y"), ("shift_x", "shift_y"))
 """Parameters by which a spot may be elsewhere, in the tool's frame or in the part's."""
 
 
-def beginning(model: Forward, removed: Removed, prior: Knowledge) -> FloatArray:
+def beginning(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> FloatArray:
     """(k,) parameters to begin a fit at: the prior's mean, moved step by step to where the removal is."""
     here, measured = prior.mean, without_plane(removed.removal_nm[removed.mask], removed.mask)
     left_nm = _left_nm(model, here, measured)
@@ -33,7 +33,7 @@ def beginning(model: Forward, removed: Removed, prior: Knowledge) -> FloatArray:
 
 
 def _walked(
-    model: Forward, here: FloatArray, left_nm: float, measured: FloatArray, place: tuple[str, str]
+    model: ForwardModel, here: FloatArray, left_nm: float, measured: FloatArray, place: tuple[str, str]
 ) -> tuple[FloatArray, float]:
     """From here downhill, a step of the spot at a time: (k,) parameters, and what they leave."""
     for _ in range(MOVES):
@@ -45,7 +45,7 @@ def _walked(
     return here, left_nm
 
 
-def _beside(model: Forward, here: FloatArray, place: tuple[str, str]) -> Iterator[FloatArray]:
+def _beside(model: ForwardModel, here: FloatArray, place: tuple[str, str]) -> Iterator[FloatArray]:
     """(k,) parameters with the spot a step further along each axis."""
     names = [p.name for p in model.parameters]
     for name in place:
@@ -55,7 +55,7 @@ def _beside(model: Forward, here: FloatArray, place: tuple[str, str]) -> Iterato
             yield there
 
 
-def _left_nm(model: Forward, theta: FloatArray, measured: FloatArray) -> float:
+def _left_nm(model: ForwardModel, theta: FloatArray, measured: FloatArray) -> float:
     """RMS of a removal (N,), levelled, less what these parameters make of it at the best rate."""
     modelled = without_plane(model.matrix(theta) @ model.block_s(theta), model.mask)
     rate = max(float(modelled @ measured) / float(modelled @ modelled), 0.0)

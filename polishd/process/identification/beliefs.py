@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from polishd.model.beliefs import Belief, MachineBeliefs
+from polishd.model.beliefs import Estimate, MachineEstimates
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.identification.comparison import conditioned, without
-from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
+from polishd.process.identification.parameters import PriorKnowledge, advanced, unlearned, usual_parameters
 
 
-def knowledge_of(beliefs: MachineBeliefs, *, turns: bool) -> Knowledge:
+def knowledge_of(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
     """As the next pass's prior (`usual_parameters`); ComputeError where another polishd kept other parameters."""
     known = unlearned(usual_parameters(turns=turns))
     if not beliefs.mean:
@@ -24,12 +24,12 @@ def knowledge_of(beliefs: MachineBeliefs, *, turns: bool) -> Knowledge:
             f"what was kept of the machine has the parameters {', '.join(beliefs.mean)}, and this polishd knows "
             f"{', '.join(known.names)}: finish the job with the polishd that began it, or give job.id a new name"
         )
-    return Knowledge(
+    return PriorKnowledge(
         known.parameters, np.array(list(beliefs.mean.values())), np.array(beliefs.covariance), dict(beliefs.odds)
     )
 
 
-def on_the_next_part(beliefs: MachineBeliefs, days: float) -> MachineBeliefs:
+def on_the_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates:
     """What a job begins with, so many days after the pass that taught it: what belongs to a mounted part is forgotten.
 
     ComputeError as of `knowledge_of`.
@@ -52,8 +52,8 @@ def on_the_next_part(beliefs: MachineBeliefs, days: float) -> MachineBeliefs:
 
 
 def beliefs_of(
-    learned: Knowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float], volume: FloatArray
-) -> MachineBeliefs:
+    learned: PriorKnowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float], volume: FloatArray
+) -> MachineEstimates:
     """What is believed after a pass of so many hours in contact.
 
     Args:
@@ -69,7 +69,7 @@ def beliefs_of(
     out = without(learned.parameters, frozenset(taken))
     mean, covariance = conditioned(learned.mean, learned.covariance, out)
     known = advanced(learned, contact_h)
-    plan = advanced(Knowledge(learned.parameters, mean, covariance), contact_h)
+    plan = advanced(PriorKnowledge(learned.parameters, mean, covariance), contact_h)
     applied = {
         p.name: float(value)
         for p, value in zip(plan.parameters, plan.mean, strict=True)
@@ -80,8 +80,8 @@ def beliefs_of(
     even = np.where([name.startswith("field_") for name in known.names], 0.0, volume)
     moved = float(even @ (mean - learned.mean))
     sigma = max(np.sqrt(volume @ plan.covariance @ volume), np.hypot(np.sqrt(even @ known.covariance @ even), moved))
-    return MachineBeliefs(
-        rate=Belief(value, value * float(sigma)),
+    return MachineEstimates(
+        rate=Estimate(value, value * float(sigma)),
         applied=applied,
         mean=dict(zip(known.names, known.mean.tolist(), strict=True)),
         covariance=tuple(tuple(row) for row in known.covariance.tolist()),

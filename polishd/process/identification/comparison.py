@@ -23,7 +23,7 @@ RIVAL = float(np.log(20.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class CandidateModel:
     """A model with some of the extensions."""
 
     extensions: frozenset[str]
@@ -32,17 +32,17 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ModelComparison:
     """What evidence says of the extensions."""
 
-    best: Candidate
-    rivals: tuple[Candidate, ...]
+    best: CandidateModel
+    rivals: tuple[CandidateModel, ...]
     """Others that the map cannot exclude, the likeliest first."""
     probability: Mapping[str, float]
     """Of each extension, over all models."""
 
 
-def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray) -> Comparison:
+def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray) -> ModelComparison:
     """The models with and without each extension, from the posterior of all parameters.
 
     Args:
@@ -56,13 +56,13 @@ def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: Floa
         inside = frozenset(name for name, is_in in zip(names, taken, strict=True) if is_in)
         out = without(parameters, inside)
         odds = _density_at_zero(parameters, theta, covariance, out) + PRICE * (len(names) - len(inside))
-        found.append(Candidate(inside, odds))
+        found.append(CandidateModel(inside, odds))
     found.sort(key=lambda one: -one.log_odds)
     best = found[0]
     share = np.exp([one.log_odds - best.log_odds for one in found])
     probability = {name: float(share[[name in one.extensions for one in found]].sum() / share.sum()) for name in names}
     rivals = tuple(one for one in found[1:] if one.log_odds > best.log_odds - RIVAL)
-    return Comparison(best, rivals, probability)
+    return ModelComparison(best, rivals, probability)
 
 
 def extensions(parameters: Sequence[Parameter]) -> tuple[str, ...]:

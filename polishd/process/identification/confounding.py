@@ -24,7 +24,7 @@ DIGIT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Confounding:
     """How much a pass told of a parameter."""
 
     retained: float
@@ -35,7 +35,7 @@ class Told:
     """Others without which it, or which without it, cannot be known."""
 
 
-def told(parameters: tuple[Parameter, ...], before: FloatArray, after: FloatArray) -> dict[str, Told]:
+def confounding_of(parameters: tuple[Parameter, ...], before: FloatArray, after: FloatArray) -> dict[str, Confounding]:
     """By name, how much was told of each parameter.
 
     Args:
@@ -50,7 +50,7 @@ def told(parameters: tuple[Parameter, ...], before: FloatArray, after: FloatArra
             partners[k].add(other)
             partners[other].add(k)
     return {
-        p.name: Told(float(r), bool(r <= HALF), tuple(parameters[j].name for j in sorted(others)))
+        p.name: Confounding(float(r), bool(r <= HALF), tuple(parameters[j].name for j in sorted(others)))
         for p, r, others in zip(parameters, retained, partners, strict=True)
     }
 

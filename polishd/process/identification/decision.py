@@ -10,7 +10,7 @@ from scipy import stats
 
 from polishd.model.text import with_error
 from polishd.process.gate import MAX_SHIFT_MM
-from polishd.process.identification.identify import Identified, length_error
+from polishd.process.identification.identify import IdentificationResult, length_error
 
 CERTAIN = 3.0
 """Standard errors that what is corrected must be away from none."""
@@ -27,7 +27,7 @@ LOOK = "look at tool, seat and map before the next pass"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class EstimatedShift:
     """One extension, or the rate, of what is applied."""
 
     name: str
@@ -83,18 +83,21 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class ShiftDecision:
     """What the next plan corrects, what it leaves, and why there is none before a person has looked."""
 
-    corrected: tuple[Found, ...]
-    left: tuple[Found, ...]
+    corrected: tuple[EstimatedShift, ...]
+    left: tuple[EstimatedShift, ...]
     """Found, and not certain."""
     stops: tuple[str, ...]
 
 
 def decide(
-    found: Identified, limits: Mapping[str, float] = LIMITS, certain: float = CERTAIN, misses_mm: float = MAX_SHIFT_MM
-) -> Decision:
+    found: IdentificationResult,
+    limits: Mapping[str, float] = LIMITS,
+    certain: float = CERTAIN,
+    misses_mm: float = MAX_SHIFT_MM,
+) -> ShiftDecision:
     """What is done about each extension that is applied, and about the rate.
 
     What is further from what the plan counted with than its limit, by more than chance, stops; else what is ``certain``
@@ -123,10 +126,10 @@ def decide(
     while (most := _most_needed(found, left, certain)) is not None:
         left.remove(most)
         corrected.append(most)
-    return Decision(tuple(corrected), tuple(left), tuple(stops))
+    return ShiftDecision(tuple(corrected), tuple(left), tuple(stops))
 
 
-def _most_needed(found: Identified, left: list[Found], certain: float) -> Found | None:
+def _most_needed(found: IdentificationResult, left: list[EstimatedShift], certain: float) -> EstimatedShift | None:
     """The one of these extensions that is least likely none; None where all of them together may be none.
 
     The chance that counts is that of a number ``certain`` standard errors off. By length alone each of two may be
@@ -139,7 +142,7 @@ def _most_needed(found: Identified, left: list[Found], certain: float) -> Found 
     return min(own, key=lambda one: _log_chance_of_none(found, [one]))
 
 
-def _log_chance_of_none(found: Identified, these: list[Found]) -> float:
+def _log_chance_of_none(found: IdentificationResult, these: list[EstimatedShift]) -> float:
     """Natural logarithm of the chance that chance alone makes as much of them, their errors' correlation included."""
     applied = found.applied
     own = [applied.at(name) for one in these for name in one.parts]
@@ -147,14 +150,14 @@ def _log_chance_of_none(found: Identified, these: list[Found]) -> float:
     return float(stats.chi2.logsf(mean @ np.linalg.solve(covariance, mean), len(own)))
 
 
-def _or_else(found: Identified, name: str) -> str:
+def _or_else(found: IdentificationResult, name: str) -> str:
     """Extensions that rivals without this one have and the best model has not."""
     best, rivals = found.comparison.best.extensions, found.comparison.rivals
     others = {other for one in rivals if name not in one.extensions for other in one.extensions - best}
     return f" (or {', '.join(sorted(others))}: this pass cannot tell)" if others else ""
 
 
-def _sizes(found: Identified) -> list[Found]:
+def _sizes(found: IdentificationResult) -> list[EstimatedShift]:
     applied = found.applied
     groups = {"rate": [applied.at("rate")]} if "rate" in applied.names else {}
     for name in sorted(found.extensions):
@@ -173,5 +176,5 @@ def _sizes(found: Identified) -> list[Found]:
         each = np.hypot(np.sqrt(np.diag(covariance)), vector - mean)
         error = float(each[0]) if len(own) == 1 else length_error(size, mean, covariance)
         errors = {one: float(value) for one, value in zip(parts, each, strict=True)}
-        sizes.append(Found(name, size, sigma, unit, beyond_size, parts, error, errors))
+        sizes.append(EstimatedShift(name, size, sigma, unit, beyond_size, parts, error, errors))
     return sizes

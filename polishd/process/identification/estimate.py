@@ -9,9 +9,9 @@ import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.identification.forward import Forward, Laid
-from polishd.process.identification.parameters import Knowledge
-from polishd.process.identification.passes import Noise
+from polishd.process.identification.forward import BlockEffects, ForwardModel
+from polishd.process.identification.parameters import PriorKnowledge
+from polishd.process.identification.passes import RemovalNoise
 
 HUBER = 1.5
 """Standard deviations from which the robust fit counts a residual by its size, not its square."""
@@ -27,7 +27,7 @@ LEAST_DAMPING, EASED = 1e-3, 8.0
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class MapFit:
     """The most likely parameters, and the normal distribution about them."""
 
     theta: FloatArray
@@ -36,7 +36,7 @@ class Estimate:
     """(k, k)"""
     residual_nm: FloatArray
     """(N,) measured less modelled."""
-    laid: Laid
+    laid: BlockEffects
     """The effect at theta, or near it."""
     columns: FloatArray
     """(N, k) nm over each parameter's unit."""
@@ -52,20 +52,20 @@ class Data:
     """(N,)"""
     keep: BoolArray
     """(N,)"""
-    noise: Noise
+    noise: RemovalNoise
     cells: float
     """Samples that count as one (`Noise.cells`)."""
 
 
 def estimate(
-    model: Forward,
+    model: ForwardModel,
     data: Data,
-    prior: Knowledge,
+    prior: PriorKnowledge,
     *,
     robust: bool = False,
     start: FloatArray | None = None,
-    near: Laid | None = None,
-) -> Estimate:
+    near: BlockEffects | None = None,
+) -> MapFit:
     """Most likely parameters of a forward model.
 
     Correlated noise is counted as fewer samples: right for parameters that change over more than its width, and too
@@ -104,7 +104,7 @@ def estimate(
         raise ComputeError(f"the fit of the removal did not settle in {STEPS} steps: is this the map of this pass?")
     covariance = np.linalg.inv(hessian)
     evidence = -at.loss + (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior.covariance)[1]) / 2
-    return Estimate(at.theta, covariance, at.residual_nm, at.laid, columns, float(evidence))
+    return MapFit(at.theta, covariance, at.residual_nm, at.laid, columns, float(evidence))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class _Point:
     """Parameters, with what follows of them."""
 
     theta: FloatArray
-    laid: Laid
+    laid: BlockEffects
     loss: float
     residual_nm: FloatArray
 
@@ -120,15 +120,15 @@ class _Point:
 class _Aim:
     """What is to be small: half the squares of residual and of departure from the prior, in standard deviations."""
 
-    def __init__(self, model: Forward, data: Data, prior: Knowledge, bend_nm: float) -> None:
+    def __init__(self, model: ForwardModel, data: Data, prior: PriorKnowledge, bend_nm: float) -> None:
         self.model, self.data, self.prior, self.bend_nm = model, data, prior, bend_nm
         self.precision = np.linalg.inv(prior.covariance)
         self.scale = 1 / (data.noise.sigma_nm**2 * data.cells)
 
-    def at(self, theta: FloatArray, laid: Laid) -> _Point:
+    def at(self, theta: FloatArray, laid: BlockEffects) -> _Point:
         return _Point(theta, laid, *self.loss(theta, laid))
 
-    def loss(self, theta: FloatArray, laid: Laid) -> tuple[float, FloatArray]:
+    def loss(self, theta: FloatArray, laid: BlockEffects) -> tuple[float, FloatArray]:
         """The loss, and the (N,) residual; 0 where a sample does not count."""
         residual = np.where(self.data.keep, self.data.removal_nm - self.model.removal_nm(theta, laid), 0.0)
         size = abs(residual)

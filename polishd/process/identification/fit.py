@@ -8,10 +8,10 @@ import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.identification.beginning import beginning
-from polishd.process.identification.estimate import Data, Estimate, estimate
-from polishd.process.identification.forward import Forward
-from polishd.process.identification.parameters import Knowledge
-from polishd.process.identification.passes import Noise, Removed
+from polishd.process.identification.estimate import Data, MapFit, estimate
+from polishd.process.identification.forward import ForwardModel
+from polishd.process.identification.parameters import PriorKnowledge
+from polishd.process.identification.passes import RemovalMap, RemovalNoise
 from polishd.process.identification.residual import NORMAL, outliers, own_noise, without_plane
 from polishd.process.spot import HertzSpot
 
@@ -24,7 +24,7 @@ LAYING, HERTZ_LAYING = 1e-3, 2e-3
 second of Hertz's, whose rim is steep."""
 
 
-def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[str, Estimate], BoolArray]:
+def fit(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> tuple[Data, dict[str, MapFit], BoolArray]:
     """All parameters by each projection, robustly; then without what is none of the pass, with the noise that is left.
 
     Outliers, noise and the slopes of the second fit are those of the projection that fits best: what another leaves
@@ -51,11 +51,13 @@ def fit(model: Forward, removed: Removed, prior: Knowledge) -> tuple[Data, dict[
     return data, found, rejected
 
 
-def _best(found: Mapping[str, Estimate]) -> str:
+def _best(found: Mapping[str, MapFit]) -> str:
     return max(found, key=lambda name: found[name].log_evidence)
 
 
-def _once_more(model: Forward, found: Mapping[str, Estimate], data: Data, prior: Knowledge) -> dict[str, Estimate]:
+def _once_more(
+    model: ForwardModel, found: Mapping[str, MapFit], data: Data, prior: PriorKnowledge
+) -> dict[str, MapFit]:
     """By squares, with slopes laid anew.
 
     Those of the geometry that a fit began at lead to the right place, but what they say of its errors is not that
@@ -76,7 +78,7 @@ def _far_off(data: Data, after: Data) -> bool:
     return fewer or after.noise.sigma_nm < HOME * data.noise.sigma_nm
 
 
-def _cleaned(model: Forward, found: Mapping[str, Estimate], removed: Removed, stated: Noise) -> Data:
+def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalMap, stated: RemovalNoise) -> Data:
     """Without what is none of the pass, and with the noise that the best of these fits leaves."""
     best = _best(found)
     mask, pitch = removed.mask, removed.grid.pitch_mm
@@ -88,19 +90,19 @@ def _cleaned(model: Forward, found: Mapping[str, Estimate], removed: Removed, st
     return Data(removed.removal_nm[mask], keep[mask], noise, noise.cells(pitch))
 
 
-def laying(model: Forward, removed: Removed) -> Noise:
+def laying(model: ForwardModel, removed: RemovalMap) -> RemovalNoise:
     """What the effect matrix itself is off by: in proportion to how the removal varies, and as wide as the spot."""
     varies = abs(without_plane(removed.removal_nm[removed.mask], removed.mask))
     share = HERTZ_LAYING if isinstance(model.spot, HertzSpot) else LAYING
-    return Noise(share * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))
+    return RemovalNoise(share * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))
 
 
-def _core_mm2(model: Forward, theta: FloatArray) -> float:
+def _core_mm2(model: ForwardModel, theta: FloatArray) -> float:
     """Area of the spot's core."""
     return np.pi * float(np.median(2 * model.spot.step_mm(model.gamma(theta)))) ** 2
 
 
-def followed_rate(model: Forward, found: Estimate, data: Data) -> float:
+def followed_rate(model: ForwardModel, found: MapFit, data: Data) -> float:
     """By how much the rate may be too high: half the map's noise is also what the plan followed, as far as it could.
 
     Noise finer than the spot is not polished in: of white noise a spot follows the share of a sample in its core.

@@ -10,11 +10,11 @@ import scipy
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.dynamic_tif import Lie, effects_columns
-from polishd.process.identification.acting import FIELD, Acting, zernike_field
+from polishd.process.dynamic_tif import PointLocation, effects_columns
+from polishd.process.identification.acting import FIELD, ParameterAction, zernike_field
 from polishd.process.identification.parameters import ABERRATIONS, Parameter
-from polishd.process.identification.passes import Blocks, Pixels
-from polishd.process.spot import HertzSpot, Spot, turned
+from polishd.process.identification.passes import ExecutedBlocks, MapPixelData
+from polishd.process.spot import HertzSpot, Spot, rotate_spot
 
 STEP = 0.2
 """Of the spot's own step (half the radius of its core): how far a spot is moved to either side for its slope. That is
@@ -33,7 +33,7 @@ SLOPES = ("x", "y", "gamma", "width", "turn")
 
 
 @dataclass(frozen=True, slots=True)
-class Laid:
+class BlockEffects:
     """The effect of the blocks at the geometry of some parameters, and how it changes with that."""
 
     theta: FloatArray
@@ -45,7 +45,7 @@ class Laid:
 
 
 @dataclass(frozen=True, slots=True)
-class Forward:
+class ForwardModel:
     """n blocks whose removal is seen at N samples; made by `forward`.
 
     ``removal = M(geometry) w``, ``w = seconds * exp(rate + field(place) - wear * hours + exponent * ln gamma)``, and
@@ -56,7 +56,7 @@ class Forward:
     mask: BoolArray
     spot: Spot
     parameters: tuple[Parameter, ...]
-    blocks: Blocks
+    blocks: ExecutedBlocks
     """Those that took time."""
     weight_s: FloatArray
     """(n,)"""
@@ -65,7 +65,7 @@ class Forward:
     maps: FloatArray
     """(N, i) what the instrument may add, term by term."""
     projection: str
-    pixels: Pixels | None = None
+    pixels: MapPixelData | None = None
     """Of the maps, where a sample is a mean of them."""
 
     def values(self, theta: FloatArray) -> dict[str, float]:
@@ -74,12 +74,12 @@ class Forward:
 
     def gamma(self, theta: FloatArray) -> FloatArray:
         """(n,) depth ratios."""
-        return Acting(self.values(theta)).sunk(self.blocks.depth_ratio[self.projection])
+        return ParameterAction(self.values(theta)).sunk(self.blocks.depth_ratio[self.projection])
 
     def moves(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where these parameters lay the blocks: (n, 2) mm their middles, (n,) rad the azimuths."""
         middle = (self.blocks.start_mm + self.blocks.end_mm) / 2
-        return Acting(self.values(theta)).laid(middle, self.blocks.azimuth_rad)
+        return ParameterAction(self.values(theta)).laid(middle, self.blocks.azimuth_rad)
 
     def matrix(self, theta: FloatArray, change: str | None = None, by: float = 0.0) -> scipy.sparse.csr_array:
         """(N, n) nm/s of each block at these parameters' geometry, one thing of it changed; for slopes."""
@@ -103,7 +103,7 @@ class Forward:
         turn: float = 0.0,
     ) -> list[scipy.sparse.csr_array]:
         """(N, n) nm/s of each block, by change of x, y and width: these share the spots, of one gamma and azimuth."""
-        acting, blocks = Acting(self.values(theta)), self.blocks
+        acting, blocks = ParameterAction(self.values(theta)), self.blocks
         start, azimuth = acting.laid(blocks.start_mm, blocks.azimuth_rad)
         end, _ = acting.laid(blocks.end_mm, blocks.azimuth_rad)
         grid, pixels, samples = self.grid, self.pixels, np.flatnonzero(self.mask)
@@ -116,7 +116,7 @@ class Forward:
             ends = (start + off, end + off)
             if pixels is not None:
                 ends = (pixels.laid(ends[0]), pixels.laid(ends[1]))
-            lies.append(Lie(ends, own * float(np.exp(width + change.get("width", 0.0)))))
+            lies.append(PointLocation(ends, own * float(np.exp(width + change.get("width", 0.0)))))
         ratio = self.gamma(theta) * (1 + gamma)
         found = effects_columns(grid, spot, lies, azimuth + turn, depth_ratio=ratio, factor=np.ones_like(ratio))
         if pixels is None:
@@ -124,9 +124,9 @@ class Forward:
         means = pixels.means[samples]
         return [scipy.sparse.csr_array(means @ one) for one in found]
 
-    def lay(self, theta: FloatArray, slopes: dict[str, scipy.sparse.csr_array] | None = None) -> Laid:
+    def lay(self, theta: FloatArray, slopes: dict[str, scipy.sparse.csr_array] | None = None) -> BlockEffects:
         """The effect at these parameters' geometry; with slopes from one near it, or its own by differences."""
-        return Laid(theta, self.fine_matrix(theta), self._slopes(theta) if slopes is None else slopes)
+        return BlockEffects(theta, self.fine_matrix(theta), self._slopes(theta) if slopes is None else slopes)
 
     def _slopes(self, theta: FloatArray) -> dict[str, scipy.sparse.csr_array]:
         names = {p.name for p in self.parameters}
@@ -145,7 +145,7 @@ class Forward:
                 slopes[kind] = scipy.sparse.csr_array((self.matrix(theta, kind, by) - at) / by)
         return slopes
 
-    def changes(self, theta: FloatArray, laid: Laid) -> dict[str, FloatArray]:
+    def changes(self, theta: FloatArray, laid: BlockEffects) -> dict[str, FloatArray]:
         """By slope, (n,) how far these parameters lay the blocks from where they are laid."""
         (to, azimuth), (at, lean) = self.moves(theta), self.moves(laid.theta)
         wide = self.values(theta)["width"] - self.values(laid.theta)["width"]
@@ -157,7 +157,7 @@ class Forward:
             "turn": azimuth - lean,
         }
 
-    def near(self, theta: FloatArray, laid: Laid) -> bool:
+    def near(self, theta: FloatArray, laid: BlockEffects) -> bool:
         """Whether the slopes hold that far: of the square of such a step a hundredth of a nanometre is left."""
         scale = {"x": self.step_mm(theta), "y": self.step_mm(theta)}
         by = self.changes(theta, laid)
@@ -170,12 +170,12 @@ class Forward:
     def block_s(self, theta: FloatArray, weight_s: FloatArray | None = None) -> FloatArray:
         """(n,) s times all that acts on a block's rate: w."""
         at = self.values(theta)
-        log = Acting(at).log_rate(self.gamma(theta), self.blocks.contact_h)
+        log = ParameterAction(at).log_rate(self.gamma(theta), self.blocks.contact_h)
         fields = np.array([at[p.name] for p in self.parameters if p.name.startswith(FIELD)])
         weight = self.weight_s if weight_s is None else weight_s
         return np.asarray(weight * np.exp(log + fields @ self.waves), dtype=np.float64)
 
-    def removal_nm(self, theta: FloatArray, laid: Laid) -> FloatArray:
+    def removal_nm(self, theta: FloatArray, laid: BlockEffects) -> FloatArray:
         """(N,) nm with the instrument's own terms; to first order in what the geometry is from where it is laid."""
         w = self.block_s(theta)
         own = theta[[k for k, p in enumerate(self.parameters) if p.name in ABERRATIONS]]
@@ -185,7 +185,7 @@ class Forward:
             removal = removal + slope @ (w * changes[kind])
         return np.asarray(removal, dtype=np.float64)
 
-    def columns(self, theta: FloatArray, laid: Laid, weight_s: FloatArray | None = None) -> FloatArray:
+    def columns(self, theta: FloatArray, laid: BlockEffects, weight_s: FloatArray | None = None) -> FloatArray:
         """(N, k) derivative of the removal by each parameter, nm over its unit; of another dwell where one is given."""
         w = self.block_s(theta, weight_s)
         terms, maps = iter(self.waves), iter(self.maps.T)
@@ -199,7 +199,7 @@ class Forward:
                 found.append(self._column(parameter.name, theta, w, laid))
         return np.column_stack(found)
 
-    def _column(self, name: str, theta: FloatArray, w: FloatArray, laid: Laid) -> FloatArray:
+    def _column(self, name: str, theta: FloatArray, w: FloatArray, laid: BlockEffects) -> FloatArray:
         """(N,) of a parameter of the rate or the geometry."""
         blocks, degree = self.blocks, np.pi / 180
         base, slopes = laid.base, laid.slopes
@@ -211,7 +211,7 @@ class Forward:
             return np.asarray(slopes["x"] @ (w * x) + slopes["y"] @ (w * y), dtype=np.float64)
 
         def turning() -> FloatArray:
-            swing = turned(-at["offset_y"], at["offset_x"], azimuth)
+            swing = rotate_spot(-at["offset_y"], at["offset_x"], azimuth)
             return np.asarray(slopes["turn"] @ w + moved(swing[:, 0], swing[:, 1]), dtype=np.float64)
 
         def sinking() -> FloatArray:
@@ -233,7 +233,7 @@ class Forward:
         }
         return np.asarray(rules[name](), dtype=np.float64)
 
-    def of(self, projection: str) -> Forward:
+    def of(self, projection: str) -> ForwardModel:
         """The same with another projection's gamma."""
         return replace(self, projection=projection)
 
@@ -262,7 +262,7 @@ _ASKED = {
 
 
 def forward(
-    blocks: Blocks,
+    blocks: ExecutedBlocks,
     grid: Grid,
     mask: BoolArray,
     spot: Spot,
@@ -271,8 +271,8 @@ def forward(
     parameters: tuple[Parameter, ...],
     projection: str,
     radius_mm: float,
-    pixels: Pixels | None = None,
-) -> Forward:
+    pixels: MapPixelData | None = None,
+) -> ForwardModel:
     """The forward model of a pass; ``radius_mm`` of the circle about the part's origin that Zernike terms are over."""
     timed = blocks.time_s > 0
     some = _only(blocks, timed)  # those without time neither remove nor wear
@@ -282,14 +282,14 @@ def forward(
     rows, columns = np.nonzero(mask)
     noll = [1 + ABERRATIONS.index(p.name) for p in parameters if p.name in ABERRATIONS]
     maps = zernike_field(noll, np.column_stack([grid.x_mm[columns], grid.y_mm[rows]]) / radius_mm).T
-    return Forward(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection, pixels)
+    return ForwardModel(grid, mask, spot, parameters, some, some.weight_s(process), waves, maps, projection, pixels)
 
 
-def _only(blocks: Blocks, timed: BoolArray) -> Blocks:
+def _only(blocks: ExecutedBlocks, timed: BoolArray) -> ExecutedBlocks:
     def cut(values: FloatArray | None) -> FloatArray | None:
         return None if values is None else values[timed]
 
-    return Blocks(
+    return ExecutedBlocks(
         start_mm=blocks.start_mm[timed],
         end_mm=blocks.end_mm[timed],
         time_s=blocks.time_s[timed],

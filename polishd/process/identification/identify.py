@@ -10,22 +10,22 @@ import numpy as np
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
-from polishd.process.identification.acting import Acting
+from polishd.process.identification.acting import ParameterAction
 from polishd.process.identification.comparison import (
     RIVAL,
-    Candidate,
-    Comparison,
+    CandidateModel,
+    ModelComparison,
     compare,
     conditioned,
     detection_limits,
     without,
     worth,
 )
-from polishd.process.identification.confounding import Told, told
+from polishd.process.identification.confounding import Confounding, confounding_of
 from polishd.process.identification.fit import fit, followed_rate
 from polishd.process.identification.forward import forward
-from polishd.process.identification.parameters import Knowledge, Parameter
-from polishd.process.identification.passes import Blocks, Noise, Removed, check_pass
+from polishd.process.identification.parameters import Parameter, PriorKnowledge
+from polishd.process.identification.passes import ExecutedBlocks, RemovalMap, RemovalNoise, check_pass
 from polishd.process.identification.residual import without_plane
 from polishd.process.spot import Spot
 
@@ -34,7 +34,7 @@ LEAST_GAIN_NM = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Estimated:
+class ParameterEstimate:
     """One parameter after a pass."""
 
     parameter: Parameter
@@ -43,7 +43,7 @@ class Estimated:
     sigma: float
     before: float
     """Its standard error before the pass."""
-    told: Told
+    told: Confounding
     probability: float
     """That its extension is there at all; 1 for what is always fitted."""
     detection_limit: float
@@ -70,22 +70,22 @@ SMALL = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Identified:
+class IdentificationResult:
     """What a pass taught."""
 
-    estimates: tuple[Estimated, ...]
-    learned: Knowledge
+    estimates: tuple[ParameterEstimate, ...]
+    learned: PriorKnowledge
     """All parameters, as the next pass's prior (`parameters.advanced`)."""
-    applied: Knowledge
+    applied: PriorKnowledge
     """Those that the next plan counts with: the best model's extensions that pay; the others 0, without error."""
-    comparison: Comparison
+    comparison: ModelComparison
     worth_nm2: Mapping[str, float]
     """By extension of the best model: what it takes off the next pass's residual, mean square."""
     projection: str
     """That the data want, or the one that was believed."""
     projection_rivals: tuple[str, ...]
     """Others that the evidence does not exclude."""
-    noise: Noise
+    noise: RemovalNoise
     """That was reckoned with."""
     counted: Mapping[str, float]
     """By parameter, what the pass's plan counted with; 0 where it is not named."""
@@ -102,7 +102,7 @@ class Identified:
     displaced_error_mm: float = 0.0
     """Standard error of the first of ``displaced_mm`` that is stated: with all in that may move the spot."""
 
-    def __getitem__(self, name: str) -> Estimated:
+    def __getitem__(self, name: str) -> ParameterEstimate:
         """The estimate of a parameter."""
         return self.estimates[self.learned.at(name)]
 
@@ -125,11 +125,11 @@ class Identified:
 
 
 def identify(
-    removed: Removed,
-    blocks: Blocks,
+    removed: RemovalMap,
+    blocks: ExecutedBlocks,
     spot: Spot,
     process: ToolProcess,
-    prior: Knowledge,
+    prior: PriorKnowledge,
     *,
     projection: str,
     radius_mm: float,
@@ -137,7 +137,7 @@ def identify(
     counted: Mapping[str, float] | None = None,
     followed: bool = True,
     least_gain_nm: float = LEAST_GAIN_NM,
-) -> Identified:
+) -> IdentificationResult:
     """Parameters of the process from the removal of one pass, and what is to be done about them.
 
     Args:
@@ -186,7 +186,7 @@ def identify(
     miss = displaced_mm(blocks, applied, counted)
     residual = np.full(removed.mask.shape, np.nan)
     residual[removed.mask] = removed.removal_nm[removed.mask] - model.removal_nm(found.theta, found.laid)
-    return Identified(
+    return IdentificationResult(
         _estimates(learned, prior, comparison, float(blocks.contact_h[-1]) / 2),
         learned,
         applied,
@@ -204,14 +204,14 @@ def identify(
     )
 
 
-def _volume(known: Knowledge, columns: FloatArray) -> FloatArray:
+def _volume(known: PriorKnowledge, columns: FloatArray) -> FloatArray:
     """(k,) of what polishes; what maps differ by is no removal."""
     own = np.array([p.scope != "map" for p in known.parameters])
     total = columns.sum(axis=0)
     return np.asarray(np.where(own, total / total[known.at("rate")], 0.0), dtype=np.float64)
 
 
-def displaced_mm(blocks: Blocks, applied: Knowledge, counted: Mapping[str, float]) -> tuple[float, float]:
+def displaced_mm(blocks: ExecutedBlocks, applied: PriorKnowledge, counted: Mapping[str, float]) -> tuple[float, float]:
     """Offset and shift may cancel where the spindle leans: it is their sum that misses what a plan counted with."""
     square, mean, covariance = _displacement(blocks, applied, counted)
     size = float(np.sqrt(max(float(mean @ square @ mean), 0.0)))
@@ -219,14 +219,16 @@ def displaced_mm(blocks: Blocks, applied: Knowledge, counted: Mapping[str, float
     return size, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
 
 
-def displaced_error_mm(blocks: Blocks, learned: Knowledge, counted: Mapping[str, float], stated_mm: float) -> float:
+def displaced_error_mm(
+    blocks: ExecutedBlocks, learned: PriorKnowledge, counted: Mapping[str, float], stated_mm: float
+) -> float:
     """Standard error of a stated displacement, with all parameters in that move the spot."""
     square, mean, covariance = _displacement(blocks, learned, counted)
     return length_error(stated_mm, mean, covariance, square)
 
 
 def _displacement(
-    blocks: Blocks, known: Knowledge, counted: Mapping[str, float]
+    blocks: ExecutedBlocks, known: PriorKnowledge, counted: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Metric of the mean square over the pass's time, mean beyond what was counted with, and covariance."""
     names = [name for name in PLACE if name in known.names]
@@ -262,16 +264,16 @@ def length_error(stated: float, mean: FloatArray, covariance: FloatArray, square
     return float(np.sqrt(np.mean((lengths - stated) ** 2)))
 
 
-def _moves(blocks: Blocks) -> dict[str, FloatArray]:
+def _moves(blocks: ExecutedBlocks) -> dict[str, FloatArray]:
     """(2, n) mm that each block's spot moves for a unit of each parameter."""
     middle = (blocks.start_mm + blocks.end_mm) / 2
-    laid = {name: Acting({name: SMALL}).laid(middle, blocks.azimuth_rad)[0] for name in PLACE}
+    laid = {name: ParameterAction({name: SMALL}).laid(middle, blocks.azimuth_rad)[0] for name in PLACE}
     return {name: (at - middle).T / SMALL for name, at in laid.items()}
 
 
 def _applied(
-    learned: Knowledge, best: Candidate, future: FloatArray, least_gain_nm: float
-) -> tuple[dict[str, float], Knowledge]:
+    learned: PriorKnowledge, best: CandidateModel, future: FloatArray, least_gain_nm: float
+) -> tuple[dict[str, float], PriorKnowledge]:
     """The best model less what does not pay, the least worth of it first, as each that goes changes the others."""
     taken = best.extensions
     worths: dict[str, float] = {}
@@ -286,14 +288,16 @@ def _applied(
         taken -= {min(poor, key=lambda name: own[name])}
 
 
-def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison, middle_h: float) -> tuple[Estimated, ...]:
+def _estimates(
+    learned: PriorKnowledge, prior: PriorKnowledge, comparison: ModelComparison, middle_h: float
+) -> tuple[ParameterEstimate, ...]:
     """What is told of the rate is of that in the middle of the pass."""
     limits = detection_limits(learned.parameters, learned.covariance)
     before, after = (in_the_middle(known, middle_h) for known in (prior, learned))
-    seen = told(learned.parameters, before, after)
+    seen = confounding_of(learned.parameters, before, after)
     columns = zip(learned.parameters, learned.mean, learned.sigma, prior.sigma, strict=True)
     return tuple(
-        Estimated(
+        ParameterEstimate(
             p,
             float(value),
             float(sigma),
@@ -306,7 +310,7 @@ def _estimates(learned: Knowledge, prior: Knowledge, comparison: Comparison, mid
     )
 
 
-def in_the_middle(known: Knowledge, middle_h: float) -> FloatArray:
+def in_the_middle(known: PriorKnowledge, middle_h: float) -> FloatArray:
     """(k, k) covariance with the rate that of so many hours after: the first minute's has the wear's error, too."""
     middle = np.eye(len(known.mean))
     if {"rate", "wear"} <= set(known.names):

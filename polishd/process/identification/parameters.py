@@ -43,7 +43,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Knowledge:
+class PriorKnowledge:
     """What is known of k parameters: normal, with this mean and covariance."""
 
     parameters: tuple[Parameter, ...]
@@ -98,13 +98,15 @@ def usual_parameters(instrument: Iterable[str] = INSTRUMENT, *, turns: bool = Tr
     )
 
 
-def unlearned(parameters: Sequence[Parameter]) -> Knowledge:
+def unlearned(parameters: Sequence[Parameter]) -> PriorKnowledge:
     """Before anything was measured: all of them 0, each with its prior."""
     prior = np.array([p.sigma for p in parameters])
-    return Knowledge(tuple(parameters), np.zeros(len(prior)), np.diag(prior**2))
+    return PriorKnowledge(tuple(parameters), np.zeros(len(prior)), np.diag(prior**2))
 
 
-def advanced(known: Knowledge, contact_h: float, days: float = 0.0, anew: Iterable[Scope] = ("map",)) -> Knowledge:
+def advanced(
+    known: PriorKnowledge, contact_h: float, days: float = 0.0, anew: Iterable[Scope] = ("map",)
+) -> PriorKnowledge:
     """What is known when the next pass begins.
 
     A tool that wears loses its rate (``rate -= contact_h * wear``, exactly, with the covariance). Each parameter walks

@@ -22,7 +22,7 @@ FEWEST = 50
 
 
 @dataclass(frozen=True, slots=True)
-class Blocks:
+class ExecutedBlocks:
     """n executed blocks in time order, in the part's frame."""
 
     start_mm: FloatArray
@@ -59,7 +59,7 @@ class Blocks:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class RemovalNoise:
     """Noise of a removal map: its size at a sample, and the area over which it is one and the same."""
 
     sigma_nm: float
@@ -71,16 +71,16 @@ class Noise:
         """Samples that count as one: the noise of a smooth mean over the map is so many times the white one's."""
         return max(1.0, self.area_mm2 / pitch_mm**2)
 
-    def with_another(self, other: Noise, pitch_mm: float) -> Noise:
+    def with_another(self, other: RemovalNoise, pitch_mm: float) -> RemovalNoise:
         """Both together, where one knows nothing of the other: their variances add, over each one's area."""
         square = np.array([self.sigma_nm, other.sigma_nm]) ** 2
         cells = np.array([self.cells(pitch_mm), other.cells(pitch_mm)])
         both = float(square.sum())
-        return Noise(float(np.sqrt(both)), float(square @ cells) / both * pitch_mm**2)
+        return RemovalNoise(float(np.sqrt(both)), float(square @ cells) / both * pitch_mm**2)
 
 
 @dataclass(frozen=True, slots=True)
-class Pixels:
+class MapPixelData:
     """The maps' own samples, and what was made of them."""
 
     at: MapPixels
@@ -100,7 +100,7 @@ class Pixels:
 
 
 @dataclass(frozen=True, slots=True)
-class Removed:
+class RemovalMap:
     """What two maps say was removed."""
 
     grid: Grid
@@ -108,11 +108,11 @@ class Removed:
     """(ny, nx) map before less map after, positive = removed; up to piston and tilt."""
     mask: BoolArray
     """(ny, nx) where it counts and has data."""
-    noise: Noise
-    pixels: Pixels | None = None
+    noise: RemovalNoise
+    pixels: MapPixelData | None = None
     """None: each sample is the mean over its own cell."""
 
-    def coarser(self, odd: int) -> Removed:
+    def coarser(self, odd: int) -> RemovalMap:
         """Means over squares of ``odd`` by ``odd`` samples, of which at least half have data; the middle stays."""
         if odd < 1 or odd % 2 == 0:
             raise ComputeError(f"a map is made coarser by an odd whole factor, not by {odd}")
@@ -132,17 +132,17 @@ class Removed:
         count = summed(self.mask.astype(np.float64))
         total = summed(np.where(self.mask, self.removal_nm, 0.0))
         cells = self.noise.cells(grid.pitch_mm)
-        noise = Noise(self.noise.sigma_nm * min(1.0, np.sqrt(cells) / odd), self.noise.area_mm2)
+        noise = RemovalNoise(self.noise.sigma_nm * min(1.0, np.sqrt(cells) / odd), self.noise.area_mm2)
         mask = count >= odd**2 / 2
         coarse = Grid(ny, nx, grid.pitch_mm * odd)
         pixels = self.pixels
         if pixels is not None:
             means = averaging(grid, coarse, Registration()) @ pixels.means
             pixels = replace(pixels, means=scipy.sparse.csr_array(means))
-        return Removed(coarse, np.where(mask, total / np.maximum(count, 1), 0.0), mask, noise, pixels)
+        return RemovalMap(coarse, np.where(mask, total / np.maximum(count, 1), 0.0), mask, noise, pixels)
 
 
-def check_pass(blocks: Blocks, removed: Removed, projection: str) -> None:
+def check_pass(blocks: ExecutedBlocks, removed: RemovalMap, projection: str) -> None:
     """ComputeError that says what of a pass cannot be."""
     n = len(blocks.time_s)
     arrays = {"start_mm": blocks.start_mm, "end_mm": blocks.end_mm, "azimuth_rad": blocks.azimuth_rad}

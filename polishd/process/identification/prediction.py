@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.identification.forward import Forward
-from polishd.process.identification.parameters import ABERRATIONS, Knowledge
-from polishd.process.identification.passes import Noise
+from polishd.process.identification.forward import ForwardModel
+from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge
+from polishd.process.identification.passes import RemovalNoise
 from polishd.process.identification.residual import without_plane
 
 SAMPLES = 4000
@@ -42,7 +42,7 @@ class Interval:
     level: float
 
 
-def predict(model: Forward, known: Knowledge) -> Prediction:
+def predict(model: ForwardModel, known: PriorKnowledge) -> Prediction:
     """What the blocks of a plan remove, as far as is known.
 
     What an instrument adds to a map is not removed, and counts for nothing.
@@ -63,7 +63,7 @@ def predict(model: Forward, known: Knowledge) -> Prediction:
 def rms_samples(
     prediction: Prediction,
     height_nm: FloatArray,
-    noise: Noise,
+    noise: RemovalNoise,
     rng: np.random.Generator,
     *,
     samples: int = SAMPLES,

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.identification.passes import Noise
+from polishd.process.identification.passes import RemovalNoise
 
 NORMAL = 1.4826
 """Standard deviation over the median of the magnitudes, of a normal distribution."""
@@ -20,7 +20,7 @@ NEGLIGIBLE = 0.05
 """Correlation below which the noise of two samples is taken for independent."""
 
 
-def outliers(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: float) -> BoolArray:
+def outliers(residual_nm: FloatArray, mask: BoolArray, noise: RemovalNoise, pitch_mm: float) -> BoolArray:
     """(ny, nx) samples that are none of the pass: pits, drop-outs read as heights, a local bump, and their rims.
 
     A bump of more than `LOCAL` of the map stays, and so do single samples: that is no local matter.
@@ -46,12 +46,12 @@ def outliers(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: f
     return np.zeros_like(mask)
 
 
-def size_nm(residual_nm: FloatArray, mask: BoolArray, noise: Noise) -> float:
+def size_nm(residual_nm: FloatArray, mask: BoolArray, noise: RemovalNoise) -> float:
     """Standard deviation of a residual by its median magnitude; not less than the map's stated noise."""
     return max(noise.sigma_nm, NORMAL * float(np.median(abs(residual_nm[mask]))))
 
 
-def own_noise(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: float) -> Noise:
+def own_noise(residual_nm: FloatArray, mask: BoolArray, noise: RemovalNoise, pitch_mm: float) -> RemovalNoise:
     """The noise that a fit has to reckon with: what is stated, or what is left where that is more.
 
     The area is the sum of the residual's autocorrelation over the rings of lags, out to the first that is negligible.
@@ -71,7 +71,7 @@ def own_noise(residual_nm: FloatArray, mask: BoolArray, noise: Noise, pitch_mm: 
     correlation = alike / alike[0] if alike[0] > 0 else np.eye(1, reach + 1)[0]
     end = int(np.argmax(correlation < NEGLIGIBLE)) or reach
     cells = float((correlation * lags)[:end].sum())
-    return Noise(size_nm(left, mask, noise), max(noise.area_mm2, cells * pitch_mm**2))
+    return RemovalNoise(size_nm(left, mask, noise), max(noise.area_mm2, cells * pitch_mm**2))
 
 
 def without_plane(values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -15,8 +15,8 @@ import numpy as np
 
 from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
-from polishd.process.identification.forward import Forward
-from polishd.process.identification.parameters import ABERRATIONS, Knowledge
+from polishd.process.identification.forward import ForwardModel
+from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge
 
 WANTED: Mapping[str, float] = MappingProxyType(
     {"rate": 0.005, "offset_x": 0.02, "offset_y": 0.02, "turn": 0.5, "width": 0.005, "compliance": 0.05}
@@ -30,9 +30,9 @@ MOST_STEPS = 400
 
 
 def design(
-    model: Forward,
+    model: ForwardModel,
     track: IntArray,
-    known: Knowledge,
+    known: PriorKnowledge,
     *,
     noise_nm: float,
     wanted: Mapping[str, float],
@@ -80,14 +80,14 @@ def design(
     return seconds
 
 
-def after(model: Forward, known: Knowledge, noise_nm: float) -> Knowledge:
+def after(model: ForwardModel, known: PriorKnowledge, noise_nm: float) -> PriorKnowledge:
     """What is known after a pass of the model's blocks that shows the machine as it was believed."""
     theta = np.zeros(len(known.mean))
     columns = model.columns(theta, model.lay(theta))
     return replace(known, covariance=_inverse(_inverse(known.covariance) + columns.T @ columns / noise_nm**2))
 
 
-def _goals(known: Knowledge, wanted: Mapping[str, float]) -> FloatArray:
+def _goals(known: PriorKnowledge, wanted: Mapping[str, float]) -> FloatArray:
     """(k,) variance wanted of each parameter, inf where nothing is."""
     fields = {name: FIELD_WANTED for name in known.names if name.startswith("field_")}
     every = {**fields, **wanted}

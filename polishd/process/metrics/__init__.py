@@ -5,7 +5,7 @@ from __future__ import annotations
 from polishd.process.metrics import indication, iso10110, zernike
 from polishd.process.metrics.aberrations import Primary, primary
 from polishd.process.metrics.bands import FIT_DEGREE, band_rms, split_bands, surface_stats
-from polishd.process.metrics.comparison import Comparison, Figures, compare
+from polishd.process.metrics.comparison import Figures, MapComparison, compare
 from polishd.process.metrics.psd import RadialPsd, radial_psd
 from polishd.process.metrics.slopes import slope, slope_map
 from polishd.process.metrics.spread import (
@@ -20,7 +20,7 @@ from polishd.process.metrics.zernike import pvr
 
 __all__ = [
     "FIT_DEGREE",
-    "Comparison",
+    "MapComparison",
     "Figures",
     "Primary",
     "RadialPsd",

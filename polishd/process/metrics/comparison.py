@@ -25,7 +25,7 @@ class Figures:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class MapComparison:
     """Table V: each change is relative to the surface before, ``after / before - 1``; negative is better.
 
     The PSDs are those of fig. 15. A change from 0 is 0 or infinite.
@@ -48,7 +48,7 @@ def compare(
     mask: BoolArray,
     pitch_mm: float,
     edges_mm: Sequence[float] = EDGES_MM,
-) -> Comparison:
+) -> MapComparison:
     """Figures of two registered maps over one mask, and their relative changes.
 
     Args:
@@ -63,7 +63,7 @@ def compare(
         ValueError: edges that do not fall, or are not positive.
     """
     before, after = (figures(height, mask, pitch_mm, edges_mm) for height in (before_nm, after_nm))
-    return Comparison(
+    return MapComparison(
         before=before,
         after=after,
         edges_mm=tuple(edges_mm),

@@ -17,7 +17,7 @@ RADIAL_DEGREE = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Iso10110:
+class Iso10110Figures:
     """Figures in nm of the surface, not of the wavefront; piston and tilt are removed from all."""
 
     a_nm: float
@@ -37,7 +37,9 @@ class Iso10110:
     samples: int
 
 
-def irregularity(height_nm: FloatArray, mask: BoolArray, *, centre_px: tuple[float, float] | None = None) -> Iso10110:
+def irregularity(
+    height_nm: FloatArray, mask: BoolArray, *, centre_px: tuple[float, float] | None = None
+) -> Iso10110Figures:
     """Figures of a map of deviation from the nominal surface.
 
     The approximating sphere is the least-squares r^2, fitted with piston and tilt over the mask: right for deviations
@@ -59,7 +61,7 @@ def irregularity(height_nm: FloatArray, mask: BoolArray, *, centre_px: tuple[flo
     irregular = (height_nm - sphere)[mask]
     squares = _squared_radius_px(mask, centre)
     symmetric = _symmetric(irregular, squares)
-    return Iso10110(
+    return Iso10110Figures(
         a_nm=float(abs(curvature) * np.ptp(squares)),
         b_nm=float(np.ptp(irregular)),
         c_nm=float(np.ptp(symmetric)),

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.spread import without
 
 
 @dataclass(frozen=True, slots=True)
-class Slope:
+class SlopeFigures:
     """Slopes in microradians (nm per mm), piston and tilt of the surface removed over the mask."""
 
     rms_x_urad: float
@@ -29,7 +29,7 @@ class Slope:
     """Places where both slopes are known."""
 
 
-def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_mm: float | None = None) -> Slope:
+def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_mm: float | None = None) -> SlopeFigures:
     """Slopes along x and y as differences over the integration length, centred on the samples.
 
     Args:
@@ -47,7 +47,7 @@ def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_m
     known = np.isfinite(x)
     x, y = x[known], y[known]
     size = np.hypot(x, y)
-    return Slope(
+    return SlopeFigures(
         rms_x_urad=_rms(x),
         pv_x_urad=float(np.ptp(x)),
         rms_y_urad=_rms(y),
@@ -77,13 +77,13 @@ def _differences(
     reach = 1 if integration_mm is None else max(1, round(integration_mm / (2 * pitch_mm)))
     length = 2 * reach * pitch_mm
     if min(mask.shape) <= 2 * reach:
-        raise BadMap(f"the map is nowhere as wide as the integration length, {length:g} mm")
+        raise MapError(f"the map is nowhere as wide as the integration length, {length:g} mm")
     inner = slice(reach, -reach)
     x = (level[inner, 2 * reach :] - level[inner, : -2 * reach]) / length
     y = (level[: -2 * reach, inner] - level[2 * reach :, inner]) / length  # row 0 is the top
     known = np.isfinite(x) & np.isfinite(y) & mask[inner, inner]
     if not known.any():
-        raise BadMap(f"the mask is nowhere as wide as the integration length, {length:g} mm")
+        raise MapError(f"the mask is nowhere as wide as the integration length, {length:g} mm")
     return np.where(known, x, np.nan), np.where(known, y, np.nan), reach
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 
 Removal = Literal["piston", "tilt", "power"]
@@ -129,10 +129,10 @@ def inside(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
         BadMap: another shape than the mask's, an empty mask, or samples in it that have no data.
     """
     if height_nm.shape != mask.shape:
-        raise BadMap(f"the surface is {height_nm.shape}, its mask {mask.shape}")
+        raise MapError(f"the surface is {height_nm.shape}, its mask {mask.shape}")
     values = height_nm[mask]
     if values.size == 0:
-        raise BadMap("no sample of the surface lies inside the mask")
+        raise MapError("no sample of the surface lies inside the mask")
     if not np.isfinite(values).all():
-        raise BadMap(f"{np.count_nonzero(~np.isfinite(values))} samples inside the mask have no data")
+        raise MapError(f"{np.count_nonzero(~np.isfinite(values))} samples inside the mask have no data")
     return values

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrics.fitting import BLOCK, points, triangle
 from polishd.process.metrics.spread import inside
@@ -75,12 +75,12 @@ def fit(
     if not radius > 0:
         raise ValueError(f"a unit circle of radius {radius:g} pixels")
     if heights.size < terms:
-        raise BadMap(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
+        raise MapError(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
     found = triangle(lambda x, y: values(pairs, norm, x, y), *unit(mask, circle), heights)
     own, projected = found[:terms, :terms], found[:terms, terms]
     condition = float(np.linalg.cond(own))
     if not condition <= WORST_CONDITION:
-        raise BadMap(
+        raise MapError(
             f"{terms} Zernike terms cannot be told apart over this mask (condition {condition:.1e}, at most "
             f"{WORST_CONDITION:.0e}): fit fewer terms, or a circle that lies closer around the mask"
         )
@@ -150,7 +150,7 @@ def enclosing(mask: BoolArray) -> tuple[float, float, float]:
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if rows.size == 0:
-        raise BadMap("no sample of the surface lies inside the mask")
+        raise MapError("no sample of the surface lies inside the mask")
     row, column = (rows[0] + rows[-1]) / 2, (columns[0] + columns[-1]) / 2
     # in each row the furthest sample is its first or its last
     first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)

@@ -59,7 +59,7 @@ class Joined:
         )
 
 
-def joined(optic: Optic, tracks: Sequence[Track], landing_mm: float, step_mm: float) -> Joined:
+def join_tracks(optic: Optic, tracks: Sequence[Track], landing_mm: float, step_mm: float) -> Joined:
     """From a landing point so far from the part's centre over all tracks to another; moves of ``step_mm`` at most."""
     places, turns, owners = _corners(tracks, landing_mm)
     plane, turn, track = [places[:1]], [turns[:1]], []

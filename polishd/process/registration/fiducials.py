@@ -17,7 +17,7 @@ from math import ceil, comb, perm
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.process.registration.record import Point, Registration
 
 ComplexArray = NDArray[np.complex128]
@@ -82,27 +82,27 @@ def fit(
     needed = max(FEWEST, ceil(NEEDED * p.size - 1e-9))
     where = f"{q.size} marks found, {p.size} on the part"
     if q.size < needed:
-        raise BadMap(f"{where}: at least {needed} are needed to place it; clean it, mend what covers the marks, or "
+        raise MapError(f"{where}: at least {needed} are needed to place it; clean it, mend what covers the marks, or "
                      "register by the aperture")  # fmt: skip
     if q.size > MOST_FOUND:
-        raise BadMap(f"{where}: more than {MOST_FOUND} is dirt rather than marks; clean the part and measure again")
+        raise MapError(f"{where}: more than {MOST_FOUND} is dirt rather than marks; clean the part and measure again")
     matches = _matches(p, q, tolerance_mm, needed)
     mirrored = _matches(p.conj(), q, tolerance_mm, needed)
     if not matches or (mirrored and mirrored[0].used > matches[0].used):
-        raise BadMap(f"{where}, {_why(p, q, bool(mirrored), tolerance_mm, needed)}")
+        raise MapError(f"{where}, {_why(p, q, bool(mirrored), tolerance_mm, needed)}")
     best = matches[0]
     rivals = [other for other in (*matches, *mirrored) if other.used == best.used and other is not best]
     best = _without_outlier(p, q, best, FLOOR_PX * pitch_mm, needed)
     if rivals:
-        raise BadMap(f"{where}: {best.used} of them fit in {1 + len(rivals)} ways, within {tolerance_mm:g} mm: "
+        raise MapError(f"{where}: {best.used} of them fit in {1 + len(rivals)} ways, within {tolerance_mm:g} mm: "
                      "uncover the other marks, or add one that breaks the symmetry")  # fmt: skip
     scale = _scale(p, q, best)
     if abs(scale - 1) > SCALE_TOLERANCE:
-        raise BadMap(f"{where}: they lie {scale:.4f} times as far apart as they should: the map's pitch "
+        raise MapError(f"{where}: they lie {scale:.4f} times as far apart as they should: the map's pitch "
                      f"({pitch_mm:g} mm) is wrong, or it is another part")  # fmt: skip
     expected = _by_chance(p, q, best, pitch_mm)
     if expected > CHANCE:
-        raise BadMap(
+        raise MapError(
             f"{where}: {best.used} fit with {best.residual_mm:.3f} mm RMS, which chance brings about "
             f"too (one in {1 / min(expected, 1.0):.0f}): uncover more marks, or measure where they lie"
         )

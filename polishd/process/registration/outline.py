@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
 from polishd.process.registration.record import Registration
 
@@ -48,15 +48,15 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
     gap = np.hypot(x - centre_x, y - centre_y) - radius
     held = abs(gap) <= WITHIN_PX
     if not abs(diameter - diameter_mm) <= tolerance_mm and held.mean() < LEAST_ROUND:
-        raise BadMap(f"the rim of the map's data is no circle: {held.mean():.0%} of it lies on the best one; only round"
+        raise MapError(f"the rim of the map's data is no circle: {held.mean():.0%} of it lies on the best one; only round"
                      " outlines are fitted, so register by fiducials, or mask what is not the part")  # fmt: skip
     if not abs(diameter - diameter_mm) <= tolerance_mm:
-        raise BadMap(f"the map's outline is {diameter:.3f} mm across, {diameter_mm:g} mm expected and "
+        raise MapError(f"the map's outline is {diameter:.3f} mm across, {diameter_mm:g} mm expected and "
                      f"{tolerance_mm:g} mm allowed: the pitch is wrong, it is another part, or another aperture; mend "
                      "instrument.aperture_mm or the pitch")  # fmt: skip
     seen = _seen(x[held] - centre_x, y[held] - centre_y)
     if seen < LEAST_RIM:
-        raise BadMap(f"only {seen:.0%} of the part's rim is seen, at least {LEAST_RIM:.0%} is needed to place it: "
+        raise MapError(f"only {seen:.0%} of the part's rim is seen, at least {LEAST_RIM:.0%} is needed to place it: "
                      "centre the part in the frame, or register by fiducials")  # fmt: skip
     shift = (centre_x * pitch_mm, centre_y * pitch_mm)
     residual = float(np.sqrt(np.mean(gap[held] ** 2))) * pitch_mm
@@ -66,7 +66,7 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
 def require_rim(x: FloatArray) -> None:
     """BadMap unless so many samples of a rim (n,) can place a part."""
     if x.size < SECTORS:
-        raise BadMap(f"the map shows {x.size} samples of the part's rim, too few to place it: the part fills the "
+        raise MapError(f"the map shows {x.size} samples of the part's rim, too few to place it: the part fills the "
                      "frame, or hardly has data; register by fiducials, or measure with the rim in view")  # fmt: skip
 
 
@@ -102,7 +102,7 @@ def _trials(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
     u, v = ((yc - ya) * b2 - (yb - ya) * c2) / twice, ((xb - xa) * c2 - (xc - xa) * b2) / twice
     centre_x, centre_y, radius = xa + u, ya + v, np.hypot(u, v)
     if not radius.size:
-        raise BadMap("the rim of the map's data is no circle: mask what is not the part, or register by fiducials")
+        raise MapError("the rim of the map's data is no circle: mask what is not the part, or register by fiducials")
     some = slice(None, None, 1 + x.size // 2000)
     away = abs(np.hypot(x[some] - centre_x[:, None], y[some] - centre_y[:, None]) - radius[:, None])
     best = int((away <= WITHIN_PX).sum(axis=1).argmax())

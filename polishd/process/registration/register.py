@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle, Outline
 from polishd.model.surface import SurfaceMap
@@ -30,7 +30,7 @@ def register(
     if instrument is None or instrument.register_by == "none":
         return Registration()
     if surface.pitch_mm is None:
-        raise BadMap("the map has no lateral scale: give the instrument's profile a pitch")
+        raise MapError("the map has no lateral scale: give the instrument's profile a pitch")
     found = {
         "aperture": lambda: _by_aperture(surface, instrument, part),
         "fiducials": lambda: _by_fiducials(surface, instrument),
@@ -40,7 +40,7 @@ def register(
     if last is not None and last.by != "none":
         drift = found.drift_mm(last)
         if drift > instrument.max_drift_mm:
-            raise BadMap(f"the part's centre lies {drift:.3f} mm from where the last map had it, "
+            raise MapError(f"the part's centre lies {drift:.3f} mm from where the last map had it, "
                          f"{instrument.max_drift_mm:g} mm allowed: it has moved in its fixture, or the "
                          "instrument was set anew; seat the part, measure again, or begin a new job")  # fmt: skip
     return found
@@ -67,7 +67,7 @@ def _by_both(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Regi
     found, seen = _by_fiducials(surface, instrument), _by_aperture(surface, instrument, part)
     apart = found.drift_mm(seen)
     if apart > instrument.fiducial_tolerance_mm:
-        raise BadMap(f"by its fiducials the part has its {found}, by its outline its {seen}: {apart:.3f} mm apart, "
+        raise MapError(f"by its fiducials the part has its {found}, by its outline its {seen}: {apart:.3f} mm apart, "
                      f"{instrument.fiducial_tolerance_mm:g} mm allowed; check instrument.fiducials_mm, and that "
                      "nothing covers the rim")  # fmt: skip
     return replace(found, by="both")
@@ -75,9 +75,9 @@ def _by_both(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Regi
 
 def _within_limits(found: Registration, instrument: Instrument) -> None:
     if abs(found.rotation_deg) > instrument.max_turn_deg:
-        raise BadMap(f"the part is turned by {found.rotation_deg:.2f} deg in the map, {instrument.max_turn_deg:g} deg "
+        raise MapError(f"the part is turned by {found.rotation_deg:.2f} deg in the map, {instrument.max_turn_deg:g} deg "
                      "allowed: seat it as the fixture has it, or mend the profile's rotation_deg")  # fmt: skip
     if found.distance_mm > instrument.max_shift_mm:
         x, y = found.shift_mm
-        raise BadMap(f"the part's centre lies at ({x:.3f}, {y:.3f}) mm in the map, {instrument.max_shift_mm:g} mm from "
+        raise MapError(f"the part's centre lies at ({x:.3f}, {y:.3f}) mm in the map, {instrument.max_shift_mm:g} mm from "
                      "its centre allowed: centre the part before the instrument and measure again")  # fmt: skip

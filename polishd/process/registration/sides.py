@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.outline import Polygon
 from polishd.model.surface import FloatArray
 from polishd.process.registration.outline import LEAST_RIM, LEAST_ROUND, WITHIN_PX, require_rim, rim_px
@@ -42,20 +42,20 @@ def fit_polygon(height_nm: FloatArray, pitch_mm: float, part: Polygon, tolerance
     found = _fitted(np.array([0.0, *middle, 0.0]), rim, part, within)
     held = np.abs(_gap_mm(found.x, rim, part)) <= within
     if not held.mean() >= LEAST_ROUND:
-        raise BadMap(f"the rim of the map's data is not that of {part}: {held.mean():.0%} of it lies on the best fit; "
+        raise MapError(f"the rim of the map's data is not that of {part}: {held.mean():.0%} of it lies on the best fit; "
                      "name the right map, mend the part's outline, mask what is not the part, or register by "
                      "fiducials")  # fmt: skip
     found = _fitted(found.x, rim[:, held], part, within)
     guess = found.x
     turn, shift, grown = float(guess[0]) / lever, (float(guess[1]), float(guess[2])), float(guess[3])
     if not abs(2 * grown) <= tolerance_mm:
-        raise BadMap(f"the map's outline is {abs(2 * grown):.3f} mm {'larger' if grown > 0 else 'smaller'} across than "
+        raise MapError(f"the map's outline is {abs(2 * grown):.3f} mm {'larger' if grown > 0 else 'smaller'} across than "
                      f"{part}, {tolerance_mm:g} mm allowed: the pitch is wrong, or it is another part; mend the part's "
                      "outline or the pitch")  # fmt: skip
     known = found.jac[:, :3].T @ found.jac[:, :3] / len(found.jac)
     seen = _seen(part, turn, shift, rim[:, held].T, 2 * pitch_mm + abs(grown))
     if seen < LEAST_RIM or np.linalg.eigvalsh(known)[0] < LEAST_KNOWN:
-        raise BadMap(f"{seen:.0%} of the part's rim is seen, and it does not say where the part lies in all "
+        raise MapError(f"{seen:.0%} of the part's rim is seen, and it does not say where the part lies in all "
                      "directions: centre the part in the frame, or register by fiducials")  # fmt: skip
     residual = float(np.sqrt(np.mean(_gap_mm(guess, rim[:, held], part) ** 2)))
     scale = 1 + 2 * grown / min(part.size_mm)

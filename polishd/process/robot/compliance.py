@@ -18,7 +18,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.robot.parallel import cross, dot, geometry_of
 from polishd.process.robot.refusal import refuse_where
 from polishd.process.robot.stiffness import Stiffnesses, limb_stiffness_n_per_mm, stiffnesses_of
-from polishd.process.robot.workspace import Placed, faults, flip, place, refuse_unreachable, require_poses
+from polishd.process.robot.workspace import RobotPoses, faults, flip, place, refuse_unreachable, require_poses
 
 CHUNK = 4096
 """Poses worked on at once: what they need stays in the cache."""
@@ -55,7 +55,7 @@ def hybrid_compliance_at(
     return lambda other: _compliance(other, stiffnesses_of(other), placed, "full").transpose(2, 0, 1)
 
 
-def _compliance(robot: HybridRobot, elastic: Stiffnesses, placed: Placed, moment: Moment) -> FloatArray:
+def _compliance(robot: HybridRobot, elastic: Stiffnesses, placed: RobotPoses, moment: Moment) -> FloatArray:
     """(3, 3, n) in the base frame, mm/N."""
     turn, wrist = _screws(robot, elastic, placed)
     soft = _softness(robot, elastic, placed)
@@ -72,7 +72,7 @@ def _compliance(robot: HybridRobot, elastic: Stiffnesses, placed: Placed, moment
     return matrix
 
 
-def _screws(robot: HybridRobot, elastic: Stiffnesses, placed: Placed) -> tuple[FloatArray, FloatArray]:
+def _screws(robot: HybridRobot, elastic: Stiffnesses, placed: RobotPoses) -> tuple[FloatArray, FloatArray]:
     """Turn, rad, and displacement of the wrist centre, mm: (3, 8, n), in the platform's frame, per unit of each spring.
 
     Springs 0 to 2: limbs (unit: growth of ``q^2 / 2``); 3 to 5: the UP limb (shear along u; along v, with the turn that
@@ -106,7 +106,7 @@ def _screws(robot: HybridRobot, elastic: Stiffnesses, placed: Placed) -> tuple[F
     return turn, wrist
 
 
-def _softness(robot: HybridRobot, elastic: Stiffnesses, placed: Placed) -> FloatArray:
+def _softness(robot: HybridRobot, elastic: Stiffnesses, placed: RobotPoses) -> FloatArray:
     """(8, n) deflection of each spring per unit of its load: their units are those of `_screws`."""
     parallel, beam = placed.parallel, elastic.beam
     length, limb = parallel.length_mm, parallel.limb_mm

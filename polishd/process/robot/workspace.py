@@ -27,7 +27,7 @@ SLACK_MM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class RobotPoses:
     """The robot at n poses, components first; not judged yet."""
 
     tip_mm: FloatArray
@@ -44,7 +44,7 @@ class Placed:
         return np.asarray(np.hypot(self.tool[0], self.tool[1]), dtype=np.float64)
 
 
-class Fault(NamedTuple):
+class PoseFault(NamedTuple):
     """One way in which a pose cannot be taken: `refusal.refuse_where` takes it as it is."""
 
     bad: BoolArray
@@ -62,42 +62,44 @@ def require_poses(tip_mm: FloatArray, axis: FloatArray) -> tuple[FloatArray, Flo
     return tip, axis
 
 
-def place(robot: HybridRobot, geometry: Geometry, tip: FloatArray, axis: FloatArray) -> Placed:
+def place(robot: HybridRobot, geometry: Geometry, tip: FloatArray, axis: FloatArray) -> RobotPoses:
     """The poses of (3, n) tool tips, mm, and unit tool axes, base frame; defined, if useless, wherever they lie."""
     wrist = tip + robot.tool_length_mm * axis
     distance = np.sqrt(dot(wrist, wrist))
     w = wrist / np.maximum(distance, np.finfo(np.float64).tiny)
     parallel = parallel_at(geometry, w, distance - robot.wrist_length_mm)
-    return Placed(tip, wrist, np.stack([dot(along, axis) for along in parallel.frame]), parallel)
+    return RobotPoses(tip, wrist, np.stack([dot(along, axis) for along in parallel.frame]), parallel)
 
 
-def faults(robot: HybridRobot, placed: Placed) -> Iterator[Fault]:
+def faults(robot: HybridRobot, placed: RobotPoses) -> Iterator[PoseFault]:
     """What can be wrong with each pose by itself, the plainest first."""
     parallel, below = placed.parallel, placed.wrist_mm[2]
-    yield Fault(below <= 0, below, "the wrist's height below the U joint", "mm", "out of the workspace: not above 0")
+    yield PoseFault(
+        below <= 0, below, "the wrist's height below the U joint", "mm", "out of the workspace: not above 0"
+    )
     distance = parallel.length_mm + robot.wrist_length_mm
     limit = f"out of the workspace: nearer than the wrist is long ({robot.wrist_length_mm:g} mm)"
-    yield Fault(parallel.length_mm <= 0, distance, "the wrist's distance from the U joint", "mm", limit)
+    yield PoseFault(parallel.length_mm <= 0, distance, "the wrist's distance from the U joint", "mm", limit)
     radius, height = np.hypot(placed.tip_mm[0], placed.tip_mm[1]), robot.joint_height_mm - placed.tip_mm[2]
     limit = f"out of the workspace: at most {robot.workspace_radius_mm:g} mm"
-    yield Fault(radius > robot.workspace_radius_mm + SLACK_MM, radius, "the tip's radius", "mm", limit)
+    yield PoseFault(radius > robot.workspace_radius_mm + SLACK_MM, radius, "the tip's radius", "mm", limit)
     low, high = robot.workspace_height_mm
     outside = (height < low - SLACK_MM) | (height > high + SLACK_MM)
-    yield Fault(outside, height, "the tip's height", "mm", f"out of the workspace: {low:g} to {high:g} mm")
+    yield PoseFault(outside, height, "the tip's height", "mm", f"out of the workspace: {low:g} to {high:g} mm")
     sine, limit = parallel.sine, f"the U joint is singular below {PARALLEL:g}"
-    yield Fault(sine < PARALLEL, sine, "the sine between the UP limb and the outer U axis", "", limit)
+    yield PoseFault(sine < PARALLEL, sine, "the sine between the UP limb and the outer U axis", "", limit)
     spread, limit = parallel.independence, f"the parallel section is singular below {DEPENDENT:g}"
-    yield Fault(spread < DEPENDENT, spread, "the independence of the limbs", "", limit)
+    yield PoseFault(spread < DEPENDENT, spread, "the independence of the limbs", "", limit)
     bend = np.degrees(np.arctan2(placed.sine, -placed.tool[2]))
     limit = f"singular within {SINGULAR_DEG:g} deg of 0 and 180"
-    yield Fault(placed.sine < np.sin(np.radians(SINGULAR_DEG)), bend, "wrist |A|", "deg", limit)
+    yield PoseFault(placed.sine < np.sin(np.radians(SINGULAR_DEG)), bend, "wrist |A|", "deg", limit)
     low, high = robot.stroke_mm
     shortest, longest = parallel.limb_mm.min(axis=0), parallel.limb_mm.max(axis=0)
-    yield Fault(shortest < low, shortest, "the shortest limb", "mm", f"out of stroke {low:g} to {high:g} mm")
-    yield Fault(longest > high, longest, "the longest limb", "mm", f"out of stroke {low:g} to {high:g} mm")
+    yield PoseFault(shortest < low, shortest, "the shortest limb", "mm", f"out of stroke {low:g} to {high:g} mm")
+    yield PoseFault(longest > high, longest, "the longest limb", "mm", f"out of stroke {low:g} to {high:g} mm")
 
 
-def flip(tool: FloatArray, axis: FloatArray) -> Fault:
+def flip(tool: FloatArray, axis: FloatArray) -> PoseFault:
     """Where the wrist flips on its way: C turns by over 45 deg from the point before, and the tool hardly turns.
 
     ``tool`` (2, n) or (3, n) is `Placed.tool`, ``axis`` (n, 3) the same in the base frame. Of the two wrist solutions
@@ -111,10 +113,10 @@ def flip(tool: FloatArray, axis: FloatArray) -> Fault:
     bad = sine > np.tan(np.radians(FLIP_DEG)) * cosine
     bad[1:] &= still
     limit = f"a wrist flip: the tool axis turns by less than {HARDLY_DEG:g} deg"
-    return Fault(bad, np.degrees(np.arctan2(sine, cosine)), "the turn of C from the point before", "deg", limit)
+    return PoseFault(bad, np.degrees(np.arctan2(sine, cosine)), "the turn of C from the point before", "deg", limit)
 
 
-def refuse_unreachable(robot: HybridRobot, placed: Placed) -> None:
+def refuse_unreachable(robot: HybridRobot, placed: RobotPoses) -> None:
     """Raise ComputeError for the first point that has the plainest fault found."""
     for fault in faults(robot, placed):
         refuse_where(*fault)

@@ -11,7 +11,7 @@ from polishd.model.program import Program
 from polishd.model.surface import FloatArray
 from polishd.process.dynamic_tif import lean_azimuth_rad, positions
 from polishd.process.robot.refusal import refuse_where
-from polishd.process.spot import Spot, askew, shares
+from polishd.process.spot import Spot, cell_shares, tilt_spot
 
 Indices = NDArray[np.int64]
 
@@ -20,7 +20,7 @@ CHUNK = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Blocks:
+class PathBlocks:
     """n blocks of a path, and what the spot is in each of them."""
 
     start_mm: FloatArray
@@ -42,14 +42,14 @@ class Blocks:
         """Number of blocks."""
         return len(self.factor)
 
-    def part(self, which: Indices | slice) -> Blocks:
+    def part(self, which: Indices | slice) -> PathBlocks:
         """Some of them."""
-        return Blocks(
+        return PathBlocks(
             self.start_mm[which], self.end_mm[which], self.azimuth_rad[which], self.depth_ratio[which],
             self.factor[which], None if self.bent is None else self.bent[which],
         )  # fmt: skip
 
-    def seen_from(self, origin_mm: FloatArray) -> Blocks:
+    def seen_from(self, origin_mm: FloatArray) -> PathBlocks:
         """The same, (2,) ``origin_mm`` at their origin."""
         return replace(self, start_mm=self.start_mm - origin_mm, end_mm=self.end_mm - origin_mm)
 
@@ -74,16 +74,18 @@ class Blocks:
         return np.asarray(np.linalg.norm(self.half_mm(spot), axis=1) + offset + length / 2, dtype=np.float64)
 
 
-def blocks_of(program: Program, depth_ratio: FloatArray, factor: FloatArray, bent: FloatArray | None = None) -> Blocks:
+def blocks_of(
+    program: Program, depth_ratio: FloatArray, factor: FloatArray, bent: FloatArray | None = None
+) -> PathBlocks:
     """The blocks of a program; depth ratios and factors (n,) as of `corrected_spot`. ComputeError: they cannot be."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
     ends = program.start_mm[:, :2], program.end_mm[:, :2]
-    return Blocks(*ends, lean_azimuth_rad(program), depth_ratio, factor, bent)
+    return PathBlocks(*ends, lean_azimuth_rad(program), depth_ratio, factor, bent)
 
 
-def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
+def effect_row(spot: Spot, blocks: PathBlocks, sample_mm: FloatArray, pitch_mm: float) -> FloatArray:
     """(n,) nm/s: the row of `effect_columns` for the cell about (2,) ``sample_mm``, and nothing else of it."""
     reached = _touching(spot, blocks, sample_mm, pitch_mm)
     rates = np.zeros(blocks.n)
@@ -95,12 +97,13 @@ def effect_row(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: floa
         patch = spot.patch(some.depth_ratio, some.azimuth_rad)
         centre = pitch_mm / 2 + away * [1, -1]
         (column, across), (row, down) = (
-            _inside(shares(at, wide, pitch_mm, 1, patch.shape[1])) for at, wide in zip(centre.T, half.T, strict=True)
+            _inside(cell_shares(at, wide, pitch_mm, 1, patch.shape[1]))
+            for at, wide in zip(centre.T, half.T, strict=True)
         )
         if some.bent is None:
             squares = patch[block[:, None, None], row[:, :, None], column[:, None, :]]
         else:  # of a spot that is large against the cell only these rows are made askew: that is most of the work
-            strip = askew(patch[block[:, None], row], some.bent[block, 2], row)
+            strip = tilt_spot(patch[block[:, None], row], some.bent[block, 2], row)
             squares = np.take_along_axis(strip, column[:, None, :], axis=2)
         rate = np.einsum("mi,mij,mj->m", down, squares, across) / pitch_mm**2
         rates[which] = np.bincount(block, share * rate, some.n) * some.factor
@@ -115,7 +118,7 @@ def _inside(share: FloatArray) -> tuple[Indices, FloatArray]:
     return which, np.take_along_axis(share[:, 0], which, axis=1)
 
 
-def _touching(spot: Spot, blocks: Blocks, sample_mm: FloatArray, pitch_mm: float) -> Indices:
+def _touching(spot: Spot, blocks: PathBlocks, sample_mm: FloatArray, pitch_mm: float) -> Indices:
     """The blocks whose patch touches the cell from any of their positions."""
     block, place, _ = blocks.positions(spot)
     away = place + spot.offset_mm(blocks.depth_ratio, blocks.azimuth_rad)[block] - sample_mm

@@ -18,7 +18,15 @@ from polishd.process.spreading.effect import SpreadEffect
 from polishd.process.transforms.butterflies import inline, within
 from polishd.process.transforms.kernel import kernel
 from polishd.process.transforms.lanes import COUNT, load, splat, store
-from polishd.process.transforms.plane import Order, Plane, columns_back, columns_forth, plane, rows_back, rows_forth
+from polishd.process.transforms.plane import (
+    FftFields,
+    FftPlanArrays,
+    columns_back,
+    columns_forth,
+    plane,
+    rows_back,
+    rows_forth,
+)
 
 Floats = NDArray[np.float32]
 Whole = NDArray[np.uint32]
@@ -27,7 +35,7 @@ Whole = NDArray[np.uint32]
 _NONE = np.float32(0)
 
 
-class Laid(NamedTuple):
+class BlockWeights(NamedTuple):
     """How n blocks weigh on nodes."""
 
     first: Whole
@@ -59,8 +67,8 @@ class CompiledSpread:
     """An Effect to float32; made by `compiled_spread`. Not for two threads at once."""
 
     effect: SpreadEffect
-    plane: Plane
-    laid: Laid
+    plane: FftFields
+    laid: BlockWeights
     nodes: Nodes
     at: NDArray[np.int64]
     """(ny, nx) where each sample is kept among the first field's nodes."""
@@ -102,7 +110,7 @@ def compiled_spread(effect: SpreadEffect) -> CompiledSpread:
     return CompiledSpread(
         effect=effect,
         plane=on,
-        laid=Laid(
+        laid=BlockWeights(
             weights.indptr.astype(np.uint32),
             places[:rows, :columns].astype(np.uint32).ravel()[weights.indices],
             weights.data.astype(np.float32),
@@ -120,7 +128,7 @@ def compiled_spread(effect: SpreadEffect) -> CompiledSpread:
 
 
 @within
-def lay(i: int, time_s: float, laid: Laid, nodes: Nodes) -> None:
+def spread_blocks(i: int, time_s: float, laid: BlockWeights, nodes: Nodes) -> None:
     """A block's time onto the nodes of each convolution: two at a time, as to find a node takes as long as to add."""
     rank, time = laid.coefficient.shape[1], np.float32(time_s)
     for k in range(0, rank - 1, 2):
@@ -136,7 +144,7 @@ def lay(i: int, time_s: float, laid: Laid, nodes: Nodes) -> None:
 
 
 @within
-def collect(i: int, laid: Laid, nodes: Nodes) -> np.float32:
+def collect(i: int, laid: BlockWeights, nodes: Nodes) -> np.float32:
     """The adjoint of `lay`."""
     rank, whole = laid.coefficient.shape[1], _NONE
     for k in range(0, rank - 1, 2):
@@ -155,7 +163,7 @@ def collect(i: int, laid: Laid, nodes: Nodes) -> np.float32:
 
 
 @inline
-def remove(nodes: Nodes, order: Order) -> None:
+def remove(nodes: Nodes, order: FftPlanArrays) -> None:
     """What has been laid down removes this: the first field, its rows still transformed."""
     for k in range(len(nodes.fields)):
         for slab in range(order.slabs):
@@ -168,7 +176,7 @@ def remove(nodes: Nodes, order: Order) -> None:
 
 
 @inline
-def restore(nodes: Nodes, order: Order) -> None:
+def restore(nodes: Nodes, order: FftPlanArrays) -> None:
     """The adjoint of `remove`: from the first field, its rows transformed, to what is to be collected."""
     for block in range(order.blocks):
         columns_forth(nodes.fields[0], block, nodes.columns[0], order)
@@ -206,16 +214,16 @@ def _share_out(nodes: Nodes, block: int, ny: int) -> None:
             store(nodes.columns[k, 1], i, a * y - b * x)
 
 
-def _removal(time_s: FloatArray, laid: Laid, nodes: Nodes, order: Order) -> None:
+def _removal(time_s: FloatArray, laid: BlockWeights, nodes: Nodes, order: FftPlanArrays) -> None:
     nodes.flat[:] = 0
     for i in range(len(time_s)):
-        lay(i, time_s[i], laid, nodes)
+        spread_blocks(i, time_s[i], laid, nodes)
     remove(nodes, order)
     for slab in range(order.slabs):
         rows_back(nodes.fields[0], slab, order)
 
 
-def _adjoint(found: FloatArray, laid: Laid, nodes: Nodes, order: Order) -> None:
+def _adjoint(found: FloatArray, laid: BlockWeights, nodes: Nodes, order: FftPlanArrays) -> None:
     for slab in range(order.slabs):
         rows_forth(nodes.fields[0], slab, order)
     restore(nodes, order)

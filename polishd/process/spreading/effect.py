@@ -20,7 +20,7 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.convolution import Layout, layout
 from polishd.process.robot.refusal import require_number
 from polishd.process.spot import Spot
-from polishd.process.spreading.blocks import Blocks, blocks_of
+from polishd.process.spreading.blocks import PathBlocks, blocks_of
 from polishd.process.spreading.family import Family, meshed_family
 from polishd.process.spreading.sampling import misses, sampled_rows
 from polishd.process.spreading.weights import damping, outermost, spread
@@ -177,7 +177,7 @@ def spread_effect(
     )
 
 
-def _coarse(whole: SpreadEffect, spot: Spot, blocks: Blocks, depth_ratio: FloatArray) -> SpreadEffect | None:
+def _coarse(whole: SpreadEffect, spot: Spot, blocks: PathBlocks, depth_ratio: FloatArray) -> SpreadEffect | None:
     """See `SpreadEffect.coarse`."""
     fine = whole.grid
     half_cells = float(np.median(spot.half_width_mm(depth_ratio))) / fine.pitch_mm
@@ -189,7 +189,7 @@ def _coarse(whole: SpreadEffect, spot: Spot, blocks: Blocks, depth_ratio: FloatA
     return _laid_down(grid, 1, spot, blocks, family).single()
 
 
-def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: Blocks, family: Family) -> SpreadEffect:
+def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: PathBlocks, family: Family) -> SpreadEffect:
     """The effect of these blocks, of a family on the finer grid; its error not yet known."""
     fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
     side = family.kernels.shape[1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.spot import Spot
-from polishd.process.spreading.blocks import Blocks, Indices, effect_row
+from polishd.process.spreading.blocks import Indices, PathBlocks, effect_row
 
 SAMPLES = 24
 SIGMAS = 4.0
@@ -24,7 +24,7 @@ class SampledRow:
 
     which: Indices
     """(b,) the blocks that enter it, rising, and others near by."""
-    blocks: Blocks
+    blocks: PathBlocks
     """These, the sample at their origin."""
     grid: Grid
     """As much of the process grid as they reach, the sample in its middle."""
@@ -39,7 +39,7 @@ class SampledRow:
         return weight
 
 
-def sampled_rows(grid: Grid, spot: Spot, blocks: Blocks, seed: int = 0) -> list[SampledRow]:
+def sampled_rows(grid: Grid, spot: Spot, blocks: PathBlocks, seed: int = 0) -> list[SampledRow]:
     """Exact rows at up to SAMPLES samples under blocks chosen at random; none where no block touches the grid."""
     rng = np.random.default_rng(seed)
     middle = (blocks.start_mm + blocks.end_mm) / 2

@@ -14,7 +14,7 @@ from scipy import sparse
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.convolution import Layout
 from polishd.process.spot import Spot
-from polishd.process.spreading.blocks import Blocks
+from polishd.process.spreading.blocks import PathBlocks
 
 WIDTH = 3
 CHUNK = 8192
@@ -34,7 +34,7 @@ def damping(frequency: FloatArray) -> FloatArray:
     return np.asarray(0.75 + 0.25 * np.cos(2 * np.pi * frequency))
 
 
-def outermost(grid: Grid, blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def outermost(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(2,) first and last row, and column, of the nodes that n > 0 blocks weigh on."""
     found = []
     for at in _rows_and_columns(grid, np.concatenate([blocks.start_mm, blocks.end_mm])):
@@ -43,7 +43,7 @@ def outermost(grid: Grid, blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[np
     return found[0], found[1]
 
 
-def spread(grid: Grid, spot: Spot, blocks: Blocks, where: Layout) -> sparse.csr_array:
+def spread(grid: Grid, spot: Spot, blocks: PathBlocks, where: Layout) -> sparse.csr_array:
     """(n, nodes) weight of each block on each node of the layout's lattice, C order; a row's sum is 1."""
     nodes = where.lattice[0] * where.lattice[1]
     parts = [sparse.csr_array((0, nodes))]

@@ -84,7 +84,7 @@ def length(n: int) -> tuple[Length, NDArray[np.int64]]:
 
 
 @inline
-def forth(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> None:
+def forward_fft(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> None:
     """Transform the first ``plan.n`` rows of (rows, COUNT), each column for itself."""
     whole = plan.n
     for k in range(plan.radices.size):
@@ -103,7 +103,7 @@ def forth(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> Non
 
 
 @inline
-def back(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> None:
+def inverse_fft(re: NDArray[np.float32], im: NDArray[np.float32], plan: Length) -> None:
     """Undo `forth`, but for a factor of n: its stages in reverse, real and imaginary parts in each other's place."""
     whole = 1
     for k in range(plan.radices.size - 1, -1, -1):

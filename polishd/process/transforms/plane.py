@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.process.transforms.butterflies import Length, back, forth, inline, length
+from polishd.process.transforms.butterflies import Length, forward_fft, inline, inverse_fft, length
 from polishd.process.transforms.lanes import COUNT, gather_difference, gather_sum, loads, scatter, stores
 
 Field = NDArray[np.float32]
@@ -25,7 +25,7 @@ _PAIR = 2 * COUNT
 _TILE = (0,) * COUNT
 
 
-class Order(NamedTuple):
+class FftPlanArrays(NamedTuple):
     """What compiled functions need of a plane."""
 
     row: Length
@@ -39,11 +39,11 @@ class Order(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Plane:
+class FftFields:
     """Fields of one size, (ny, nx); made by `plane`."""
 
     size: tuple[int, int]
-    order: Order
+    order: FftPlanArrays
     frequency: tuple[NDArray[np.int64], NDArray[np.int64]]
     """(ny,) of the rows of a block, and (blocks * COUNT,) of its columns; the last is repeated to fill a block."""
 
@@ -76,31 +76,31 @@ class Plane:
         return np.zeros((count, 2, self.order.slabs * _PAIR, COUNT), np.float32)
 
 
-def plane(size: tuple[int, int]) -> Plane:
+def plane(size: tuple[int, int]) -> FftFields:
     """Fields of that size, products of 2, 3 and 5 only."""
     ny, nx = size
     (row, along), (column, down) = length(nx), length(ny)
     where = np.argsort(along)
     blocks = -(-(nx // 2 + 1) // COUNT)
     frequency = np.minimum(np.arange(blocks * COUNT), nx // 2)
-    order = Order(row, column, -(-ny // _PAIR), blocks, where[frequency], where[-frequency % nx])
-    return Plane(size, order, (down, frequency))
+    order = FftPlanArrays(row, column, -(-ny // _PAIR), blocks, where[frequency], where[-frequency % nx])
+    return FftFields(size, order, (down, frequency))
 
 
 @inline
-def rows_forth(field: Field, slab: int, order: Order) -> None:
+def rows_forth(field: Field, slab: int, order: FftPlanArrays) -> None:
     """Transform a slab along its rows."""
-    forth(field[0, slab], field[1, slab], order.row)
+    forward_fft(field[0, slab], field[1, slab], order.row)
 
 
 @inline
-def rows_back(field: Field, slab: int, order: Order) -> None:
+def rows_back(field: Field, slab: int, order: FftPlanArrays) -> None:
     """Undo `rows_forth`, but for a factor of nx."""
-    back(field[0, slab], field[1, slab], order.row)
+    inverse_fft(field[0, slab], field[1, slab], order.row)
 
 
 @inline
-def columns_forth(field: Field, block: int, columns: Columns, order: Order) -> None:
+def columns_forth(field: Field, block: int, columns: Columns, order: FftPlanArrays) -> None:
     """Twice the spectrum of a field whose rows are transformed, at a block's columns."""
     at, nx = block * COUNT, order.row.n
     for slab in range(order.slabs):
@@ -109,13 +109,13 @@ def columns_forth(field: Field, block: int, columns: Columns, order: Order) -> N
         stores(columns[1], row, 1, gather_difference(field[1], base, order.at, order.mirrored, at))
         stores(columns[0], row + COUNT, 1, gather_sum(field[1], base, order.at, order.mirrored, at))
         stores(columns[1], row + COUNT, 1, gather_difference(field[0], base, order.mirrored, order.at, at))
-    forth(columns[0], columns[1], order.column)
+    forward_fft(columns[0], columns[1], order.column)
 
 
 @inline
-def columns_back(field: Field, block: int, columns: Columns, order: Order) -> None:
+def columns_back(field: Field, block: int, columns: Columns, order: FftPlanArrays) -> None:
     """Undo `columns_forth`, but for its factor of 2 and one of ny; what lies below the field becomes 0."""
-    back(columns[0], columns[1], order.column)
+    inverse_fft(columns[0], columns[1], order.column)
     columns[:, order.column.n :] = 0
     at, nx = block * COUNT, order.row.n
     for slab in range(order.slabs):

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from polishd.process.trust.bound import (
-    Bound,
-    Contribution,
-    Demand,
+    ErrorContribution,
+    FigureBound,
+    RemeasureAdvice,
     RmsBound,
     demands,
     true_figure_bound,
     true_rms_bound,
 )
-from polishd.process.trust.errors import Errors, Noise, of_told
+from polishd.process.trust.errors import MapErrors, MapNoise, errors_from_system_map
 
 __all__ = [
-    "Bound",
-    "Contribution",
-    "Demand",
-    "Errors",
-    "Noise",
+    "FigureBound",
+    "ErrorContribution",
+    "RemeasureAdvice",
+    "MapErrors",
+    "MapNoise",
     "RmsBound",
     "demands",
-    "of_told",
+    "errors_from_system_map",
     "true_figure_bound",
     "true_rms_bound",
 ]

@@ -10,8 +10,8 @@ import numpy as np
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.absolute.names import OTHER_FOLDS, name_of, reference_for
 from polishd.process.absolute.poses import LEVEL
-from polishd.process.trust.errors import Errors, Term
-from polishd.process.trust.posterior import POWER, Posterior, posterior
+from polishd.process.trust.errors import MapErrors, Term
+from polishd.process.trust.posterior import POWER, FigurePosterior, posterior
 
 BOUND = 0.95
 SAMPLES, MAP_SAMPLES = 4000, 300
@@ -22,7 +22,7 @@ LEAST_NM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class FigureBound:
     """A figure of the true surface, from samples of what that can be."""
 
     mean: float
@@ -33,7 +33,7 @@ class Bound:
 
 
 @dataclass(frozen=True, slots=True)
-class Contribution:
+class ErrorContribution:
     """A part of the uncertainty; independent ones add in squares."""
 
     name: str
@@ -44,7 +44,7 @@ class Contribution:
 
 
 @dataclass(frozen=True, slots=True)
-class Demand:
+class RemeasureAdvice:
     """A term of which the prior alone is more than the tolerance."""
 
     name: str
@@ -55,14 +55,14 @@ class Demand:
 
 
 @dataclass(frozen=True, slots=True)
-class RmsBound(Bound):
+class RmsBound(FigureBound):
     """Of the RMS without piston and tilt, nm."""
 
     removed: str
     """"tilt", or "power": piston, tilt and power."""
-    contributions: tuple[Contribution, ...]
+    contributions: tuple[ErrorContribution, ...]
     """The largest first."""
-    demanded: tuple[Demand, ...]
+    demanded: tuple[RemeasureAdvice, ...]
     """What accepting the part needs; empty without a tolerance."""
     power_removed: RmsBound | None = None
     """The same of the figure without power, which a certificate can hold to where power is not told."""
@@ -72,7 +72,7 @@ def true_rms_bound(
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
-    errors: Errors,
+    errors: MapErrors,
     *,
     tolerance_nm: float | None = None,
     samples: int = SAMPLES,
@@ -107,13 +107,13 @@ def true_figure_bound(
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
-    errors: Errors,
+    errors: MapErrors,
     figure: Callable[[FloatArray], float],
     *,
     samples: int = MAP_SAMPLES,
     seed: int = 0,
     circle_px: tuple[float, float, float] | None = None,
-) -> Bound:
+) -> FigureBound:
     """How large any figure can be, PV or a line of the drawing: of whole maps, samples of what the part can be.
 
     Args:
@@ -143,8 +143,8 @@ def true_figure_bound(
 
 
 def _rms_bound(
-    found: Posterior,
-    errors: Errors,
+    found: FigurePosterior,
+    errors: MapErrors,
     tolerance_nm: float | None,
     drawn_nm: FloatArray,
     rest_square: FloatArray,
@@ -154,7 +154,7 @@ def _rms_bound(
     weight = found.figure_weight(power=power)
     square = np.einsum("si,ij,sj->s", drawn_nm, weight, drawn_nm, optimize=True)
     rms = _bound(np.sqrt(np.maximum(square, 0.0) + rest_square))
-    wanted: tuple[Demand, ...] = ()
+    wanted: tuple[RemeasureAdvice, ...] = ()
     if tolerance_nm is not None:
         own = dict(zip(found.terms, np.diag(weight).tolist(), strict=True))
         wanted = demands(errors, tolerance_nm, without_power=power, mean_square=own.__getitem__)
@@ -166,12 +166,12 @@ def _rms_bound(
     )  # fmt: skip
 
 
-def _bound(values: FloatArray) -> Bound:
+def _bound(values: FloatArray) -> FigureBound:
     low, high = np.quantile(values, (1 - BOUND, BOUND))
-    return Bound(float(values.mean()), (float(low), float(high)), float(high))
+    return FigureBound(float(values.mean()), (float(low), float(high)), float(high))
 
 
-def _contributions(found: Posterior, errors: Errors, weight: FloatArray) -> tuple[Contribution, ...]:
+def _contributions(found: FigurePosterior, errors: MapErrors, weight: FloatArray) -> tuple[ErrorContribution, ...]:
     """Of each source and family of terms; of noise what the terms leave, too."""
     squares: dict[tuple[str, str], float] = {}
     for source, covariance in found.by_source.items():
@@ -180,18 +180,18 @@ def _contributions(found: Posterior, errors: Errors, weight: FloatArray) -> tupl
             squares[key] = squares.get(key, 0.0) + float(weight[index, index] * covariance[index, index])
     squares[SHORTER, "noise"] = found.rest_square[1]
     squares[SHORTER, "unseen"] = errors.unseen_rest_nm**2
-    all_of_them = (Contribution(*key, float(np.sqrt(max(one, 0.0)))) for key, one in squares.items())
+    all_of_them = (ErrorContribution(*key, float(np.sqrt(max(one, 0.0)))) for key, one in squares.items())
     told = [one for one in all_of_them if one.rms_nm >= LEAST_NM]
     return tuple(sorted(told, key=lambda one: -one.rms_nm))
 
 
 def demands(
-    errors: Errors,
+    errors: MapErrors,
     tolerance_nm: float,
     *,
     without_power: bool = False,
     mean_square: Callable[[Term], float] = lambda _: 1.0,
-) -> tuple[Demand, ...]:
+) -> tuple[RemeasureAdvice, ...]:
     """References for families of which the unseen part alone is more than the tolerance.
 
     Args:
@@ -209,4 +209,4 @@ def demands(
             needs[name] = reference_for(n, m)
     square[SHORTER], needs[SHORTER] = errors.unseen_rest_nm**2, OTHER_FOLDS
     over = {name: float(np.sqrt(one)) for name, one in square.items() if one > tolerance_nm**2}
-    return tuple(Demand(name, prior, needs[name]) for name, prior in over.items())
+    return tuple(RemeasureAdvice(name, prior, needs[name]) for name, prior in over.items())

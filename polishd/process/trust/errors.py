@@ -9,7 +9,7 @@ import numpy as np
 import scipy.ndimage
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.absolute.told import Told
+from polishd.process.absolute.told import AbsoluteTestResult
 
 REACH = 4.0
 """Correlation lengths to which a kernel is computed: e^-8 is left."""
@@ -17,7 +17,7 @@ Term = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class MapNoise:
     """Of a map: a white part, and one that is alike in neighbours, as of air; independent of each other."""
 
     white_nm: float
@@ -62,10 +62,10 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class MapErrors:
     """Of a map that the instrument's known error was taken off."""
 
-    noise: Noise
+    noise: MapNoise
     degree: int = 10
     """Radial order up to which terms are looked at one by one."""
     terms: tuple[Term, ...] = ()
@@ -78,7 +78,9 @@ class Errors:
     """Prior RMS of what the terms leave of the instrument and nothing has seen."""
 
 
-def of_told(told: Told, noise: Noise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None) -> Errors:
+def errors_from_system_map(
+    told: AbsoluteTestResult, noise: MapNoise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None
+) -> MapErrors:
     """Errors of a map less the instrument's map that a set of poses gave.
 
     Args:
@@ -91,7 +93,7 @@ def of_told(told: Told, noise: Noise, unseen_nm: Mapping[Term, float], unseen_re
         term: prior * float(np.sqrt(told.unknown[term])) for term, prior in unseen_nm.items() if term in told.unknown
     }
     rest = told.rest_nm if unseen_rest_nm is None else unseen_rest_nm
-    return Errors(noise, told.degree, told.terms, told.covariance, unseen, rest)
+    return MapErrors(noise, told.degree, told.terms, told.covariance, unseen, rest)
 
 
 def _kernel(length_px: float) -> FloatArray:

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.absolute.poses import LEVEL, terms
 from polishd.process.metrics import zernike
 from polishd.process.metrics.zernike_terms import values
-from polishd.process.trust.errors import Errors
+from polishd.process.trust.errors import MapErrors
 
 GROUPS = (4, 7)
 """Last radial order of the first groups of terms that are taken to be alike; the rest is one more."""
@@ -30,7 +30,7 @@ POWER = (2, 0)
 
 
 @dataclass(frozen=True)
-class Posterior:
+class FigurePosterior:
     """Of the terms a distribution to draw from; of the rest a share of what was measured, and its noise."""
 
     seen_nm: FloatArray
@@ -86,9 +86,9 @@ def posterior(
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
-    errors: Errors,
+    errors: MapErrors,
     circle_px: tuple[float, float, float] | None = None,
-) -> Posterior:
+) -> FigurePosterior:
     """The true figure of a measured surface.
 
     Args:
@@ -104,7 +104,9 @@ def posterior(
     found = terms(errors.degree)
     stray = (set(errors.terms) | set(errors.unseen_nm)) - set(found)
     if stray:
-        raise BadMap(f"errors are given of terms (n, m) {sorted(stray)}, above order {errors.degree}: raise the order")
+        raise MapError(
+            f"errors are given of terms (n, m) {sorted(stray)}, above order {errors.degree}: raise the order"
+        )
     circle = zernike.enclosing(mask) if circle_px is None else circle_px
     fitted = zernike.fit(height_nm, mask, len(found), "ansi", circle_px=circle)
     evaluated = values(found, "rms", *zernike.unit(mask, circle))
@@ -117,7 +119,7 @@ def posterior(
     pieces = fitted.samples / np.array([1.0, noise.alike(pitch_mm)])
     parts = np.array([noise.white_nm, noise.correlated_nm]) ** 2
     spread = float(np.sqrt(((2 * parts**2 + 4 * own * parts) / pieces).sum()))
-    return Posterior(
+    return FigurePosterior(
         seen_nm=fitted.coefficients_nm,
         by_source=by_source,
         weight=weight,
@@ -130,7 +132,7 @@ def posterior(
 
 
 def _by_source(
-    found: tuple[tuple[int, int], ...], errors: Errors, weights: FloatArray, mask: BoolArray, pitch_mm: float
+    found: tuple[tuple[int, int], ...], errors: MapErrors, weights: FloatArray, mask: BoolArray, pitch_mm: float
 ) -> dict[str, FloatArray]:
     at = {term: index for index, term in enumerate(found)}
     instrument, unseen = np.zeros((2, len(found), len(found)))

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from polishd.config.simulator import Fault
+from polishd.config.simulator import FaultSection
 
 RETRACTED, EXTENDING, CONTACT, RETRACTING, FAULT = range(5)
 WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8
@@ -29,7 +29,7 @@ Refusal = Literal["", "range", "fault"]
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class CoilDynamics:
     """How fast it moves, wall time, and what its tool weighs."""
 
     land_s: float = 0.125
@@ -48,7 +48,7 @@ class VoiceCoil:
     report: Callable[..., None]
     """Tells the witness: (event, at_s, **data)."""
     now_s: float
-    pace: Pace = Pace()
+    pace: CoilDynamics = CoilDynamics()
     setpoint_n: float = 0.0
     watchdog_ms: int = 500
     heartbeat: int = 0
@@ -109,7 +109,7 @@ class VoiceCoil:
         actual = self.force_n * (1.0 + self._noise) if self._touching else 0.0
         return self.factor * actual + self.offset_n + self.drift_n + 0.01 * float(self.rng.standard_normal())
 
-    def suffer(self, fault: Fault, on: bool) -> None:
+    def suffer(self, fault: FaultSection, on: bool) -> None:
         """Get into that state, or out of it; what has drifted stays."""
         if fault.what == "stick":
             self.stuck = on

@@ -9,16 +9,16 @@ from collections.abc import Callable
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.actuator.ascii import AsciiSlave
-from polishd.sim_backends.actuator.coil import Pace, VoiceCoil
-from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave
+from polishd.sim_backends.actuator.coil import CoilDynamics, VoiceCoil
+from polishd.sim_backends.actuator.modbus import CoilRegisters, RtuSlave, TcpSlave
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.outlet import FaultyLink
 from polishd.sim_backends.profiled.machine import ForceDrive
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 from polishd.sim_backends.profiled.slave import Slave, by_profile
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.runtime import SimRuntime
 from polishd.sim_backends.truth import stream
-from polishd.sim_backends.wire import Feed, Wire
+from polishd.sim_backends.wire import Feed, SimWire
 
 TICK_S = 0.005
 MARK_S = 0.02
@@ -26,14 +26,14 @@ TCP = {"modbus_tcp", "profile_tcp"}
 VENDOR, MODEL, SERIAL, FIRMWARE = "polishd", "simulated VC50", "SIM-V1", "1.0"
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     config, speed = runtime.start.config.actuator, runtime.start.speed
     coil = VoiceCoil(
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=time.monotonic(),
-        pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
+        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -44,7 +44,7 @@ async def main(runtime: Runtime) -> None:
 
     runtime.link.on_message = on_message
     runtime.script.suffer = coil.suffer
-    wire = Wire(runtime, lambda outlet: _feed(runtime, coil, outlet))
+    wire = SimWire(runtime, lambda outlet: _feed(runtime, coil, outlet))
     endpoint = f"serial:{runtime.start.state / runtime.name}?baud={config.baud}"
     if config.kind in TCP:
         endpoint = f"tcp://{await wire.open_tcp(config.port)}"
@@ -56,10 +56,10 @@ async def main(runtime: Runtime) -> None:
     await _tick(runtime, coil)
 
 
-def _feed(runtime: Runtime, coil: VoiceCoil, outlet: Outlet) -> Feed:
+def _feed(runtime: SimRuntime, coil: VoiceCoil, outlet: FaultyLink) -> Feed:
     """The receiver of one connection: requests are answered after the time that they take on the line."""
     config = runtime.start.config.actuator
-    registers = Registers(coil, VENDOR, MODEL, SERIAL, FIRMWARE, runtime.boot_count)
+    registers = CoilRegisters(coil, VENDOR, MODEL, SERIAL, FIRMWARE, runtime.boot_count)
     makers: dict[str, Callable[[], Slave]] = {
         "modbus_rtu": lambda: RtuSlave(config.unit, registers.answer),
         "modbus_tcp": lambda: TcpSlave(config.unit, registers.answer),
@@ -81,20 +81,20 @@ def _feed(runtime: Runtime, coil: VoiceCoil, outlet: Outlet) -> Feed:
     return feed
 
 
-def _sheet(runtime: Runtime) -> Sheet:
+def _sheet(runtime: SimRuntime) -> SimDeviceProfile:
     """The profile, relative to SIM.toml."""
     config = runtime.start.config
-    return Sheet.read(config.resolve(config.actuator.profile))
+    return SimDeviceProfile.read(config.resolve(config.actuator.profile))
 
 
-def _drive(runtime: Runtime, coil: VoiceCoil) -> ForceDrive:
+def _drive(runtime: SimRuntime, coil: VoiceCoil) -> ForceDrive:
     orders = _sheet(runtime).raw["orders"]
     identity = {"vendor": VENDOR, "model": MODEL, "serial": SERIAL, "firmware": FIRMWARE}
     identity["boot"] = str(runtime.boot_count)
     return ForceDrive(coil, identity, engages="engage" in orders, beats="beat" in orders)
 
 
-async def _tick(runtime: Runtime, coil: VoiceCoil) -> None:
+async def _tick(runtime: SimRuntime, coil: VoiceCoil) -> None:
     marked = 0.0
     while True:
         now = time.monotonic()

@@ -31,7 +31,7 @@ def rtu(unit: int, pdu: bytes) -> bytes:
 
 
 @dataclass(slots=True)
-class Registers:
+class CoilRegisters:
     """The register table over a voice coil."""
 
     coil: VoiceCoil

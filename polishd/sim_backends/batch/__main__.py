@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from polishd.model import frames
-from polishd.model.errors import BadRequestError, BrokenFrameError, PolishdError
+from polishd.model.errors import BatchRequestError, FrameError, PolishdError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch import plant
 
@@ -22,7 +22,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> int:
     while True:
         try:
             request = frames.read(requests)
-        except BrokenFrameError as error:
+        except FrameError as error:
             frames.write(answers, {"error": str(error)})
             return 1
         if request is None:
@@ -44,9 +44,9 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> int:
 def _answer(current: plant.BatchPlant | None, message: dict[str, Any], arrays: dict[str, FloatArray]) -> Answer:
     verb = message.get("do")
     if verb not in {"polish", "measure", "truth"}:
-        raise BadRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
+        raise BatchRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
     if current is None:
-        raise BadRequestError(f"do: {verb} before there is a plant; send new first")
+        raise BatchRequestError(f"do: {verb} before there is a plant; send new first")
     if verb == "polish":
         executed = current.polish(arrays)
         return {"done": verb, "now_s": current.now_s}, executed
@@ -55,7 +55,7 @@ def _answer(current: plant.BatchPlant | None, message: dict[str, Any], arrays: d
         return {"done": verb, **told}, figure
     wait_s, turn = _number(message, "wait_s"), _number(message, "rotation_deg")
     if wait_s < 0.0:
-        raise BadRequestError(f"wait_s: {wait_s:g} is negative")
+        raise BatchRequestError(f"wait_s: {wait_s:g} is negative")
     shift = (_whole(message, "shift_columns") or 0, _whole(message, "shift_rows") or 0)
     height = current.measure(wait_s, turn, shift)
     return {"done": verb, "now_s": current.now_s, "pitch_mm": current.world.part.grid.pitch_mm}, {"height_nm": height}
@@ -64,21 +64,21 @@ def _answer(current: plant.BatchPlant | None, message: dict[str, Any], arrays: d
 def _section(message: dict[str, Any], name: str) -> dict[str, Any]:
     value = message.get(name, {})
     if not isinstance(value, dict):
-        raise BadRequestError(f"{name}: the sections of SIM.toml as an object, not {value!r}")
+        raise BatchRequestError(f"{name}: the sections of SIM.toml as an object, not {value!r}")
     return value
 
 
 def _number(message: dict[str, Any], name: str) -> float:
     value = message.get(name, 0.0)
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise BadRequestError(f"{name}: a finite number, not {value!r}")
+        raise BatchRequestError(f"{name}: a finite number, not {value!r}")
     return float(value)
 
 
 def _whole(message: dict[str, Any], name: str) -> int | None:
     value = message.get(name)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-        raise BadRequestError(f"{name}: a whole number, not {value!r}")
+        raise BatchRequestError(f"{name}: a whole number, not {value!r}")
     return value
 
 

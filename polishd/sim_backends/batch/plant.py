@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from polishd.config.simulator import SimConfig
-from polishd.model.errors import BadRequestError
+from polishd.model.errors import BatchRequestError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends import truth
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.seeing import as_held, as_measured
+from polishd.sim_backends.seeing import add_instrument_errors, add_mount_errors
 
 STEP_MM = 0.3
 """Longest stretch that is worn at one place: a tenth of the spot, which is right to 0.01 nm in a pass of 10 nm RMS."""
@@ -66,12 +66,12 @@ class BatchPlant:
     def measure(self, wait_s: float, rotation_deg: float, shift_px: tuple[int, int]) -> FloatArray:
         """A map so long after the last contact, nm, NaN outside, of the part turned and shifted on the instrument."""
         if rotation_deg % 90:
-            raise BadRequestError(f"rotation_deg: {rotation_deg:g} is no quarter turn; give 0, 90, 180 or 270")
+            raise BatchRequestError(f"rotation_deg: {rotation_deg:g} is no quarter turn; give 0, 90, 180 or 270")
         self.now_s += wait_s
         world = self.world
         height = world.part.map_nm() + parts.swelling_nm(world.part, self.config, self.now_s - world.polished_s)
         pitch = world.part.grid.pitch_mm
-        return as_measured(
+        return add_instrument_errors(
             height, self.config, pitch, self.instrument, quarters=int(rotation_deg // 90), shift_px=shift_px
         )
 
@@ -87,7 +87,7 @@ class BatchPlant:
             "pitch_mm": self.world.part.grid.pitch_mm,
         }
         height = self.world.part.map_nm()
-        return told, {"height_nm": height, "held_nm": as_held(height, self.config)}
+        return told, {"height_nm": height, "held_nm": add_mount_errors(height, self.config)}
 
 
 def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:
@@ -102,17 +102,19 @@ def _checked(blocks: dict[str, FloatArray]) -> tuple[FloatArray, ...]:
     for name, three in wide.items():
         shape = (count, 3) if three else (count,)
         if name not in blocks:
-            raise BadRequestError(f"arrays: {name} is missing; polish takes {', '.join(wide)}")
+            raise BatchRequestError(f"arrays: {name} is missing; polish takes {', '.join(wide)}")
         if not count or blocks[name].shape != shape:
-            raise BadRequestError(f"arrays: {name} is of shape {blocks[name].shape}; it wants {shape}, one row a block")
+            raise BatchRequestError(
+                f"arrays: {name} is of shape {blocks[name].shape}; it wants {shape}, one row a block"
+            )
         if not np.isfinite(blocks[name]).all():
-            raise BadRequestError(f"arrays: {name}: block {_first(~np.isfinite(blocks[name]))} is not finite")
+            raise BatchRequestError(f"arrays: {name}: block {_first(~np.isfinite(blocks[name]))} is not finite")
     for name in ("seconds", "force_n"):
         if (blocks[name] < 0.0).any():
-            raise BadRequestError(f"arrays: {name}: block {_first(blocks[name] < 0.0)} is negative")
+            raise BatchRequestError(f"arrays: {name}: block {_first(blocks[name] < 0.0)} is negative")
     wrong = np.abs(np.linalg.norm(blocks["axis"], axis=1) - 1.0) > 1e-6
     if wrong.any():
-        raise BadRequestError(f"arrays: axis: block {_first(wrong)} is not of length 1")
+        raise BatchRequestError(f"arrays: axis: block {_first(wrong)} is not of length 1")
     return tuple(blocks[name] for name in wide)
 
 

@@ -7,21 +7,21 @@ import signal
 import time
 
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.actuator.coil import Pace, VoiceCoil
+from polishd.sim_backends.actuator.coil import CoilDynamics, VoiceCoil
 from polishd.sim_backends.bus import Message
 from polishd.sim_backends.can_wire import CanWire
 from polishd.sim_backends.cia402.motor import Motor
 from polishd.sim_backends.cia402.node import Node
 from polishd.sim_backends.cia402.objects import Objects
 from polishd.sim_backends.cia402.voice_coil import DrivenCoil
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.runtime import SimRuntime
 from polishd.sim_backends.truth import stream
 
 TICK_S = 0.005
 MARK_S = 0.02
 
 
-async def spindle(runtime: Runtime) -> None:
+async def spindle(runtime: SimRuntime) -> None:
     """The device coroutine of a spindle."""
     config, now_s = runtime.start.config.spindle, time.monotonic()
     rng = stream(runtime.start.seed, "motor")
@@ -33,14 +33,14 @@ async def spindle(runtime: Runtime) -> None:
     await _serve(runtime, drive, motor, CanWire(runtime, config.kind, config.port, drive.on_frame))
 
 
-async def actuator(runtime: Runtime) -> None:
+async def actuator(runtime: SimRuntime) -> None:
     """The device coroutine of a voice coil."""
     config, now_s, speed = runtime.start.config.actuator, time.monotonic(), runtime.start.speed
     coil = VoiceCoil(
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=now_s,
-        pace=Pace(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
+        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -54,7 +54,7 @@ async def actuator(runtime: Runtime) -> None:
     await _serve(runtime, drive, coil, CanWire(runtime, config.kind, config.port, drive.on_frame))
 
 
-async def _serve(runtime: Runtime, drive: Node, moved: Motor | VoiceCoil, wire: CanWire) -> None:
+async def _serve(runtime: SimRuntime, drive: Node, moved: Motor | VoiceCoil, wire: CanWire) -> None:
     runtime.button(signal.SIGUSR1, drive.fail)
     runtime.button(signal.SIGUSR2, lambda: setattr(drive, "hung", True))
     await wire.open()

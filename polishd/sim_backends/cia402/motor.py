@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import Fault
+from polishd.config.simulator import FaultSection
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.objects import Objects
 from polishd.sim_backends.cia402.power import Power
@@ -46,7 +46,7 @@ class Motor:
         """Stands."""
         self.samples.append((self.now_s, 0.0))
 
-    def suffer(self, _fault: Fault, on: bool) -> None:
+    def suffer(self, _fault: FaultSection, on: bool) -> None:
         """Two phases are exchanged, or put right."""
         self.way = -1 if on else 1
         self.samples.append((self.now_s, self.way * self.rpm))

@@ -23,7 +23,7 @@ FAULT_RESET = 0x80
 BOOT_S = 0.3
 
 
-class Axis(Protocol):
+class SimAxis(Protocol):
     """What the drive moves."""
 
     def step(self, now_s: float, objects: Objects, power: Power) -> None:
@@ -36,7 +36,7 @@ class Node:
     """One drive on the bus. ``on_frame`` hears the bus; ``step`` gives what the drive sends by itself."""
 
     node: int
-    axis: Axis
+    axis: SimAxis
     report: Callable[..., None]
     """Tells the witness: (event, at_s)."""
     now_s: float

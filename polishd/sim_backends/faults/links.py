@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from polishd.config.simulator import MOTION, STATES, Fault, SimConfig
+from polishd.config.simulator import MOTION, STATES, FaultSection, SimConfig
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.faults.protocols import PROTOCOLS
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 
 CAN_SUFFER: Mapping[str, tuple[str, ...]] = {
     "robot": MOTION,
@@ -37,7 +37,7 @@ def protocols(config: SimConfig, device: str) -> Mapping[str, str]:
 
 
 def _profiled(config: SimConfig, profile: str, *, tcp: bool) -> str:
-    raw = Sheet.read(config.resolve(profile)).raw
+    raw = SimDeviceProfile.read(config.resolve(profile)).raw
     if "lines" in raw:
         return "numbered lines" if raw["lines"].get("framing") == "numbered" else "lines"
     return "modbus_tcp" if tcp else "modbus_rtu"
@@ -54,7 +54,7 @@ def require_possible(config: SimConfig) -> None:
         raise ConfigError("\n".join(lines))
 
 
-def _problems(config: SimConfig, fault: Fault) -> Iterator[tuple[str, str]]:
+def _problems(config: SimConfig, fault: FaultSection) -> Iterator[tuple[str, str]]:
     """(key, what is wrong with it)."""
     if getattr(config, fault.device) is None:
         yield "device", f"there is no {fault.device} in this cell; add [{fault.device}], or remove the fault"

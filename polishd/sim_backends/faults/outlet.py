@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from polishd.sim_backends.faults.protocols import PROTOCOLS
-from polishd.sim_backends.faults.script import Fate, Script, Way
+from polishd.sim_backends.faults.script import FaultScript, FrameAction, LinkDirection
 
 
 @dataclass(eq=False, slots=True)
-class Outlet:
+class FaultyLink:
     """One direction of one connection. Where ``byte_s`` is above 0, it has the pace of a serial line."""
 
     write: Callable[[bytes], None]
-    script: Script
-    way: Way
+    script: FaultScript
+    way: LinkDirection
     byte_s: float = 0.0
     chunk: int = 16
     backlog: Callable[[], int] = lambda: 0
@@ -60,7 +60,7 @@ class Outlet:
             frame, self._rest = self._rest[:size], self._rest[size:]
             yield frame
 
-    async def _pass(self, fate: Fate, loop: asyncio.AbstractEventLoop) -> None:
+    async def _pass(self, fate: FrameAction, loop: asyncio.AbstractEventLoop) -> None:
         free_s = loop.time() + fate.delay_s
         byte_s = max(self.byte_s, fate.byte_s)
         step = 1 if fate.byte_s else self.chunk if byte_s else max(len(fate.data), 1)

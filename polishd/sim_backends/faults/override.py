@@ -6,17 +6,17 @@ import math
 import time
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import Fault
+from polishd.config.simulator import FaultSection
 
 
 @dataclass(slots=True)
 class SpeedOverride:
     """Fraction of the programmed speed at which the tool moves, and the fraction that the controller reports."""
 
-    _acting: list[tuple[Fault, float]] = field(default_factory=list)
+    _acting: list[tuple[FaultSection, float]] = field(default_factory=list)
     """Faults that act, and the time (time.monotonic) of their begin."""
 
-    def suffer(self, fault: Fault, on: bool) -> None:
+    def suffer(self, fault: FaultSection, on: bool) -> None:
         """Begin a fault, or end it: then the tool goes on at the programmed speed."""
         if on:
             self._acting.append((fault, time.monotonic()))
@@ -36,11 +36,11 @@ class SpeedOverride:
         """The tool stands, and the controller reports that it runs."""
         return any(fault.what == "stand" for fault, _ in self._acting)
 
-    def _product(self, now_s: float, acting: list[tuple[Fault, float]]) -> float:
+    def _product(self, now_s: float, acting: list[tuple[FaultSection, float]]) -> float:
         return math.prod(_fraction(fault, now_s - begun_s) for fault, begun_s in acting)
 
 
-def _fraction(fault: Fault, since_s: float) -> float:
+def _fraction(fault: FaultSection, since_s: float) -> float:
     if fault.percent is None:
         return 1.0
     share = min(max(since_s / fault.ramp_s, 0.0), 1.0) if fault.ramp_s else 1.0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator import FRAMES, STATES, Fault
+from polishd.config.simulator import FRAMES, STATES, FaultSection
 from polishd.sim_backends.faults.protocols import PROTOCOLS
 from polishd.sim_backends.truth import stream
 
@@ -18,7 +18,7 @@ TICK_S = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class LinkDirection:
     """One direction of one link."""
 
     link: str
@@ -27,7 +27,7 @@ class Way:
 
 
 @dataclass(slots=True)
-class Fate:
+class FrameAction:
     """What becomes of a frame."""
 
     data: bytes
@@ -42,12 +42,12 @@ class Fate:
 
 
 @dataclass(slots=True)
-class Trouble:
+class ActiveFault:
     """A fault of the file, and how far it has come."""
 
     number: int
     """Its place in the file among all faults, from 1."""
-    fault: Fault
+    fault: FaultSection
     rng: np.random.Generator
     since_s: float
     """When waiting for it began."""
@@ -72,7 +72,7 @@ class Trouble:
         """While it acts, it acts on every frame: its begin and its end say all."""
         return self.lasts and self.fault.rate in {None, 1.0}
 
-    def meets(self, way: Way) -> bool:
+    def meets(self, way: LinkDirection) -> bool:
         """Frames of that way are its own."""
         return self.fault.link in {"", way.link} and self.fault.direction == way.direction
 
@@ -91,15 +91,15 @@ class Trouble:
 
 
 @dataclass(slots=True)
-class Script:
+class FaultScript:
     """All of them, in the order of the file."""
 
     device: str
     seed: int
     tell: Callable[..., None]
     """The witness: (event, **data)."""
-    troubles: list[Trouble] = field(default_factory=list)
-    suffer: Callable[[Fault, bool], None] = lambda _fault, _on: None
+    troubles: list[ActiveFault] = field(default_factory=list)
+    suffer: Callable[[FaultSection, bool], None] = lambda _fault, _on: None
     """The device behind gets into that state, or out of it."""
     unplug: list[tuple[str, Callable[[], None], Callable[[], None]]] = field(default_factory=list)
     """(link, pull the plug, put it in again)."""
@@ -110,11 +110,11 @@ class Script:
     """Since when the tool presses; None: it does not."""
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def set(self, faults: Iterable[Fault], now_s: float, *, rebooted: bool = False) -> None:
+    def set(self, faults: Iterable[FaultSection], now_s: float, *, rebooted: bool = False) -> None:
         """These from now on; a device that was just rebooted by one is not rebooted by it again."""
         self.finish(now_s)
         self.troubles = [
-            Trouble(number, fault, stream(self.seed, f"{self.device} fault {number}"), now_s)
+            ActiveFault(number, fault, stream(self.seed, f"{self.device} fault {number}"), now_s)
             for number, fault in enumerate(faults, 1)
             if fault.device == self.device and not (rebooted and fault.what == "reboot" and not fault.every_s)
         ]
@@ -153,12 +153,12 @@ class Script:
             if trouble.begun_s is None and trouble.due(now_s, self.contact_s):
                 self._begin(trouble, now_s)
 
-    def treat(self, frame: bytes, way: Way, now_s: float) -> Fate:
+    def treat(self, frame: bytes, way: LinkDirection, now_s: float) -> FrameAction:
         """What becomes of a frame that goes now."""
         for trouble in self.troubles:
             trouble.frames += trouble.meets(way)
         self.look(now_s)
-        fate = Fate(frame)
+        fate = FrameAction(frame)
         for trouble in self.troubles:
             fault = trouble.fault
             if not trouble.acts or fault.what not in FRAMES or not trouble.meets(way):
@@ -173,13 +173,13 @@ class Script:
         """Nothing passes there."""
         return any(t.acts and t.fault.what == "hang" and t.fault.link in {"", link} for t in self.troubles)
 
-    def _acted(self, trouble: Trouble, way: Way, now_s: float) -> None:
+    def _acted(self, trouble: ActiveFault, way: LinkDirection, now_s: float) -> None:
         if not trouble.always:
             self._tell("fault_acts", trouble, link=way.link or way.protocol, direction=way.direction)
         if not trouble.lasts:
             self._end(trouble, now_s)
 
-    def _begin(self, trouble: Trouble, now_s: float) -> None:
+    def _begin(self, trouble: ActiveFault, now_s: float) -> None:
         fault, trouble.begun_s = trouble.fault, now_s
         if trouble.lasts or fault.what not in FRAMES:
             self._tell("fault_begins", trouble)
@@ -193,7 +193,7 @@ class Script:
             if not fault.for_s:
                 self._end(trouble, now_s)
 
-    def _end(self, trouble: Trouble, now_s: float) -> None:
+    def _end(self, trouble: ActiveFault, now_s: float) -> None:
         fault, again = trouble.fault, trouble.fault.every_s is not None
         if trouble.lasts:
             self._tell("fault_ends", trouble)
@@ -205,7 +205,7 @@ class Script:
         trouble.since_s = now_s
         trouble.begun_s, trouble.over = (None, False) if again else (trouble.begun_s, True)
 
-    def _plugs(self, fault: Fault) -> list[tuple[Callable[[], None], Callable[[], None]]]:
+    def _plugs(self, fault: FaultSection) -> list[tuple[Callable[[], None], Callable[[], None]]]:
         return [(pull, plug) for link, pull, plug in self.unplug if fault.link in {"", link}]
 
     def _count(self, now_s: float) -> None:
@@ -213,11 +213,11 @@ class Script:
             self.contact_s += now_s - self._pressed_s
             self._pressed_s = now_s
 
-    def _tell(self, event: str, trouble: Trouble, **data: Any) -> None:
+    def _tell(self, event: str, trouble: ActiveFault, **data: Any) -> None:
         self.tell(event, fault=trouble.number, what=trouble.fault.what, **data)
 
 
-def _apply(trouble: Trouble, fate: Fate, way: Way) -> bool:
+def _apply(trouble: ActiveFault, fate: FrameAction, way: LinkDirection) -> bool:
     """Whether it could be done to this frame."""
     fault, rng = trouble.fault, trouble.rng
     if fault.what == "drop":

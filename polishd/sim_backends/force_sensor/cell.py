@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import Fault, ForceSensor
+from polishd.config.simulator import FaultSection, SimForceSensorSection
 
 MEASURING, TARING, FAULT = range(3)
 OVER_RANGE = 1
@@ -21,7 +21,7 @@ TARE_S = 0.2
 class LoadCell:
     """Feels the true force a little later, with an offset, noise and whatever it suffers from."""
 
-    config: ForceSensor
+    config: SimForceSensorSection
     rng: np.random.Generator
     report: Callable[..., None]
     """Tells the witness: (event, at_s, **data)."""
@@ -52,7 +52,7 @@ class LoadCell:
     """... and so much more."""
     _tare: list[float] | None = None
 
-    def suffer(self, fault: Fault, on: bool) -> None:
+    def suffer(self, fault: FaultSection, on: bool) -> None:
         """Get into that state, or out of it; what has drifted stays."""
         if fault.what == "drift":
             self._drift_n_s = fault.drift_n_s if on else 0.0

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 
-from polishd.config.simulator import ForceSensor
+from polishd.config.simulator import SimForceSensorSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.bus import Message
 from polishd.sim_backends.force_sensor.cell import LoadCell
 from polishd.sim_backends.numbered import Answer, serve
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.runtime import SimRuntime
 from polishd.sim_backends.truth import stream
 
 TICK_S = 0.01
@@ -32,9 +32,9 @@ def answering(cell: LoadCell, boot_count: int) -> Answer:
     return answer
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
-    config = runtime.start.config.force_sensor or ForceSensor()
+    config = runtime.start.config.force_sensor or SimForceSensorSection()
     rng = stream(runtime.start.seed, "force_sensor")
     cell = LoadCell(config, rng, runtime.link.event, time.monotonic())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.outlet import FaultyLink
 from polishd.sim_backends.handover.plc import Plc, Value
 from polishd.sim_backends.wire import Feed
 
@@ -44,7 +44,7 @@ class AdsServer:
 
     plc: Plc
 
-    def connected(self, outlet: Outlet) -> Feed:
+    def connected(self, outlet: FaultyLink) -> Feed:
         """What takes the bytes of a client."""
         rest = b""
 

@@ -6,7 +6,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.outlet import FaultyLink
 from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.wire import Feed
 
@@ -24,7 +24,7 @@ class ModbusServer:
 
     plc: Plc
 
-    def connected(self, outlet: Outlet) -> Feed:
+    def connected(self, outlet: FaultyLink) -> Feed:
         """What takes the bytes of a client."""
         self.plc.inputs["program"] = FILE
         rest = b""

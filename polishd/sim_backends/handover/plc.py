@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.handover.program import Loaded, sha256_of
+from polishd.sim_backends.handover.program import PlcProgram, sha256_of
 from polishd.sim_backends.robot.intake import Intake, Reach
-from polishd.sim_backends.robot.motion import Motion
-from polishd.sim_backends.robot.path import Path as Blocks
+from polishd.sim_backends.robot.motion import SimMotion
+from polishd.sim_backends.robot.path import BlockColumns as Blocks
 
 IDLE, READY, RUNNING, PAUSED, HELD, DONE, FAULT = range(7)
 Value = bool | int | float | str
@@ -33,7 +33,7 @@ class Loading:
     """A program on its way in."""
 
     name: str
-    program: Loaded
+    program: PlcProgram
     intake: Intake
     blocks: Blocks
     longest_turn_s: float = 0.0
@@ -44,8 +44,8 @@ class Loading:
 class Plc:
     """What the servers show."""
 
-    config: Robot
-    motion: Motion
+    config: SimRobotSection
+    motion: SimMotion
     folder: Path
     reach: Reach
     report: Callable[..., None]
@@ -55,7 +55,7 @@ class Plc:
     shown: dict[str, Value] = field(default_factory=dict)
     """What the controller tells, as of its last report."""
     feed_held: bool = False
-    program: Loaded | None = None
+    program: PlcProgram | None = None
     _before: dict[str, Value] = field(default_factory=lambda: dict(INPUTS))
     _alarm: tuple[int, str] = (0, "")
     _loaded: str = ""
@@ -136,7 +136,7 @@ class Plc:
         self._unload()
         path = self.folder / Path(name).name
         try:
-            program = Loaded.of(path.read_bytes())
+            program = PlcProgram.of(path.read_bytes())
         except OSError as error:
             self._alarm = (NO_PROGRAM, f"{name}: {error.strerror}")
             return

@@ -15,7 +15,7 @@ OURS = b"(polishd)"
 
 
 @dataclass(frozen=True, slots=True)
-class Loaded:
+class PlcProgram:
     """A file, and what the plant is to know of it."""
 
     lines: tuple[bytes, ...]
@@ -26,7 +26,7 @@ class Loaded:
     """(m,) 0-based lines that were put in."""
 
     @classmethod
-    def of(cls, text: bytes) -> Loaded:
+    def of(cls, text: bytes) -> PlcProgram:
         """Take the text apart."""
         lines = text.removesuffix(b"\n").split(b"\n")
         inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]

@@ -5,19 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 
-from polishd.sim_backends.faults.outlet import Outlet
-from polishd.sim_backends.runtime import LOOPBACK, Runtime
+from polishd.sim_backends.faults.outlet import FaultyLink
+from polishd.sim_backends.runtime import LOOPBACK, SimRuntime
 from polishd.sim_backends.wire import Feed
 
 
 class Relay:
     """Passes each client's bytes to the server behind, on loopback."""
 
-    def __init__(self, runtime: Runtime, port: int) -> None:
+    def __init__(self, runtime: SimRuntime, port: int) -> None:
         self._runtime = runtime
         self._port = port
 
-    def connected(self, outlet: Outlet) -> Feed:
+    def connected(self, outlet: FaultyLink) -> Feed:
         """What takes the bytes of a client."""
         queue: asyncio.Queue[bytes] = asyncio.Queue()
         task = self._runtime.group.create_task(self._serve(queue, outlet))
@@ -28,7 +28,7 @@ class Relay:
         outlet.on_closed = close
         return queue.put_nowait
 
-    async def _serve(self, queue: asyncio.Queue[bytes], outlet: Outlet) -> None:
+    async def _serve(self, queue: asyncio.Queue[bytes], outlet: FaultyLink) -> None:
         reader, writer = await asyncio.open_connection(LOOPBACK, self._port)
         async with asyncio.TaskGroup() as group:
             forward = group.create_task(self._forward(queue, writer))

@@ -11,9 +11,9 @@ from polishd.sim_backends.handover import ads
 from polishd.sim_backends.handover.modbus import ModbusServer
 from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.handover.relay import Relay
-from polishd.sim_backends.robot.machine import Machine
-from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.wire import Connection, Wire
+from polishd.sim_backends.robot.machine import SimRobotBody
+from polishd.sim_backends.runtime import SimRuntime
+from polishd.sim_backends.wire import SimTcpConnection, SimWire
 
 CYCLE_S = 0.01
 PROGRAMS = "programs"
@@ -22,8 +22,8 @@ PROGRAMS = "programs"
 class PlcServer:
     """Everything that the process holds."""
 
-    def __init__(self, runtime: Runtime, folder: Path) -> None:
-        machine = Machine(runtime)
+    def __init__(self, runtime: SimRuntime, folder: Path) -> None:
+        machine = SimRobotBody(runtime)
         robot = runtime.start.config.robot
         self.plc = Plc(robot, machine.motion, folder, machine.reach, machine.event, runtime.boot_id)
         machine.blocks_of = self.plc.blocks_of
@@ -44,7 +44,7 @@ class PlcServer:
         self.plc.press(button, time.monotonic())
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     folder = runtime.start.state / PROGRAMS
     folder.mkdir(exist_ok=True)
@@ -55,30 +55,30 @@ async def main(runtime: Runtime) -> None:
     await over[runtime.start.config.robot.kind](runtime, server)
 
 
-async def _over_opcua(runtime: Runtime, server: PlcServer) -> None:
+async def _over_opcua(runtime: SimRuntime, server: PlcServer) -> None:
     from polishd.sim_backends.handover.opcua import served
 
     robot = runtime.start.config.robot
     async with served(server.plc) as port:
-        wire = Wire(runtime, Relay(runtime, port).connected)
+        wire = SimWire(runtime, Relay(runtime, port).connected)
         wire.ready(f"opc.tcp://{await wire.open_tcp(robot.port)}")
         await server.run()
 
 
-async def _over_modbus(runtime: Runtime, server: PlcServer) -> None:
+async def _over_modbus(runtime: SimRuntime, server: PlcServer) -> None:
     robot = runtime.start.config.robot
-    wire = Wire(runtime, ModbusServer(server.plc).connected)
+    wire = SimWire(runtime, ModbusServer(server.plc).connected)
     wire.ready(f"tcp://{await wire.open_tcp(robot.port)}")
     await server.run()
 
 
-async def _over_ads(runtime: Runtime, server: PlcServer) -> None:
+async def _over_ads(runtime: SimRuntime, server: PlcServer) -> None:
     """ADS knows one TCP port only: the configured one chooses a loopback address of its own."""
     robot = runtime.start.config.robot
-    wire = Wire(runtime, ads.AdsServer(server.plc).connected)
+    wire = SimWire(runtime, ads.AdsServer(server.plc).connected)
     high, low = divmod(robot.port, 256)
     host = f"127.{high}.{low}.1"
     loop = asyncio.get_running_loop()
-    await loop.create_server(lambda: Connection(wire), host, ads.TCP_PORT)
+    await loop.create_server(lambda: SimTcpConnection(wire), host, ads.TCP_PORT)
     wire.ready(f"ads://{host}/{host}.1.1:{ads.AMS_PORT}")
     await server.run()

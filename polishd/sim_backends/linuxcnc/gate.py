@@ -28,7 +28,7 @@ LONGEST = 4096
 
 
 @dataclass
-class Watchdog:
+class HalWatchdog:
     """Whether motion is to be held."""
 
     silent_s: float
@@ -51,7 +51,7 @@ class Watchdog:
 class Gate:
     """Passes bytes between clients and linuxcncrsh, but for a second client's wish to give orders."""
 
-    def __init__(self, listen: tuple[str, int], to: tuple[str, int], watchdog: Watchdog) -> None:
+    def __init__(self, listen: tuple[str, int], to: tuple[str, int], watchdog: HalWatchdog) -> None:
         self.watchdog = watchdog
         self._to = to
         self._selector = selectors.DefaultSelector()
@@ -150,7 +150,7 @@ def main(listen: str, to: str, silent_s: str) -> None:
     component = hal.component("polishd-gate")
     component.newpin("idle", hal.HAL_BIT, hal.HAL_IN)
     component.newpin("hold", hal.HAL_BIT, hal.HAL_OUT)
-    gate = Gate(address(listen), address(to), Watchdog(float(silent_s)))
+    gate = Gate(address(listen), address(to), HalWatchdog(float(silent_s)))
     component.ready()
     while True:
         gate.turn(LOOK_S)

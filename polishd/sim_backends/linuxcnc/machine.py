@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.sim_backends.linuxcnc.motion import SAMPLE_S
 from polishd.sim_backends.linuxcnc.pendant import COUNT
 
@@ -119,10 +119,10 @@ loadusr stdbuf -oL halsampler {mount}/{motion}
 
 
 @dataclass(frozen=True, slots=True)
-class Machine:
+class LinuxCncConfig:
     """What is to be configured."""
 
-    robot: Robot
+    robot: SimRobotSection
     pose: tuple[float, ...]
     """X Y Z (mm) A C (deg): where it stands when it is switched on."""
     accel_mm_s2: float

@@ -22,7 +22,7 @@ MARK = b"(MSG,polishd "
 
 
 @dataclass(frozen=True, slots=True)
-class Loaded:
+class LinuxCncProgram:
     """A program file, without the lines that polishd's driver put between."""
 
     sha256: str
@@ -30,7 +30,7 @@ class Loaded:
     inserted: tuple[int, ...]
 
     @classmethod
-    def read(cls, path: Path) -> Loaded:
+    def read(cls, path: Path) -> LinuxCncProgram:
         """Take the file apart."""
         lines = path.read_bytes().removesuffix(b"\n").split(b"\n")
         own = [line for line in lines if not line.startswith(MARK)]
@@ -49,7 +49,7 @@ class Sampled:
     pose: tuple[float, ...]
     wall_s: float
     """When the last samples came."""
-    program: Loaded | None = None
+    program: LinuxCncProgram | None = None
     moving: bool = False
     running: bool = False
     seq: int = -1

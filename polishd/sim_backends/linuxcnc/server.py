@@ -15,9 +15,9 @@ from polishd.model.errors import ConfigError, DeviceFault
 from polishd.sim_backends import truth
 from polishd.sim_backends.faults.override import SpeedOverride
 from polishd.sim_backends.linuxcnc import pendant
-from polishd.sim_backends.linuxcnc.machine import MOTION, MOUNT, PENDANT, PROGRAMS, SHELL_PORT, Machine, pose_of
-from polishd.sim_backends.linuxcnc.motion import Loaded, Sampled
-from polishd.sim_backends.runtime import LOOPBACK, Runtime
+from polishd.sim_backends.linuxcnc.machine import MOTION, MOUNT, PENDANT, PROGRAMS, SHELL_PORT, LinuxCncConfig, pose_of
+from polishd.sim_backends.linuxcnc.motion import LinuxCncProgram, Sampled
+from polishd.sim_backends.runtime import LOOPBACK, SimRuntime
 
 TICK_S = 0.01
 TURN_S = 0.05
@@ -38,12 +38,12 @@ INSIDE = (
 class LinuxCncServer:
     """Everything that the process holds."""
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: SimRuntime) -> None:
         start = runtime.start
         pose = tuple(runtime.link.welcome.get("pose") or start.config.robot.home)
         hidden = truth.draw(start.config.truth, start.seed)
         self.folder = start.state / "linuxcnc"
-        self.machine = Machine(start.config.robot, pose, hidden.accel_mm_s2)
+        self.machine = LinuxCncConfig(start.config.robot, pose, hidden.accel_mm_s2)
         self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.turns))
         self._runtime = runtime
         self._process: asyncio.subprocess.Process | None = None
@@ -102,7 +102,7 @@ class LinuxCncServer:
 
     def _see_program(self) -> None:
         found = sorted((self.folder / PROGRAMS).glob("*.ngc"), key=lambda path: path.stat().st_mtime_ns)
-        program = Loaded.read(found[-1]) if found else None
+        program = LinuxCncProgram.read(found[-1]) if found else None
         if program is not None and program != self.sampled.program:
             self._runtime.link.event("program_loaded", sha256=program.sha256, blocks=program.blocks)
             self.sampled.seq = -1
@@ -161,7 +161,7 @@ def require_alone(path: Path = Path("/proc/self/ns/net")) -> None:
         )
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     require_alone()
     if runtime.start.speed != 1.0:

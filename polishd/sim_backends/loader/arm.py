@@ -17,7 +17,7 @@ Refusal = Literal["", "part", "occupied", "busy", "fault"]
 
 
 @dataclass(slots=True)
-class Arm:
+class LoaderArm:
     """One arm, one seat, and a store of parts."""
 
     report: Callable[..., None]

@@ -6,10 +6,10 @@ import signal
 import time
 from urllib.parse import quote, unquote
 
-from polishd.config.simulator import Loader
-from polishd.sim_backends.loader.arm import Arm
+from polishd.config.simulator import SimLoaderSection
+from polishd.sim_backends.loader.arm import LoaderArm
 from polishd.sim_backends.numbered import Answer, serve
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.runtime import SimRuntime
 
 TICK_S = 0.02
 IDENTITY = "polishd,simulated L1,SIM-L1,1.0"
@@ -22,7 +22,7 @@ _TEXTS = {
 }
 
 
-def answering(arm: Arm, boot_count: int) -> Answer:
+def answering(arm: LoaderArm, boot_count: int) -> Answer:
     """What it answers to a request."""
 
     def answer(request: str) -> str:
@@ -42,10 +42,10 @@ def answering(arm: Arm, boot_count: int) -> Answer:
     return answer
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
-    config, speed = runtime.start.config.loader or Loader(), runtime.start.speed
-    arm = Arm(
+    config, speed = runtime.start.config.loader or SimLoaderSection(), runtime.start.speed
+    arm = LoaderArm(
         report=runtime.link.event,
         seated=lambda part: runtime.link.ask(part=part),
         now_s=time.monotonic(),

@@ -27,7 +27,7 @@ GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Posed:
+class SimHybridPoses:
     """The robot at n poses, base frame."""
 
     reached: BoolArray
@@ -52,7 +52,7 @@ class Posed:
     """(n, 3, 3) by each limb (column) of unit push: force along w, moments about e and v."""
 
 
-def posed(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
+def posed(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> SimHybridPoses:
     """Where its members are at tips (n, 3) and unit tool axes (n, 3)."""
     wrist = tip_mm + robot.tool_length_mm * axis
     distance = np.linalg.norm(wrist, axis=1)
@@ -74,10 +74,10 @@ def posed(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> Posed:
     can &= np.abs(np.linalg.det(carried / np.linalg.norm(carried, axis=2)[:, :, None])) > LOOSE
     can &= np.linalg.norm(np.cross(along, axis), axis=1) > np.sin(np.radians(STRAIGHT_DEG))
     can &= ((limb_mm >= robot.stroke_mm[0]) & (limb_mm <= robot.stroke_mm[1])).all(axis=1)
-    return Posed(can, tip_mm, axis, along, up_mm, ends, limbs, limb_mm, outer, inner, carried)
+    return SimHybridPoses(can, tip_mm, axis, along, up_mm, ends, limbs, limb_mm, outer, inner, carried)
 
 
-def gives_mm_per_n(robot: HybridRobot, at: Posed) -> FloatArray:
+def gives_mm_per_n(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
     """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the robot cannot be."""
     result = np.zeros((len(at.tip_mm), 3, 3))
     stored = _stored(robot, at)[at.reached]
@@ -85,7 +85,7 @@ def gives_mm_per_n(robot: HybridRobot, at: Posed) -> FloatArray:
     return result
 
 
-def _stored(robot: HybridRobot, at: Posed) -> FloatArray:
+def _stored(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
     """(n, 3, members) what a unit force along each axis does in each member, over the root of its stiffness."""
     n = len(at.tip_mm)
     unit = np.broadcast_to(np.eye(3), (n, 3, 3))

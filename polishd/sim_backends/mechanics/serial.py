@@ -69,7 +69,7 @@ class Screws:
 
 
 @dataclass(frozen=True, slots=True)
-class Posed:
+class SimSerialPoses:
     """The arm at n poses."""
 
     reached: BoolArray
@@ -92,7 +92,7 @@ class Known:
     """(n, 6) turns from home, rad."""
 
 
-def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known | None = None) -> Posed:
+def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known | None = None) -> SimSerialPoses:
     """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way.
 
     From poses that are ``known``, where there are any, which is quicker; from home where that leads nowhere.
@@ -101,11 +101,11 @@ def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known
         count = len(known.tip_mm)
         at = _posed(robot, np.vstack([known.tip_mm, tip_mm]), np.vstack([known.axis, axis]), known.joints)
         if at.reached[count:].all():
-            return Posed(at.reached[count:], at.joints[count:], at.motion[count:])
+            return SimSerialPoses(at.reached[count:], at.joints[count:], at.motion[count:])
     return _posed(robot, tip_mm, axis, np.zeros((0, 6)))
 
 
-def _posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: FloatArray) -> Posed:
+def _posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: FloatArray) -> SimSerialPoses:
     """The joints (k, 6) for the first k poses are known."""
     screws = Screws.of(robot)
     flange, wanted = _flange(robot, axis)
@@ -149,10 +149,10 @@ def _posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Floa
         lead(going, joints[start_at])
     spread = np.linalg.svd(motion, compute_uv=False)
     regular = spread[:, 5] > SINGULAR * spread[:, 0]
-    return Posed(found & regular & _within(robot, joints), joints, motion)
+    return SimSerialPoses(found & regular & _within(robot, joints), joints, motion)
 
 
-def gives_mm_per_n(robot: SerialRobot, at: Posed) -> FloatArray:
+def gives_mm_per_n(robot: SerialRobot, at: SimSerialPoses) -> FloatArray:
     """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the arm cannot be.
 
     A force's moment about a joint is force times what the tip moves for a turn of it.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import signal
 import time
 
-from polishd.config.simulator import SEVEN, Monitor
+from polishd.config.simulator import SEVEN, SimMonitorSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.bus import Message
 from polishd.sim_backends.monitor.inputs import Inputs
 from polishd.sim_backends.numbered import Answer, serve
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.runtime import SimRuntime
 from polishd.sim_backends.truth import stream
 
 TICK_S = 0.02
@@ -34,9 +34,9 @@ def answering(inputs: Inputs, boot_count: int) -> Answer:
     return answer
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
-    config = runtime.start.config.monitor or Monitor()
+    config = runtime.start.config.monitor or SimMonitorSection()
     rng = stream(runtime.start.seed, "monitor")
     inputs = Inputs({**SEVEN, **config.signals}, rng, runtime.link.event, time.monotonic())
 

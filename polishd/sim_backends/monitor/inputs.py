@@ -27,16 +27,16 @@ class Inputs:
 
     def press(self) -> None:
         """Somebody makes all happen now."""
-        for name, signal in self.signals.items():
-            if signal.then is not None and name not in self._changed_s:
+        for name, simulated in self.signals.items():
+            if simulated.then is not None and name not in self._changed_s:
                 self._change(name)
 
     def step(self, now_s: float) -> None:
         """Bring them to the present."""
         self._contact_s += now_s - self.now_s if self.touching else 0.0
         self.now_s = now_s
-        for name, signal in self.signals.items():
-            if 0.0 < signal.after_s < self._contact_s and name not in self._changed_s:
+        for name, simulated in self.signals.items():
+            if 0.0 < simulated.after_s < self._contact_s and name not in self._changed_s:
                 self._change(name)
 
     def told(self, name: str) -> str:

@@ -15,7 +15,7 @@ from polishd.sim_backends.runtime import replace
 
 
 @dataclass(slots=True)
-class WayOut:
+class ContactExitRecord:
     """What the part lost from a moment on: the cost of leaving contact, marked by whoever causes it (SIGUSR1)."""
 
     from_s: float
@@ -72,7 +72,7 @@ class Pit:
 
 
 @dataclass(slots=True)
-class Account:
+class DwellAccount:
     """Contact seconds (process time) for each block of each program, and at standstill."""
 
     programs: dict[str, FloatArray] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class Account:
     current: str = ""
     standstill_s: float = 0.0
     stands: list[dict[str, float]] = field(default_factory=list)
-    way_out: WayOut | None = None
+    way_out: ContactExitRecord | None = None
     pit: Pit | None = None
 
     def load(self, sha256: str, blocks: int) -> None:

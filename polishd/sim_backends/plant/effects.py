@@ -28,7 +28,7 @@ class Waves:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class PlantEffects:
     """One draw. The default does nothing, to the last bit."""
 
     linear: float = 0.0
@@ -85,7 +85,7 @@ class Drawn:
         return np.asarray(1.0 + self.force_ripple * np.sin(math.tau * contact_s / self.force_ripple_s))
 
 
-def draw(config: SimConfig, seed: int) -> Drawn:
+def draw(config: SimConfig, seed: int) -> PlantEffects:
     """The same seed gives the same machine; one effect's range does not change what another draws."""
     ranges: Effects = config.effects
     rng = stream(seed, "effects")
@@ -94,7 +94,7 @@ def draw(config: SimConfig, seed: int) -> Drawn:
     turn, skew, pressure = (float(share) for share in rng.uniform(-1.0, 1.0, 3))
     robot, lean = _waves(rng, ranges.robot_error_wave_mm), _waves(rng, ranges.robot_error_wave_mm)
     height, friction = _waves(rng, ranges.robot_error_wave_mm), _within(ranges.friction, float(rng.uniform()))
-    return Drawn(
+    return PlantEffects(
         linear=ranges.rate_field * float(shares[0]),
         square=ranges.rate_field * (1.0 - abs(float(shares[0]))) * math.copysign(1.0, shares[1]),
         field_deg=math.degrees(angles[0]),

@@ -31,7 +31,7 @@ THIN_MM = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class GivenWay:
+class TipDeflection:
     """By how much the tip gives way at n places, mm/N; 0 where the robot cannot be."""
 
     along: FloatArray
@@ -40,7 +40,7 @@ class GivenWay:
     """(n, 3, 3) base frame; 0 where only the other was measured."""
 
 
-Giving = Callable[[FloatArray, FloatArray, FloatArray], GivenWay]
+Giving = Callable[[FloatArray, FloatArray, FloatArray], TipDeflection]
 """Tips (n, 3) mm, tool axes (n, 3) and normals (n, 3), base frame."""
 
 
@@ -48,7 +48,7 @@ def giving(robot: RobotModel, projection: Projection) -> Giving:
     """Of that robot. Where a table has nothing it gives as at the nearest place; where a model cannot be: 0."""
     if isinstance(robot, MeasuredCompliance):
         table = _by_table(robot)
-        return lambda tip, _axis, _normal: GivenWay(table(tip), np.zeros((len(tip), 3, 3)))
+        return lambda tip, _axis, _normal: TipDeflection(table(tip), np.zeros((len(tip), 3, 3)))
     return lambda tip, axis, normal: given_way(robot, tip, axis, normal, projection)
 
 
@@ -58,7 +58,7 @@ def given_way(
     axis: FloatArray,
     normal: FloatArray,
     projection: Projection = "linear",
-) -> GivenWay:
+) -> TipDeflection:
     """Of a robot with mechanics; its compliance along the surface normal is the equivalent one of paper eq. 43.
 
     ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) or (n, 3) in the base frame. The eigenvector nearest the tool axis
@@ -67,13 +67,13 @@ def given_way(
     can, matrix = tip_gives_mm_per_n(robot, tip_mm, axis)
     normal = np.broadcast_to(normal, tip_mm.shape)
     if projection == "normal":
-        return GivenWay(np.einsum("ni,nij,nj->n", normal, matrix, normal, optimize=True), matrix)
+        return TipDeflection(np.einsum("ni,nij,nj->n", normal, matrix, normal, optimize=True), matrix)
     values, vectors = np.linalg.eigh(matrix)
     nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis)), axis=1)
     shown = np.abs(np.einsum("nik,ni->nk", vectors, normal))
     share = values * (shown if projection == "linear" else shown**2)
     share[np.arange(len(share)), nearest] = 0.0
-    return GivenWay(np.where(can, share.sum(axis=1), 0.0), matrix)
+    return TipDeflection(np.where(can, share.sum(axis=1), 0.0), matrix)
 
 
 def _by_table(table: MeasuredCompliance) -> Callable[[FloatArray], FloatArray]:

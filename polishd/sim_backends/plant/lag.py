@@ -24,7 +24,7 @@ TOGETHER_S = 1e-3
 
 
 @dataclass(slots=True)
-class Lag:
+class ForceDynamics:
     """The force between tool and part as it goes on from contact to contact."""
 
     lag_s: float

@@ -20,7 +20,7 @@ from polishd.sim_backends import bus, truth
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.timeline import Timeline
-from polishd.sim_backends.plant.witness import Witness
+from polishd.sim_backends.plant.witness import SimEventLog
 from polishd.sim_backends.plant.world import World
 from polishd.sim_backends.runtime import Start, announce, cancel_all, replace, until_ended
 
@@ -37,7 +37,7 @@ class PlantServer:
 
     start: Start
     world: World
-    witness: Witness
+    witness: SimEventLog
     writers: dict[str, asyncio.StreamWriter] = field(default_factory=dict)
     robot_mark: float = math.inf
     moving: bool = False
@@ -242,7 +242,7 @@ def build(start: Start) -> PlantServer:
     log = start.state / "sim.log"
     log.unlink(missing_ok=True)
     rms, pv = part.stats()
-    witness = Witness(log)
+    witness = SimEventLog(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
     told = {**asdict(hidden), "effects": asdict(drawn)}
     replace(start.state / "truth.json", json.dumps(told, indent=1, default=np.ndarray.tolist).encode())

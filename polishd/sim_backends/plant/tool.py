@@ -12,7 +12,7 @@ from polishd.model.process import ToolProcess
 from polishd.model.robot import RobotModel
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.placement import Frames
-from polishd.sim_backends.plant.effects import Drawn
+from polishd.sim_backends.plant.effects import PlantEffects
 from polishd.sim_backends.plant.giving import Giving, giving
 from polishd.sim_backends.plant.measured import MeasuredStamp
 from polishd.sim_backends.plant.part import TruePart
@@ -23,7 +23,7 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Touches:
+class ContactPoints:
     """n places at which the tool touches the part, in its frame."""
 
     place_mm: FloatArray
@@ -41,10 +41,10 @@ class Tool:
     giving: Giving
     stamp: MeasuredStamp | None
     """What it removes, where that was measured."""
-    effects: Drawn = field(default_factory=Drawn)
+    effects: PlantEffects = field(default_factory=PlantEffects)
 
     @classmethod
-    def of(cls, config: SimConfig, robot: RobotModel, effects: Drawn) -> Tool:
+    def of(cls, config: SimConfig, robot: RobotModel, effects: PlantEffects) -> Tool:
         """As SIM.toml has it, on the robot as it truly is; ConfigError where its TIF cannot be read."""
         process, tif = config.process.tool(), config.measured_tif()
         stamp = None if tif is None else MeasuredStamp(tif, process)
@@ -54,7 +54,7 @@ class Tool:
     def wear(
         self,
         part: TruePart,
-        touches: Touches,
+        touches: ContactPoints,
         frames: Frames,
         *,
         force_n: FloatArray,
@@ -72,7 +72,7 @@ class Tool:
         centre = touches.place_mm[:, :2] + off.robot.at(tips) + _circling(len(tips)) * off.vibration_mm
         centre = centre + self._offset_mm(axis, turned) - np.array(off.seat_mm)
         if off.friction:
-            dragged = self._dragged_mm(given.matrix, Touches(touches.place_mm, axis, local), frames, force_n, rpm)
+            dragged = self._dragged_mm(given.matrix, ContactPoints(touches.place_mm, axis, local), frames, force_n, rpm)
             centre = centre + np.linalg.solve(local.stretch, dragged[:, :2, None])[:, :, 0]
             depth = np.maximum(depth - off.eq_44 * dragged[:, 2], 0.0)
         at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": turned, "skew": off.skew}
@@ -87,7 +87,7 @@ class Tool:
         return np.asarray(1.5 * force_n / np.maximum(depth, 1e-9))
 
     def _dragged_mm(
-        self, matrix: FloatArray, at: Touches, frames: Frames, force_n: FloatArray, rpm: FloatArray
+        self, matrix: FloatArray, at: ContactPoints, frames: Frames, force_n: FloatArray, rpm: FloatArray
     ) -> FloatArray:
         """(n, 3) by which friction pulls the tip along the surface and off it, where the normal is z.
 

@@ -15,7 +15,7 @@ KEPT = 4000
 
 
 @dataclass(slots=True)
-class Witness:
+class SimEventLog:
     """Holds events back until every device has vouched for their time, then writes them in order."""
 
     path: Path

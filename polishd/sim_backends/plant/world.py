@@ -12,13 +12,13 @@ from polishd.config.simulator import SimConfig
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.placement import Frames
-from polishd.sim_backends.plant.account import Account, Pit, WayOut
-from polishd.sim_backends.plant.effects import Drawn
-from polishd.sim_backends.plant.lag import Lag
+from polishd.sim_backends.plant.account import ContactExitRecord, DwellAccount, Pit
+from polishd.sim_backends.plant.effects import PlantEffects
+from polishd.sim_backends.plant.lag import ForceDynamics
 from polishd.sim_backends.plant.part import TruePart
 from polishd.sim_backends.plant.shape import Local, Shape
 from polishd.sim_backends.plant.timeline import Timeline
-from polishd.sim_backends.plant.tool import Tool, Touches
+from polishd.sim_backends.plant.tool import ContactPoints, Tool
 from polishd.sim_backends.truth import HiddenTruth
 
 REACH_MM = 4.5
@@ -49,8 +49,8 @@ class World:
     """Force that the actuator is to exert."""
     pace: Timeline = field(default_factory=lambda: Timeline(rest=1.0, values=[1.0]))
     """Planned motion within a second of motion: below 1 where an override slows it, 0 where the robot stands."""
-    account: Account = field(default_factory=Account)
-    effects: Drawn = field(default_factory=Drawn)
+    account: DwellAccount = field(default_factory=DwellAccount)
+    effects: PlantEffects = field(default_factory=PlantEffects)
     process_s: float = 0.0
     contact_s: float = 0.0
     """Process time that the tool has polished: what wears and warms it."""
@@ -60,7 +60,7 @@ class World:
     """Wall time of the last contact of a tool that turned."""
     _queue: list[tuple[str, FloatArray]] = field(default_factory=list)
     _noise: float = 0.0
-    _lag: Lag | None = None
+    _lag: ForceDynamics | None = None
     _frames: Frames = field(init=False)
     _tool: Tool = field(init=False)
     _shape: Shape = field(init=False)
@@ -70,7 +70,7 @@ class World:
         self._frames, self._shape = Frames(self.config.plant), Shape(self.config.plant)
         self.mount(self.config)
         lags = self.effects.force_lag_s, self.effects.guide_friction_n
-        self._lag = Lag(*lags) if any(lags) else None
+        self._lag = ForceDynamics(*lags) if any(lags) else None
 
     def mount(self, config: SimConfig) -> None:
         """What SIM.toml says now: the truth from here on, and the tool on the spindle."""
@@ -175,7 +175,7 @@ class World:
             self.polished_s = float(rows[-1, WALL1])
         booked = self.account.way_out is not None or self.account.pit is not None
         before = self.part.height_nm.copy() if booked else None
-        touches = Touches(place, axis, self._shape.under(place))
+        touches = ContactPoints(place, axis, self._shape.under(place))
         rate = (1.0 - self.config.truth.worn) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
         seconds = rows[:, DT] * rate
         self._tool.wear(self.part, touches, self._frames, force_n=force, rpm=rpm, seconds=seconds)
@@ -188,7 +188,7 @@ class World:
     def mark_way_out(self, at_s: float) -> None:
         """From now on a second account says what leaving contact costs."""
         nothing = np.zeros_like(self.part.height_nm)
-        self.account.way_out = WayOut(at_s, nothing, nothing.copy(), until_s=at_s)
+        self.account.way_out = ContactExitRecord(at_s, nothing, nothing.copy(), until_s=at_s)
 
     def _book_way_out(self, rows: FloatArray, removed_nm: FloatArray) -> None:
         way_out = self.account.way_out
@@ -211,7 +211,7 @@ class World:
         self,
         rows: FloatArray,
         removed_nm: FloatArray,
-        touches: Touches,
+        touches: ContactPoints,
         *,
         force: FloatArray,
         acting: FloatArray,

@@ -5,21 +5,21 @@ from __future__ import annotations
 import asyncio
 import time
 
-from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.outlet import FaultyLink
 from polishd.sim_backends.profiled.machine import Inverter
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 from polishd.sim_backends.profiled.slave import by_profile
-from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.wire import Feed, Wire
+from polishd.sim_backends.runtime import SimRuntime
+from polishd.sim_backends.wire import Feed, SimWire
 
 TICK_S = 0.01
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     whole, speed = runtime.start.config, runtime.start.speed
     config = whole.spindle
-    sheet = Sheet.read(whole.resolve(config.profile), config.pole_pairs)
+    sheet = SimDeviceProfile.read(whole.resolve(config.profile), config.pole_pairs)
     drive = Inverter(
         report=runtime.link.event,
         now_s=time.monotonic(),
@@ -37,7 +37,7 @@ async def main(runtime: Runtime) -> None:
 
     unit = int(sheet.raw.get("modbus", {}).get("unit", 1)) if config.unit is None else config.unit
 
-    def connected(outlet: Outlet) -> Feed:
+    def connected(outlet: FaultyLink) -> Feed:
         slave = by_profile(sheet, drive, unit, tcp=tcp)
 
         def feed(data: bytes) -> None:
@@ -48,7 +48,7 @@ async def main(runtime: Runtime) -> None:
 
         return feed
 
-    wire = Wire(runtime, connected)
+    wire = SimWire(runtime, connected)
     if tcp:
         wire.ready(f"tcp://{await wire.open_tcp(config.port)}")
     else:
@@ -57,7 +57,7 @@ async def main(runtime: Runtime) -> None:
     await _tick(runtime, drive)
 
 
-async def _tick(runtime: Runtime, drive: Inverter) -> None:
+async def _tick(runtime: SimRuntime, drive: Inverter) -> None:
     while True:
         drive.step(time.monotonic())
         runtime.link.samples(drive.samples, drive.now_s)

@@ -9,8 +9,8 @@ from string import Formatter
 from typing import Any
 
 from polishd.sim_backends.actuator import ascii as numbered
-from polishd.sim_backends.profiled.machine import Machine
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.machine import ProfileDeviceModel
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 
 FORMATS = ("{:.3f}", "{:.2f}", "{:.1f}", "{:.0f}", "{:+.3f}", "{:+.2f}", "{:+.1f}")
 NUMBER = r"([-+]?\d+(?:\.\d+)?)"
@@ -21,8 +21,8 @@ TEXTS = {"range": "value out of range", "fault": "a fault is set", "unknown": "n
 class LineSlave:
     """Answers each line by one line, or none where the profile says so."""
 
-    sheet: Sheet
-    machine: Machine
+    sheet: SimDeviceProfile
+    machine: ProfileDeviceModel
     _buffer: bytes = b""
     _asked: dict[str, float] = field(default_factory=dict)
 

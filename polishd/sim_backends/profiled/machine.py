@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from polishd.config.simulator import Fault
+from polishd.config.simulator import FaultSection
 from polishd.sim_backends.actuator.coil import VoiceCoil
 
 Refusal = str
 """Empty, ``range`` or ``fault``."""
 
 
-class Machine(Protocol):
+class ProfileDeviceModel(Protocol):
     """Physical values by name, in N, mm, rpm and ms; a state in words; orders by name."""
 
     def values(self) -> Mapping[str, float | str]:
@@ -113,7 +113,7 @@ class Inverter:
     _heard_s: float = 0.0
     _said: str = "stopped"
 
-    def suffer(self, _fault: Fault, on: bool) -> None:
+    def suffer(self, _fault: FaultSection, on: bool) -> None:
         """Two phases are exchanged, or put right."""
         self.way = -1 if on else 1
         self.samples.append((self.now_s, self.way * self.rpm))

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.sim_backends.profiled.machine import Machine
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.machine import ProfileDeviceModel
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
 CODES = {"range": ILLEGAL_VALUE, "fault": DEVICE_FAILURE}
@@ -18,11 +18,11 @@ WORDS = {"u32": 2, "i32": 2, "f32": 2}
 
 
 @dataclass(slots=True)
-class Registers:
+class ProfileRegisters:
     """Answers requests by what the machine is, and turns writes into its orders."""
 
-    sheet: Sheet
-    machine: Machine
+    sheet: SimDeviceProfile
+    machine: ProfileDeviceModel
     stored: dict[str, float] = field(default_factory=dict)
     """What was written last, by register."""
 

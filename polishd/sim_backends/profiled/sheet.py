@@ -19,7 +19,7 @@ _STEP = re.compile(r"(\w+) *= *(\S+)")
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class SimDeviceProfile:
     """The tables of a profile, as TOML has them."""
 
     raw: Mapping[str, Any]
@@ -27,7 +27,7 @@ class Sheet:
     """Of the motor: its speed for one Hz."""
 
     @classmethod
-    def read(cls, path: Path, pole_pairs: int = 1) -> Sheet:
+    def read(cls, path: Path, pole_pairs: int = 1) -> SimDeviceProfile:
         """Of that file."""
         return cls(tomllib.loads(path.read_text()), pole_pairs)
 

@@ -7,9 +7,9 @@ from typing import Protocol
 
 from polishd.sim_backends.actuator.modbus import RtuSlave, TcpSlave
 from polishd.sim_backends.profiled.lines import LineSlave
-from polishd.sim_backends.profiled.machine import Machine
-from polishd.sim_backends.profiled.registers import Registers
-from polishd.sim_backends.profiled.sheet import Sheet
+from polishd.sim_backends.profiled.machine import ProfileDeviceModel
+from polishd.sim_backends.profiled.registers import ProfileRegisters
+from polishd.sim_backends.profiled.sheet import SimDeviceProfile
 
 
 class Slave(Protocol):
@@ -20,9 +20,9 @@ class Slave(Protocol):
         ...
 
 
-def by_profile(sheet: Sheet, machine: Machine, unit: int, *, tcp: bool) -> Slave:
+def by_profile(sheet: SimDeviceProfile, machine: ProfileDeviceModel, unit: int, *, tcp: bool) -> Slave:
     """For one connection."""
     if "lines" in sheet.raw:
         return LineSlave(sheet, machine)
-    answer = Registers(sheet, machine).answer
+    answer = ProfileRegisters(sheet, machine).answer
     return TcpSlave(unit, answer) if tcp else RtuSlave(unit, answer)

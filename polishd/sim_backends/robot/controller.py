@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.clients import Client, Lease
 from polishd.sim_backends.robot.intake import Intake, Reach
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.motion import SimMotion
 
 WRITER_ONLY = {frames.LOAD, frames.BLOCKS, frames.RESUME, frames.ABORT, frames.LIFT}
 MAX_BLOCKS = 5_000_000
@@ -20,11 +20,11 @@ Report = Callable[..., None]
 
 
 @dataclass(slots=True)
-class Controller:
+class SimRobotController:
     """What answers on the robot link."""
 
-    config: Robot
-    motion: Motion
+    config: SimRobotSection
+    motion: SimMotion
     identity: dict[str, str]
     reach: Reach
     report: Report

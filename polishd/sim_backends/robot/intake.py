@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.model.surface import BoolArray
-from polishd.sim_backends.robot.rnc import Block, Pose, Reader
+from polishd.sim_backends.robot.rnc import Pose, Reader, SimProgramBlock
 
-Reach = Callable[[list[Block]], BoolArray]
+Reach = Callable[[list[SimProgramBlock]], BoolArray]
 """Which of these blocks end where the robot can be, (n,)."""
 
 
@@ -20,7 +20,7 @@ Reach = Callable[[list[Block]], BoolArray]
 class Intake:
     """Nothing after a refused block is accepted, and no last block of a program that is not the one announced."""
 
-    config: Robot
+    config: SimRobotSection
     reach: Reach
     blocks: int
     blocks_sha256: str
@@ -39,9 +39,9 @@ class Intake:
         """Code and text, once a block was refused."""
         return self._refusal
 
-    def take(self, first: int, lines: list[bytes]) -> list[Block]:
+    def take(self, first: int, lines: list[bytes]) -> list[SimProgramBlock]:
         """The blocks that are accepted of these, the first of which is the one expected."""
-        blocks: list[Block] = []
+        blocks: list[SimProgramBlock] = []
         for seq, line in enumerate(lines, first):
             try:
                 block = self._reader.read(line)
@@ -65,7 +65,7 @@ class Intake:
     def _refuse(self, seq: int, code: str, text: str) -> None:
         self._refusal = code, f"block {seq}: {text}"
 
-    def _outside(self, block: Block) -> str:
+    def _outside(self, block: SimProgramBlock) -> str:
         limits = self.config
         ranges = (limits.x_mm, limits.y_mm, limits.z_mm, limits.a_deg)
         for axis, value, (low, high) in zip("XYZA", block.end, ranges, strict=False):

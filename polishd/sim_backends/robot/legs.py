@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.sim_backends.robot.path import DWELL, MOVE, PAUSE, Path
+from polishd.sim_backends.robot.path import DWELL, MOVE, PAUSE, BlockColumns
 from polishd.sim_backends.robot.profile import Trapezoids, along, junctions, trapezoids
 
 STEP_MM = 0.25
@@ -52,7 +52,7 @@ class Legs:
         return self.from_mm[k] + float(distance[0]), self.from_s[k] + float(nominal[0]), float(speed[0])
 
 
-def plan(path: Path, cursor: Cursor, process_s: float, until: int | None) -> Legs:
+def plan(path: BlockColumns, cursor: Cursor, process_s: float, until: int | None) -> Legs:
     """Legs for everything accepted beyond the cursor; the last junction and that of ``until`` are stops."""
     block = np.arange(cursor.block, path.accepted)
     length = path.length[block].copy()
@@ -80,7 +80,7 @@ def plan(path: Path, cursor: Cursor, process_s: float, until: int | None) -> Leg
     return Legs(block, from_mm, from_s, shape, nominal, start, end, np.ones(len(block), dtype=bool), stop)
 
 
-def braking(path: Path, cursor: Cursor, process_s: float) -> Legs:
+def braking(path: BlockColumns, cursor: Cursor, process_s: float) -> Legs:
     """Legs that come to a stop along the path as soon as the acceleration allows; the last may end inside a block."""
     block = np.arange(cursor.block, path.accepted)
     length = path.length[block].copy()
@@ -104,7 +104,7 @@ def braking(path: Path, cursor: Cursor, process_s: float) -> Legs:
     return Legs(block[:count], from_mm, from_s, shape, nominal, start, end, completes, count - 1)
 
 
-def rows(path: Path, legs: Legs, first: int, last: int, span: tuple[float, float]) -> FloatArray:
+def rows(path: BlockColumns, legs: Legs, first: int, last: int, span: tuple[float, float]) -> FloatArray:
     """Motion between two process times, cut finely: (n, 8) of seq, from_s, to_s and the pose half-way.
 
     ``first`` and ``last`` are the legs that the two times lie in.
@@ -130,7 +130,7 @@ def rows(path: Path, legs: Legs, first: int, last: int, span: tuple[float, float
     return np.column_stack([block, begin, begin + width, pose])
 
 
-def _left(path: Path, cursor: Cursor) -> float:
+def _left(path: BlockColumns, cursor: Cursor) -> float:
     """Share of the cursor's block that is still to do."""
     total, done = path.length[cursor.block], cursor.done_mm
     if path.kind[cursor.block] == DWELL:

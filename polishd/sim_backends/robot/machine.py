@@ -15,16 +15,16 @@ from polishd.sim_backends.bus import ROW
 from polishd.sim_backends.faults.override import SpeedOverride
 from polishd.sim_backends.mechanics import Reaching
 from polishd.sim_backends.placement import Frames
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.path import Limits
-from polishd.sim_backends.robot.rnc import Block
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.robot.rnc import SimProgramBlock
+from polishd.sim_backends.runtime import SimRuntime
 
 
-class Machine:
+class SimRobotBody:
     """What a controller orders."""
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: SimRuntime) -> None:
         start, robot = runtime.start, runtime.start.config.robot
         hidden = truth.draw(start.config.truth, start.seed)
         limits = Limits(
@@ -36,7 +36,7 @@ class Machine:
             speed=start.speed,
         )
         x, y, z, a, c = runtime.link.welcome.get("pose") or robot.home
-        self.motion = Motion(limits, (x, y, z, a, c))
+        self.motion = SimMotion(limits, (x, y, z, a, c))
         self._runtime = runtime
         self._override = SpeedOverride()
         runtime.script.suffer = self._override.suffer
@@ -54,7 +54,7 @@ class Machine:
             self._runtime.link.pace(pace, now_s)
         self.motion.reported_pace = self._override.reported(now_s)
 
-    def reach(self, blocks: list[Block]) -> BoolArray:
+    def reach(self, blocks: list[SimProgramBlock]) -> BoolArray:
         """Which blocks end where the robot can be; of one that was only measured nobody knows."""
         poses = np.array([block.end for block in blocks]).reshape(-1, 5)
         if self._reaching is None:

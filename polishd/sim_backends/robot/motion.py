@@ -11,21 +11,21 @@ import numpy as np
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.robot.legs import Cursor, Legs, braking, plan, rows
 from polishd.sim_backends.robot.lift import Lift, standing
-from polishd.sim_backends.robot.path import PAUSE, Limits, Path
-from polishd.sim_backends.robot.rnc import Block, Pose
+from polishd.sim_backends.robot.path import PAUSE, BlockColumns, Limits
+from polishd.sim_backends.robot.rnc import Pose, SimProgramBlock
 
 State = Literal["idle", "held", "running", "done"]
 
 
 @dataclass(slots=True)
-class Motion:
+class SimMotion:
     """The executor. ``advance(wall)`` brings it to the present; ``rows`` and ``executed`` collect what happened."""
 
     limits: Limits
     pose: Pose
     state: State = "idle"
     detail: str = ""
-    path: Path = field(init=False)
+    path: BlockColumns = field(init=False)
     until: int | None = None
     rows: list[FloatArray] = field(default_factory=list)
     """Motion since they were last taken, see ``bus.ROW``."""
@@ -57,9 +57,9 @@ class Motion:
         """Start without a program."""
         self.forget()
 
-    def load(self, program: int | Path) -> None:
+    def load(self, program: int | BlockColumns) -> None:
         """Forget the old program; expect block 0 of a new one of so many, or take one whose blocks are there."""
-        self.path = program if isinstance(program, Path) else Path(program, self.pose, self.limits)
+        self.path = program if isinstance(program, BlockColumns) else BlockColumns(program, self.pose, self.limits)
         self._cursor, self._begun_s = Cursor(), None
         self.executed, self.until, self.stopping, self._lift = [], None, "", None
         self._plan()
@@ -70,7 +70,7 @@ class Motion:
         self.load(0)
         self.state, self.detail = "idle", ""
 
-    def append(self, wall_s: float, blocks: Sequence[Block]) -> None:
+    def append(self, wall_s: float, blocks: Sequence[SimProgramBlock]) -> None:
         """Take blocks; the profile of what lies ahead is renewed when it is asked for."""
         self.advance(wall_s)
         self.path.append(blocks)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.robot.rnc import Block, Pose
+from polishd.sim_backends.robot.rnc import Pose, SimProgramBlock
 
 NONE, MOVE, DWELL, PAUSE = 0, 1, 2, 3
 _KINDS = {"none": NONE, "move": MOVE, "dwell": DWELL, "pause": PAUSE}
@@ -28,7 +28,7 @@ class Limits:
     """Process seconds per wall second while running."""
 
 
-class Path:
+class BlockColumns:
     """Columns of all blocks of the loaded program, filled as they are accepted."""
 
     def __init__(self, blocks: int, pose: Pose, limits: Limits) -> None:
@@ -48,7 +48,7 @@ class Path:
         self._direction = np.zeros((blocks, 3))
         self._last = -1
 
-    def append(self, batch: Sequence[Block]) -> None:
+    def append(self, batch: Sequence[SimProgramBlock]) -> None:
         """Take the next blocks."""
         first, count = self.accepted, len(batch)
         here = slice(first, first + count)

@@ -25,7 +25,7 @@ _LETTERS = frozenset("NGMFPXYZAC")
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class SimProgramBlock:
     """What a line means: where the tool ends, how fast (mm/s or deg/s; 0 = rapid), or how long it stands."""
 
     kind: Kind
@@ -48,11 +48,11 @@ class Reader:
     feed: float | None = None
     ended: bool = False
 
-    def read(self, line: bytes) -> Block:
+    def read(self, line: bytes) -> SimProgramBlock:
         """Understand one line; ProgramError says why not."""
         words = [] if self.ended else _words(line)
         if not words:
-            return Block("none", self.pose)
+            return SimProgramBlock("none", self.pose)
         state = _Line.of(words)
         self._modes(state)
         if "P" in state.values and 4.0 not in state.g:
@@ -63,7 +63,7 @@ class Reader:
             self.ended = True
         if any(axis in state.values for axis in AXES):
             return self._move(state)
-        return Block("pause" if 0.0 in state.m else "none", self.pose)
+        return SimProgramBlock("pause" if 0.0 in state.m else "none", self.pose)
 
     def _modes(self, line: _Line) -> None:
         for low, high, name in ((21.0, 20.0, "inch"), (90.0, 91.0, "relative"), (94.0, 93.0, "inverse")):
@@ -78,15 +78,15 @@ class Reader:
             if self.feed <= 0.0:
                 raise ProgramError("F must be above 0")
 
-    def _dwell(self, line: _Line) -> Block:
+    def _dwell(self, line: _Line) -> SimProgramBlock:
         if any(axis in line.values for axis in AXES):
             raise ProgramError("G4 beside motion")
         seconds = line.values.get("P")
         if seconds is None or seconds < 0.0:
             raise ProgramError("G4 wants P seconds, 0 or more")
-        return Block("dwell", self.pose, seconds)
+        return SimProgramBlock("dwell", self.pose, seconds)
 
-    def _move(self, line: _Line) -> Block:
+    def _move(self, line: _Line) -> SimProgramBlock:
         if line.m:
             raise ProgramError("an M word beside motion")
         if self.motion is None:
@@ -98,12 +98,12 @@ class Reader:
                 end[k] = end[k] + value if self.relative else value
         self.pose = (end[0], end[1], end[2], end[3], end[4])
         if self.motion == 0:
-            return Block("move", self.pose)
+            return SimProgramBlock("move", self.pose)
         if self.feed is None or (self.inverse and "F" not in line.values):
             raise ProgramError("G1 without F")
         if self.inverse:
-            return Block("move", self.pose, 60.0 / self.feed, inverse=True)
-        return Block("move", self.pose, self.feed * (25.4 if self.inch else 1.0) / 60.0)
+            return SimProgramBlock("move", self.pose, 60.0 / self.feed, inverse=True)
+        return SimProgramBlock("move", self.pose, self.feed * (25.4 if self.inch else 1.0) / 60.0)
 
 
 @dataclass(slots=True)

@@ -6,13 +6,13 @@ import asyncio
 import signal
 import time
 
-from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.outlet import FaultyLink
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.robot.clients import Client
-from polishd.sim_backends.robot.controller import Controller
-from polishd.sim_backends.robot.machine import Machine
-from polishd.sim_backends.runtime import Runtime
-from polishd.sim_backends.wire import Feed, Wire
+from polishd.sim_backends.robot.controller import SimRobotController
+from polishd.sim_backends.robot.machine import SimRobotBody
+from polishd.sim_backends.runtime import SimRuntime
+from polishd.sim_backends.wire import Feed, SimWire
 
 TICK_S = 0.01
 STATUS_S = 0.05
@@ -21,7 +21,7 @@ STATUS_S = 0.05
 class RobotServer:
     """Everything that the process holds."""
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: SimRuntime) -> None:
         identity = {
             "vendor": "polishd",
             "model": "simulated 3UPS-UP",
@@ -29,10 +29,10 @@ class RobotServer:
             "firmware": "1.0",
             "boot_id": runtime.boot_id,
         }
-        machine = Machine(runtime)
+        machine = SimRobotBody(runtime)
         self._machine = machine
         robot = runtime.start.config.robot
-        self.controller = Controller(robot, machine.motion, identity, machine.reach, machine.event)
+        self.controller = SimRobotController(robot, machine.motion, identity, machine.reach, machine.event)
 
     async def run(self) -> None:
         """Tick for ever."""
@@ -47,7 +47,7 @@ class RobotServer:
                 self.controller.send_status()
             await asyncio.sleep(TICK_S)
 
-    def connected(self, outlet: Outlet) -> Feed:
+    def connected(self, outlet: FaultyLink) -> Feed:
         """What takes the bytes of a client: it acts on each whole frame. Nothing moves because somebody connects."""
         client, splitter, broken = Client(outlet.send, outlet.backlog), frames.Splitter(), 0
         outlet.on_closed = lambda: self.controller.on_closed(client)
@@ -64,11 +64,11 @@ class RobotServer:
         return feed
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     server = RobotServer(runtime)
     config = runtime.start.config.robot
-    wire = Wire(runtime, server.connected)
+    wire = SimWire(runtime, server.connected)
     address = await wire.open_tcp(config.port)
     runtime.button(signal.SIGUSR1, lambda: server.controller.press("emergency stop", time.monotonic()))
     runtime.button(signal.SIGUSR2, lambda: server.controller.press("pause at the pendant", time.monotonic()))

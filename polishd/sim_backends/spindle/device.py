@@ -8,14 +8,14 @@ import time
 
 from polishd.sim_backends.can_wire import CanWire
 from polishd.sim_backends.profiled.inverter import main as inverter
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.runtime import SimRuntime
 from polishd.sim_backends.spindle.drive import Drive
 
 TICK_S = 0.01
 VENDOR_ID, PRODUCT, REVISION, SERIAL = 0x506F, 0x0101, 0x00010000, 12345
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     if runtime.start.config.spindle.kind in {"profile", "profile_tcp"}:
         return await inverter(runtime)

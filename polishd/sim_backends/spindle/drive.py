@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import Fault
+from polishd.config.simulator import FaultSection
 from polishd.sim_backends.can_hosts import Frame
 
 STOPPED, RAMPING, AT_SPEED, FAULT = range(4)
@@ -82,7 +82,7 @@ class Drive:
             self.report(("spindle_stopped", "spindle_ramping", "spindle_at_speed", "spindle_fault")[self.state], now_s)
         return list(self._due())
 
-    def suffer(self, _fault: Fault, on: bool) -> None:
+    def suffer(self, _fault: FaultSection, on: bool) -> None:
         """Two phases are exchanged, or put right."""
         self.way = -1 if on else 1
         self.samples.append((self.now_s, self.way * self.rpm))

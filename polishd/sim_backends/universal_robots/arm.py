@@ -18,7 +18,7 @@ REST: Triple = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ToolPose:
     """A pose of the tool, in the program's frame."""
 
     xyz_mm: Triple
@@ -26,11 +26,11 @@ class Place:
 
 
 @dataclass(slots=True)
-class Line:
+class LinearMove:
     """A straight way with a trapezoid of speed."""
 
-    begin: Place
-    end: Place
+    begin: ToolPose
+    end: ToolPose
     accel_mm_s2: float
     speed_mm_s: float
     done_s: float = 0.0
@@ -67,14 +67,14 @@ class Line:
 
 
 @dataclass(slots=True)
-class Arm:
+class UrArm:
     """Moved by one command at a time."""
 
-    place: Place
+    place: ToolPose
     velocity: Triple = REST
     """mm/s, wall time of the controller: with the slider."""
-    _line: Line | None = None
-    _running_out: list[Line] = field(default_factory=list)
+    _line: LinearMove | None = None
+    _running_out: list[LinearMove] = field(default_factory=list)
     """Lines that were left within their blend radius."""
     _target: Triple | None = None
     """Speed that is asked for, ..."""
@@ -82,10 +82,10 @@ class Arm:
     """... and how fast it changes."""
 
     @classmethod
-    def at(cls, pose: tuple[float, ...]) -> Arm:
+    def at(cls, pose: tuple[float, ...]) -> UrArm:
         """Standing at X Y Z A C of the plant."""
         x, y, z, a, c = pose
-        return cls(Place((x, y, z), from_wrist(a, c)))
+        return cls(ToolPose((x, y, z), from_wrist(a, c)))
 
     @property
     def stands(self) -> bool:
@@ -111,13 +111,13 @@ class Arm:
         """As URScript writes it: m and a rotation vector."""
         return [*(part / 1000.0 for part in self.place.xyz_mm), *to_vector(self.place.turn)]
 
-    def line(self, end: Place, accel_mm_s2: float, speed_mm_s: float) -> None:
+    def line(self, end: ToolPose, accel_mm_s2: float, speed_mm_s: float) -> None:
         """Go there; what is left of a line before is laid over it."""
         begin = self.place
         if self._line is not None:
             begin = self._line.end
             self._running_out.append(self._line)
-        self._line, self._target = Line(begin, end, accel_mm_s2, speed_mm_s), None
+        self._line, self._target = LinearMove(begin, end, accel_mm_s2, speed_mm_s), None
 
     def reached(self, within_mm: float = 0.0) -> bool:
         """The line is done, or left to within so much."""
@@ -149,14 +149,14 @@ class Arm:
         if self._target == REST:
             self._target = None
 
-    def _follow(self, line: Line, dt_s: float) -> None:
+    def _follow(self, line: LinearMove, dt_s: float) -> None:
         for one in (line, *self._running_out):
             one.done_s += dt_s
         self._running_out = [one for one in self._running_out if one.left_mm > 1e-9]
         at = _between(line.begin.xyz_mm, line.end.xyz_mm, line.share())
         for one in self._running_out:
             at = _minus(at, _scaled(_minus(one.end.xyz_mm, one.begin.xyz_mm), 1.0 - one.share()))
-        self.place = Place(at, between(line.begin.turn, line.end.turn, line.share()))
+        self.place = ToolPose(at, between(line.begin.turn, line.end.turn, line.share()))
         if line.done_s >= line.takes_s and not self._running_out:
             self._line = None
 
@@ -166,7 +166,7 @@ class Arm:
         share = min(1.0, self._accel * dt_s / change) if change else 1.0
         new = _plus(self.velocity, _scaled(lacking, share))
         mean = _scaled(_plus(self.velocity, new), 0.5)
-        self.place = Place(_plus(self.place.xyz_mm, _scaled(mean, dt_s)), self.place.turn)
+        self.place = ToolPose(_plus(self.place.xyz_mm, _scaled(mean, dt_s)), self.place.turn)
         self.velocity = new
         if share >= 1.0 and target == REST:
             self._target = None

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from polishd.model.errors import ProgramError
-from polishd.sim_backends.universal_robots.arm import Place
-from polishd.sim_backends.universal_robots.controls import Controls, Watchdog
-from polishd.sim_backends.universal_robots.program import Frames, Program
+from polishd.sim_backends.universal_robots.arm import ToolPose
+from polishd.sim_backends.universal_robots.controls import Controls, UrWatchdog
+from polishd.sim_backends.universal_robots.program import Frames, RunningScript
 from polishd.sim_backends.universal_robots.turning import after, from_vector, to_vector, turned
 
 
@@ -53,7 +53,7 @@ class Commands:
         }
 
     def _set_watchdog(self, name: str, rate_hz: float, action: str = "pause") -> None:
-        self.machine.watchdogs[name] = Watchdog(1.0 / rate_hz, action, self.machine.time_s)
+        self.machine.watchdogs[name] = UrWatchdog(1.0 / rate_hz, action, self.machine.time_s)
 
     def _sync(self) -> Frames:
         yield
@@ -69,7 +69,7 @@ class Commands:
 
     def _movel(self, pose: list[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Frames:
         x, y, z, *turn = pose
-        end = Place((x * 1000.0, y * 1000.0, z * 1000.0), from_vector(turn))
+        end = ToolPose((x * 1000.0, y * 1000.0, z * 1000.0), from_vector(turn))
         with _Busy(self.machine):
             yield from self._overhead()
             if t > 0.0:
@@ -110,7 +110,7 @@ class _Busy:
 
     machine: Controls
     drives: bool = True
-    program: Program | None = None
+    program: RunningScript | None = None
 
     def __enter__(self) -> None:
         self.program = self.machine.program

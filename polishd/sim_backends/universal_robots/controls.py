@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.sim_backends.faults.override import SpeedOverride
-from polishd.sim_backends.universal_robots.arm import Arm
-from polishd.sim_backends.universal_robots.program import Program
+from polishd.sim_backends.universal_robots.arm import UrArm
+from polishd.sim_backends.universal_robots.program import RunningScript
 
 STOPPING, STOPPED, PLAYING, PAUSING, PAUSED, RESUMING = range(6)
 NORMAL, PROTECTIVE_STOP, ROBOT_EMERGENCY_STOP = 1, 3, 7
@@ -20,7 +20,7 @@ Rows = list[list[float]]
 
 
 @dataclass(slots=True)
-class Watchdog:
+class UrWatchdog:
     """``rtde_set_watchdog``: an input that must be written so often."""
 
     longest_s: float
@@ -32,8 +32,8 @@ class Watchdog:
 class Controls:
     """Modes, registers, clock, arm and program: what its servers show, and what its scripts act on."""
 
-    config: Robot
-    arm: Arm
+    config: SimRobotSection
+    arm: UrArm
     frame_s: float
     overhead_s: float
     """What each motion and each wait costs beyond itself."""
@@ -61,7 +61,7 @@ class Controls:
     """Statements under way that move or wait."""
     driven_by: int = 0
     """Those of them that move the arm."""
-    watchdogs: dict[str, Watchdog] = field(default_factory=dict)
+    watchdogs: dict[str, UrWatchdog] = field(default_factory=dict)
     rows: Rows = field(default_factory=list)
     """Motion since they were last taken, see ``bus.ROW``."""
     shares: list[tuple[float, float]] = field(default_factory=list)
@@ -70,6 +70,6 @@ class Controls:
     """... and what it was then."""
     said: list[str] = field(default_factory=list)
     """``textmsg``."""
-    program: Program | None = None
+    program: RunningScript | None = None
     stops: int = 0
     """A script that was on its way in at one of them is forgotten."""

@@ -14,7 +14,7 @@ from polishd.sim_backends.universal_robots.controls import (
     RUNNING,
     STOPPED,
 )
-from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.machine import UrController
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 _SAFETY = {NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP"}
@@ -25,7 +25,7 @@ LONGEST = 1000
 class Dashboard:
     """One connection. Those that stop or pause are answered when that is done."""
 
-    machine: Machine
+    machine: UrController
     send: Callable[[bytes], None]
     later: Callable[[Callable[[], bool], Callable[[], None]], None]
     """Calls the second once the first is true."""

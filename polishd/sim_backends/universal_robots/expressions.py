@@ -22,22 +22,22 @@ _ONE: dict[type, Callable[[Any], Any]] = {ast.Not: operator.not_, ast.USub: oper
 
 
 @dataclass(slots=True)
-class Scope:
+class ScriptScope:
     """Names and their values; a routine sees those of the one that it stands in."""
 
-    outer: Scope | None = None
+    outer: ScriptScope | None = None
     values: dict[str, Any] = field(default_factory=dict)
 
     def find(self, name: str) -> Any:
         """A value."""
-        scope: Scope | None = self
+        scope: ScriptScope | None = self
         while scope is not None:
             if name in scope.values:
                 return scope.values[name]
             scope = scope.outer
         raise ProgramError(f"name '{name}' is not defined", 0)
 
-    def everywhere(self) -> Scope:
+    def everywhere(self) -> ScriptScope:
         """The outermost."""
         return self if self.outer is None else self.outer.everywhere()
 
@@ -48,7 +48,7 @@ class Values:
 
     functions: dict[str, Quick]
 
-    def of(self, node: Expression, scope: Scope) -> Any:
+    def of(self, node: Expression, scope: ScriptScope) -> Any:
         """The value."""
         match node:
             case ast.Constant():
@@ -63,13 +63,13 @@ class Values:
                 return self._indexed(node, scope)
         return self._worked_out(node, scope)
 
-    def arguments(self, call: ast.Call, scope: Scope) -> tuple[str, list[Any], dict[str, Any]]:
+    def arguments(self, call: ast.Call, scope: ScriptScope) -> tuple[str, list[Any], dict[str, Any]]:
         """What is called, and with what."""
         name = call.func.id if isinstance(call.func, ast.Name) else ""
         named = {keyword.arg or "": self.of(keyword.value, scope) for keyword in call.keywords}
         return name, [self.of(argument, scope) for argument in call.args], named
 
-    def _worked_out(self, node: Expression, scope: Scope) -> Any:
+    def _worked_out(self, node: Expression, scope: ScriptScope) -> Any:
         match node:
             case ast.BoolOp():
                 each = (self.of(part, scope) for part in node.values)
@@ -84,13 +84,13 @@ class Values:
                 return all(_TWO[type(test)](a, b) for test, a, b in pairs)
         raise ProgramError("an expression that is not known", node.lineno)
 
-    def _called(self, node: ast.Call, scope: Scope) -> Any:
+    def _called(self, node: ast.Call, scope: ScriptScope) -> Any:
         name, arguments, named = self.arguments(node, scope)
         if name not in self.functions:
             raise ProgramError(f"{name}() gives no value", 0)
         return self.functions[name](*arguments, **named)
 
-    def _indexed(self, node: ast.Subscript, scope: Scope) -> Any:
+    def _indexed(self, node: ast.Subscript, scope: ScriptScope) -> Any:
         index = self.of(node.slice, scope)
         if isinstance(node.value, ast.Name) and node.value.id == "p":
             return _pose(index)

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 
 from polishd.sim_backends.universal_robots.controls import REGISTERS
-from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.machine import UrController
 
 FORMATS = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
@@ -45,7 +45,7 @@ _NORMAL_BIT, _PROTECTIVE_BIT, _EMERGENCY_BITS = 1, 4, 0x90
 _JOINT_RUNNING = 253
 
 
-def value(machine: Machine, name: str) -> float | Sequence[float]:
+def value(machine: UrController, name: str) -> float | Sequence[float]:
     """What an output says now."""
     head, _, number = name.rpartition("_")
     if head == "output_int_register":
@@ -71,7 +71,7 @@ def value(machine: Machine, name: str) -> float | Sequence[float]:
     return known.get(name, 0)
 
 
-def _vectors(machine: Machine, name: str) -> Sequence[float] | None:
+def _vectors(machine: UrController, name: str) -> Sequence[float] | None:
     if name in {"actual_TCP_pose", "target_TCP_pose"}:
         return machine.arm.pose_m()
     if name in {"actual_TCP_speed", "target_TCP_speed"}:
@@ -82,7 +82,7 @@ def _vectors(machine: Machine, name: str) -> Sequence[float] | None:
     return [0.0] * int(kind[6]) if kind.startswith("VECTOR") else None
 
 
-def write(machine: Machine, name: str, number: float, mask: float) -> None:
+def write(machine: UrController, name: str, number: float, mask: float) -> None:
     """An input was written; ``mask`` is the last one of the same package."""
     head, _, at = name.rpartition("_")
     if head == "input_int_register":
@@ -94,7 +94,7 @@ def write(machine: Machine, name: str, number: float, mask: float) -> None:
     machine.written(name)
 
 
-def packed(machine: Machine, names: Sequence[str]) -> bytes:
+def packed(machine: UrController, names: Sequence[str]) -> bytes:
     """The values of these outputs."""
     flat: list[float] = []
     for name in names:

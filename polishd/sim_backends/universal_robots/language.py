@@ -27,21 +27,21 @@ ALLOWED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Statement:
+class ScriptStatement:
     """Where it stands: 1-based line."""
 
     line: int
 
 
 @dataclass(frozen=True, slots=True)
-class Do(Statement):
+class Do(ScriptStatement):
     """A call."""
 
     call: ast.Call
 
 
 @dataclass(frozen=True, slots=True)
-class Assign(Statement):
+class Assign(ScriptStatement):
     """``x = ...``."""
 
     name: str
@@ -50,15 +50,15 @@ class Assign(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Branches(Statement):
+class Branches(ScriptStatement):
     """``if`` and its ``elif`` and ``else``, or ``while``."""
 
-    cases: list[tuple[Expression | None, list[Statement]]]
+    cases: list[tuple[Expression | None, list[ScriptStatement]]]
     repeats: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Run(Statement):
+class RunThreadStatement(ScriptStatement):
     """``handle = run thread()``."""
 
     handle: str
@@ -66,7 +66,7 @@ class Run(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class End(Statement):
+class End(ScriptStatement):
     """``kill`` a thread, or ``join`` it."""
 
     handle: str
@@ -74,12 +74,12 @@ class End(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Routine(Statement):
+class Routine(ScriptStatement):
     """A function or a thread."""
 
     name: str
     parameters: tuple[str, ...]
-    body: list[Statement] = field(repr=False)
+    body: list[ScriptStatement] = field(repr=False)
     calls: Mapping[str, int] = field(default_factory=dict, repr=False)
     """Of the script: all that is called in it, and the line where it is first."""
     routines: frozenset[str] = frozenset()
@@ -135,9 +135,9 @@ class _Reader:
     calls: dict[str, int] = field(default_factory=dict)
     routines: set[str] = field(default_factory=set)
 
-    def body(self, stops: tuple[str, ...]) -> Generator[None, None, list[Statement]]:
+    def body(self, stops: tuple[str, ...]) -> Generator[None, None, list[ScriptStatement]]:
         """Statements up to a line that begins with one of those words, which is left; without any: to the end."""
-        found: list[Statement] = []
+        found: list[ScriptStatement] = []
         while self.at < len(self.lines):
             number, line = self.lines[self.at]
             if re.split(r"\W", line, maxsplit=1)[0] in stops:
@@ -150,7 +150,7 @@ class _Reader:
             raise ProgramError("the script breaks off: an end is missing", self.lines[-1][0])
         return found
 
-    def _statement(self, number: int, line: str) -> Generator[None, None, Statement]:
+    def _statement(self, number: int, line: str) -> Generator[None, None, ScriptStatement]:
         if match := _ROUTINE.fullmatch(line):
             self.routines.add(match[2])
             body = yield from self.body(stops=("end",))
@@ -162,7 +162,7 @@ class _Reader:
             return End(number, match[2], match[1] == "join")
         if match := _RUN.fullmatch(line):
             self.calls.setdefault(match[2], number)
-            return Run(number, match[1], match[2])
+            return RunThreadStatement(number, match[1], match[2])
         if match := _ASSIGN.fullmatch(line):
             return Assign(number, match[2], self._expression(number, match[3]), match[1] == "global")
         call = self._expression(number, line)
@@ -173,7 +173,7 @@ class _Reader:
     def _branches(self, number: int, match: re.Match[str]) -> Generator[None, None, Branches]:
         if match[1] == "elif":
             raise ProgramError("elif without if", number)
-        cases: list[tuple[Expression | None, list[Statement]]] = []
+        cases: list[tuple[Expression | None, list[ScriptStatement]]] = []
         condition: Expression | None = self._expression(number, match[2])
         while True:
             body = yield from self.body(stops=("end", "elif", "else"))

@@ -23,7 +23,7 @@ from polishd.sim_backends.universal_robots.controls import (
     Controls,
 )
 from polishd.sim_backends.universal_robots.language import parsing
-from polishd.sim_backends.universal_robots.program import Program
+from polishd.sim_backends.universal_robots.program import RunningScript
 from polishd.sim_backends.universal_robots.turning import wrist_deg
 
 RAMP_S = 0.1
@@ -33,7 +33,7 @@ LATE_S = 30.0
 
 
 @dataclass(slots=True)
-class Machine(Controls):
+class UrController(Controls):
     """What happens, frame by frame, on the controller's own clock."""
 
     def load(self, text: str) -> None:
@@ -56,7 +56,7 @@ class Machine(Controls):
             if self.stops != stops or self.safety_mode != NORMAL:
                 return
             commands = Commands(self)
-            self.program = Program(routine, commands.quick(), commands.slow())
+            self.program = RunningScript(routine, commands.quick(), commands.slow())
         except ProgramError as error:
             self.complain(int(error.args[1]), str(error.args[0]))
             return
@@ -162,7 +162,7 @@ class Machine(Controls):
         ranges = (self.config.x_mm, self.config.y_mm, self.config.z_mm)
         return any(not low <= at <= high for at, (low, high) in zip(self.arm.place.xyz_mm, ranges, strict=True))
 
-    def _run(self, program: Program) -> None:
+    def _run(self, program: RunningScript) -> None:
         try:
             program.frame()
         except ProgramError as error:

@@ -8,15 +8,15 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 from polishd.model.errors import ProgramError
-from polishd.sim_backends.universal_robots.expressions import Quick, Scope, Values
+from polishd.sim_backends.universal_robots.expressions import Quick, ScriptScope, Values
 from polishd.sim_backends.universal_robots.language import (
     Assign,
     Branches,
     Do,
     End,
     Routine,
-    Run,
-    Statement,
+    RunThreadStatement,
+    ScriptStatement,
 )
 
 Frames = Generator[None, None, None]
@@ -35,7 +35,7 @@ class Thread:
     over: bool = False
 
 
-class Program:
+class RunningScript:
     """A script from its first frame to its last. ``quick`` and ``slow`` are the functions that it may call."""
 
     def __init__(self, routine: Routine, quick: dict[str, Quick], slow: dict[str, Slow]) -> None:
@@ -47,7 +47,7 @@ class Program:
         self.line = routine.line
         """Under way, for complaints."""
         self._threads: list[Thread] = []
-        self._main = self._begin(self._body(routine.body, Scope()))
+        self._main = self._begin(self._body(routine.body, ScriptScope()))
 
     @property
     def over(self) -> bool:
@@ -67,7 +67,7 @@ class Program:
         self._threads.append(Thread(frames))
         return self._threads[-1]
 
-    def _body(self, body: Sequence[Statement], scope: Scope) -> Frames:
+    def _body(self, body: Sequence[ScriptStatement], scope: ScriptScope) -> Frames:
         for statement in body:
             self.line = statement.line
             match statement:
@@ -80,13 +80,13 @@ class Program:
                     yield from self._branches(statement, scope)
                 case Routine():
                     scope.values[statement.name] = (statement, scope)
-                case Run():
+                case RunThreadStatement():
                     routine, outer = scope.find(statement.thread)
-                    scope.values[statement.handle] = self._begin(self._body(routine.body, Scope(outer)))
+                    scope.values[statement.handle] = self._begin(self._body(routine.body, ScriptScope(outer)))
                 case End():
                     yield from self._end(scope.find(statement.handle), waits=statement.waits)
 
-    def _branches(self, statement: Branches, scope: Scope) -> Frames:
+    def _branches(self, statement: Branches, scope: ScriptScope) -> Frames:
         turns = 0
         while True:
             taken = next((body for test, body in statement.cases if test is None or self._values.of(test, scope)), None)
@@ -109,7 +109,7 @@ class Program:
             thread.over = True
             thread.frames.close()
 
-    def _do(self, call: ast.Call, scope: Scope) -> Frames:
+    def _do(self, call: ast.Call, scope: ScriptScope) -> Frames:
         name, arguments, named = self._values.arguments(call, scope)
         if name in self._slow:
             yield from self._slow[name](*arguments, **named)
@@ -117,12 +117,14 @@ class Program:
             self._values.functions[name](*arguments, **named)
         else:
             routine, outer = scope.find(name)
-            yield from self._body(routine.body, Scope(outer, dict(zip(routine.parameters, arguments, strict=True))))
+            yield from self._body(
+                routine.body, ScriptScope(outer, dict(zip(routine.parameters, arguments, strict=True)))
+            )
 
 
-def _home(scope: Scope, name: str) -> Scope:
+def _home(scope: ScriptScope, name: str) -> ScriptScope:
     """Where an assignment without ``global`` goes: to the name that is known, else here."""
-    found: Scope | None = scope
+    found: ScriptScope | None = scope
     while found is not None:
         if name in found.values:
             return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from polishd.sim_backends.universal_robots import fields
 from polishd.sim_backends.universal_robots.fields import FORMATS, INPUTS, OUTPUTS
-from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.machine import UrController
 
 HEAD = struct.Struct(">HB")
 VERSION, CONTROLLER, TEXT, DATA, SET_OUTPUTS, SET_INPUTS, START, PAUSE = b"VvMUOISP"
@@ -25,7 +25,7 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
 
 
 @dataclass(slots=True)
-class Held:
+class InputOwnership:
     """Which client writes which inputs."""
 
     by: dict[str, RtdeClient] = field(default_factory=dict)
@@ -35,8 +35,8 @@ class Held:
 class RtdeClient:
     """One connection."""
 
-    machine: Machine
-    held: Held
+    machine: UrController
+    held: InputOwnership
     send: Callable[[bytes], None]
     backlog: Callable[[], int] = lambda: 0
     outputs: tuple[str, ...] = ()

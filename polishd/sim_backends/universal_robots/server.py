@@ -13,16 +13,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from polishd.sim_backends import truth
-from polishd.sim_backends.faults.outlet import Outlet
-from polishd.sim_backends.runtime import Runtime
+from polishd.sim_backends.faults.outlet import FaultyLink
+from polishd.sim_backends.runtime import SimRuntime
 from polishd.sim_backends.universal_robots import dashboard, primary
-from polishd.sim_backends.universal_robots.arm import Arm
+from polishd.sim_backends.universal_robots.arm import UrArm
 from polishd.sim_backends.universal_robots.controls import BLOCK_REGISTER
 from polishd.sim_backends.universal_robots.dashboard import Dashboard
-from polishd.sim_backends.universal_robots.machine import Machine
-from polishd.sim_backends.universal_robots.rtde import Held, RtdeClient
+from polishd.sim_backends.universal_robots.machine import UrController
+from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
 from polishd.sim_backends.universal_robots.turning import wrist_deg
-from polishd.sim_backends.wire import Feed, Wire
+from polishd.sim_backends.wire import Feed, SimWire
 
 TICK_S = 0.004
 STATE_S = 0.1
@@ -34,17 +34,19 @@ _BLOCKS = re.compile(rf"(?:polishd_at\(|write_output_integer_register\({BLOCK_RE
 class UniversalRobotServer:
     """Everything that the process holds."""
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: SimRuntime) -> None:
         start, config = runtime.start, runtime.start.config.robot
         hidden = truth.draw(start.config.truth, start.seed)
-        arm = Arm.at(tuple(runtime.link.welcome.get("pose") or config.home))
-        self.machine = Machine(config, arm, 1.0 / config.cycle_hz, hidden.overhead_s, start.speed, time.monotonic())
+        arm = UrArm.at(tuple(runtime.link.welcome.get("pose") or config.home))
+        self.machine = UrController(
+            config, arm, 1.0 / config.cycle_hz, hidden.overhead_s, start.speed, time.monotonic()
+        )
         self.machine.complain = self.complain
         runtime.script.suffer = self.machine.override.suffer
         self._runtime = runtime
-        self._held = Held()
+        self._held = InputOwnership()
         self._rtde: list[RtdeClient] = []
-        self._primary: list[Outlet] = []
+        self._primary: list[FaultyLink] = []
         self._waiting: list[tuple[Callable[[], bool], Callable[[], None]]] = []
         self._blocks = 0
         """Of the script that was loaded last."""
@@ -80,7 +82,7 @@ class UniversalRobotServer:
             else:
                 self._waiting.append((condition, then))
 
-    def rtde(self, outlet: Outlet) -> Feed:
+    def rtde(self, outlet: FaultyLink) -> Feed:
         """A client of RTDE."""
         client = RtdeClient(self.machine, self._held, outlet.send, outlet.backlog)
         self._rtde.append(client)
@@ -92,12 +94,12 @@ class UniversalRobotServer:
         outlet.on_closed = closed
         return self._now(client.feed)
 
-    def dashboard(self, outlet: Outlet) -> Feed:
+    def dashboard(self, outlet: FaultyLink) -> Feed:
         """A client of the dashboard."""
         served = Dashboard(self.machine, outlet.send, lambda when, then: self._waiting.append((when, then)))
         return self._now(served.feed)
 
-    def primary(self, outlet: Outlet) -> Feed:
+    def primary(self, outlet: FaultyLink) -> Feed:
         """A client that sends scripts."""
         self._primary.append(outlet)
         outlet.on_closed = lambda: self._primary.remove(outlet)
@@ -166,11 +168,11 @@ class UniversalRobotServer:
         self._moved, self._seen = moved, seen
 
 
-async def main(runtime: Runtime) -> None:
+async def main(runtime: SimRuntime) -> None:
     """The device coroutine."""
     server, config = UniversalRobotServer(runtime), runtime.start.config.robot
     receivers = {"rtde": server.rtde, "dashboard": server.dashboard, "primary": server.primary}
-    wires = [Wire(runtime, receive, link) for link, receive in receivers.items()]
+    wires = [SimWire(runtime, receive, link) for link, receive in receivers.items()]
     address = await wires[0].open_tcp(config.port)
     await wires[1].open_tcp(config.dashboard_port or config.port + 1, dashboard.GREETING)
     await wires[2].open_tcp(config.primary_port or config.port + 2)

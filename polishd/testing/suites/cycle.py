@@ -7,19 +7,19 @@ from typing import Any
 import pytest
 
 from polishd.daemon.app import CellRun, run_cells
-from polishd.testing.bench import Bench
+from polishd.testing.bench import HilBench
 from polishd.testing.plugin import BENCH
 
 
 @pytest.fixture
-def cell(request: pytest.FixtureRequest) -> Bench:
+def cell(request: pytest.FixtureRequest) -> HilBench:
     """The cell that ``--cell`` names."""
-    found: Bench = request.config.stash[BENCH]
+    found: HilBench = request.config.stash[BENCH]
     return found
 
 
 @pytest.mark.polishd_cycles
-async def test_a_cycle_of_the_cells_job(cell: Bench) -> None:
+async def test_a_cycle_of_the_cells_job(cell: HilBench) -> None:
     """The cell's daemon runs one cycle of its job, from the map to the report, and comes to its end."""
     ended: Any
     (ended,) = await run_cells([CellRun(cell.config, cell.hooks)], holds=False)

@@ -9,7 +9,7 @@ import pytest
 
 from polishd.api import Device, LinkError
 from polishd.config.cell import PORTS
-from polishd.daemon.port_checks import lacking
+from polishd.daemon.port_checks import missing_members
 from polishd.testing.patience import within
 from polishd.testing.rig import Rig, cuts, mutes, rig_fixture
 from polishd.testing.waiting import until_lost
@@ -36,7 +36,7 @@ async def test_it_has_all_that_its_port_asks(any_device: AnyRig) -> None:
     """It has every member of its port, each as a coroutine function, an async generator or a property, as there."""
     ports = [port.protocol for port in PORTS.values() if isinstance(any_device.device, port.protocol)]
     assert len(ports) == 1, f"it has the members of {len(ports)} ports, not of one"
-    assert lacking(any_device.device, ports[0]) == []
+    assert missing_members(any_device.device, ports[0]) == []
 
 
 async def test_opening_changes_nothing(any_device: AnyRig) -> None:

@@ -7,18 +7,18 @@ import asyncio
 import pytest
 import pytest_asyncio
 
-from polishd.api import DeviceRefused, Loader, WrongPart
+from polishd.api import DeviceRefused, PartLoader, WrongPart
 from polishd.testing.patience import within
 from polishd.testing.rig import Rig, moves, mutes, rig_fixture
 from polishd.testing.waiting import failure_of, is_lost
 
-LoaderRig = Rig[Loader]
+LoaderRig = Rig[PartLoader]
 
 loader = rig_fixture("loader")
 
 
 @pytest_asyncio.fixture
-async def opened(loader: LoaderRig) -> Loader:
+async def opened(loader: LoaderRig) -> PartLoader:
     """An open loader."""
     await loader.device.open()
     return loader.device
@@ -33,12 +33,12 @@ async def moving(rig: LoaderRig) -> None:
 
 async def test_it_is_a_loader(loader: LoaderRig) -> None:
     """It has every member of Loader, ``times`` among them, which is known before ``open``."""
-    assert isinstance(loader.device, Loader)
+    assert isinstance(loader.device, PartLoader)
     assert min(loader.device.times.silence_s, loader.device.times.change_s, loader.device.times.stop_s) > 0.0
 
 
 @moves
-async def test_parts_are_changed(loader: LoaderRig, opened: Loader) -> None:
+async def test_parts_are_changed(loader: LoaderRig, opened: PartLoader) -> None:
     """``load`` and ``unload`` return when the loader is clear of the cell; ``loaded`` is its own word on the seat."""
     assert await opened.loaded() is None
     for part in loader.scope.parts:
@@ -50,14 +50,14 @@ async def test_parts_are_changed(loader: LoaderRig, opened: Loader) -> None:
 
 
 @moves
-async def test_an_empty_seat_is_unloaded_already(opened: Loader) -> None:
+async def test_an_empty_seat_is_unloaded_already(opened: PartLoader) -> None:
     """``unload`` of an empty seat is no error."""
     await opened.unload()
     assert await opened.loaded() is None
 
 
 @moves
-async def test_a_part_that_is_there_stays(loader: LoaderRig, opened: Loader) -> None:
+async def test_a_part_that_is_there_stays(loader: LoaderRig, opened: PartLoader) -> None:
     """``load`` of the part that is on the seat leaves it there."""
     other = loader.scope.parts[1]
     for _ in range(2):
@@ -66,7 +66,7 @@ async def test_a_part_that_is_there_stays(loader: LoaderRig, opened: Loader) -> 
 
 
 @moves
-async def test_a_part_that_it_has_not_is_the_wrong_part(loader: LoaderRig, opened: Loader) -> None:
+async def test_a_part_that_it_has_not_is_the_wrong_part(loader: LoaderRig, opened: PartLoader) -> None:
     """``load`` of a part that it has not raises WrongPart, which names the part; the seat stays empty."""
     with pytest.raises(WrongPart) as wrong:
         await opened.load(loader.scope.no_part)
@@ -75,7 +75,7 @@ async def test_a_part_that_it_has_not_is_the_wrong_part(loader: LoaderRig, opene
 
 
 @moves
-async def test_two_parts_never_come_onto_one_seat(loader: LoaderRig, opened: Loader) -> None:
+async def test_two_parts_never_come_onto_one_seat(loader: LoaderRig, opened: PartLoader) -> None:
     """``load`` while another part is on the seat raises DeviceRefused, and that one stays."""
     part, other = loader.scope.parts
     await opened.load(part)
@@ -85,7 +85,7 @@ async def test_two_parts_never_come_onto_one_seat(loader: LoaderRig, opened: Loa
 
 
 @moves
-async def test_it_is_not_safe_while_it_moves(loader: LoaderRig, opened: Loader) -> None:
+async def test_it_is_not_safe_while_it_moves(loader: LoaderRig, opened: PartLoader) -> None:
     """While it moves its status, asked beside, is not safe; afterwards it is."""
     async with asyncio.TaskGroup() as group:
         loading = group.create_task(opened.load(loader.scope.parts[0]))
@@ -95,7 +95,7 @@ async def test_it_is_not_safe_while_it_moves(loader: LoaderRig, opened: Loader) 
 
 
 @moves
-async def test_make_safe_stops_it_and_it_goes_on_from_there(loader: LoaderRig, opened: Loader) -> None:
+async def test_make_safe_stops_it_and_it_goes_on_from_there(loader: LoaderRig, opened: PartLoader) -> None:
     """``make_safe`` stops it where it is, and the call under way raises DeviceRefused; ``load`` goes on from there."""
     part = loader.scope.parts[0]
     async with asyncio.TaskGroup() as group:
@@ -111,7 +111,7 @@ async def test_make_safe_stops_it_and_it_goes_on_from_there(loader: LoaderRig, o
 
 @moves
 @mutes
-async def test_a_change_ends_with_a_silent_link(loader: LoaderRig, opened: Loader) -> None:
+async def test_a_change_ends_with_a_silent_link(loader: LoaderRig, opened: PartLoader) -> None:
     """A change on a link that falls silent raises LinkError, within ``times.silence_s``."""
     async with asyncio.TaskGroup() as group:
         loading = group.create_task(failure_of(opened.load(loader.scope.parts[0])))

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 import pytest_asyncio
 
-from polishd.api import DeviceRefused, Executed, LinkError, Plan, Robot, Segment
+from polishd.api import DeviceRefused, ExecutedBlock, LinkError, Plan, Robot, Segment
 from polishd.testing.patience import within
 from polishd.testing.plans import plan_of
 from polishd.testing.rig import Rig, cuts, fresh, moves, rig_fixture
@@ -40,12 +40,12 @@ async def loaded(rig: RobotRig, blocks: int) -> Plan:
     return plan
 
 
-async def collected(robot: Robot, from_seq: int = 0) -> list[Executed]:
+async def collected(robot: Robot, from_seq: int = 0) -> list[ExecutedBlock]:
     """All that is executed, to the end."""
     return [one async for one in robot.executed(from_seq)]
 
 
-async def first_blocks(rig: RobotRig, count: int) -> list[Executed]:
+async def first_blocks(rig: RobotRig, count: int) -> list[ExecutedBlock]:
     """So many, as soon as they are executed."""
     found = []
     async with asyncio.timeout(rig.soon_s):
@@ -56,7 +56,7 @@ async def first_blocks(rig: RobotRig, count: int) -> list[Executed]:
     return found
 
 
-async def collected_so_far(robot: Robot) -> list[Executed]:
+async def collected_so_far(robot: Robot) -> list[ExecutedBlock]:
     """What is executed within a moment."""
     found = []
     try:

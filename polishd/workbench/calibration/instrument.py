@@ -11,11 +11,11 @@ from pathlib import Path
 import typer
 
 from polishd.config.cell import CellConfig
-from polishd.config.profile import Profile, load_profile, write_system
+from polishd.config.profile import InstrumentProfile, load_profile, write_system
 from polishd.model.errors import ConfigError
-from polishd.model.instrument import Calibrated
+from polishd.model.instrument import SystemErrorRecord
 from polishd.model.surface import SurfaceMap
-from polishd.process.absolute import Pose, PoseOptions, Told, next_poses
+from polishd.process.absolute import AbsoluteTestResult, PartPose, PoseOptions, next_poses
 from polishd.process.absolute.names import name_of
 from polishd.process.absolute.poses import LEVEL, terms
 from polishd.process.instrument import as_profiled
@@ -38,7 +38,7 @@ POWER = (2, 0)
 NOISE_NM = 0.3
 """Of a map, where the profile does not say."""
 
-Take = Callable[[Sequence[Pose]], Sequence[SurfaceMap]]
+Take = Callable[[Sequence[PartPose]], Sequence[SurfaceMap]]
 """Maps of the part at each pose, in their order, as they come into the cell's folder."""
 
 
@@ -78,7 +78,7 @@ def instrument_verb(
     apart = tell_apart(surfaces, poses, options, source)
     instrument = apart.instrument
     if asked.power is not None and asked.power_sigma is not None:
-        instrument = _with_power(instrument, Told.of(apart.found), asked.power, asked.power_sigma)
+        instrument = _with_power(instrument, AbsoluteTestResult.of(apart.found), asked.power, asked.power_sigma)
     more = ["nothing was written: --dry-run"]
     if not asked.dry_run:
         stored = store(instrument, target, source)
@@ -88,19 +88,19 @@ def instrument_verb(
     apart.show(as_json=as_json, more=more)
 
 
-def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[list[Pose], dict[str, str]]:
+def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[list[PartPose], dict[str, str]]:
     """The least poses that tell the instrument's low terms, the first one as it lies; and what none tells."""
-    first = Pose(0.0)
+    first = PartPose(0.0)
     shift = SHIFT * radius_mm
-    turns = [Pose(float(angle)) for angle in range(STEP_DEG, 360, STEP_DEG)]
-    candidates = (*turns, Pose(0.0, shift, 0.0), Pose(0.0, 0.0, shift))
+    turns = [PartPose(float(angle)) for angle in range(STEP_DEG, 360, STEP_DEG)]
+    candidates = (*turns, PartPose(0.0, shift, 0.0), PartPose(0.0, 0.0, shift))
     wanted = dict.fromkeys(terms(ORDER)[LEVEL:], sigma_nm)
     found = next_poses(wanted, [first], PoseOptions(candidates, radius_mm, noise_nm))
     needs = {name_of(*term): what for term, what in found.demanded.items()}
     return [first, *found.poses], needs
 
 
-def _profile(config: CellConfig) -> Profile:
+def _profile(config: CellConfig) -> InstrumentProfile:
     """Commissioned: before that nobody knows which way a part in its maps is turned."""
     if config.profile_path is None:
         raise config.error("instrument.profile", "is missing: write one (docs/instruments.md), and commission it first")
@@ -110,7 +110,7 @@ def _profile(config: CellConfig) -> Profile:
     return profile
 
 
-def _options(config: CellConfig, profile: Profile, asked: InstrumentOptions) -> AbsoluteOptions:
+def _options(config: CellConfig, profile: InstrumentProfile, asked: InstrumentOptions) -> AbsoluteOptions:
     return AbsoluteOptions(
         profile=profile.path,
         cell=config.path,
@@ -123,7 +123,7 @@ def _options(config: CellConfig, profile: Profile, asked: InstrumentOptions) -> 
     )
 
 
-def _with_power(instrument: SurfaceMap, told: Told, power_nm: float, sigma_nm: float) -> SurfaceMap:
+def _with_power(instrument: SurfaceMap, told: AbsoluteTestResult, power_nm: float, sigma_nm: float) -> SurfaceMap:
     """The system map with the power that a reference has told, which no pose does."""
     height = instrument.height_nm + power_nm * told.shape(POWER, instrument.valid)
     step = instrument.history
@@ -136,13 +136,13 @@ def _with_power(instrument: SurfaceMap, told: Told, power_nm: float, sigma_nm: f
     return replace(instrument, height_nm=height, history=replace(step, options=options))
 
 
-def _record(profile: Profile, target: Path, sha256: str) -> None:
+def _record(profile: InstrumentProfile, target: Path, sha256: str) -> None:
     named = Path(os.path.relpath(target.absolute(), profile.path.parent.absolute())).as_posix()
     at = datetime.now(UTC).replace(microsecond=0)
-    write_system(profile.path, Calibrated(named, at, sha256, profile.sha256))
+    write_system(profile.path, SystemErrorRecord(named, at, sha256, profile.sha256))
 
 
-def _advise(config: CellConfig, profile: Profile, *, as_json: bool) -> None:
+def _advise(config: CellConfig, profile: InstrumentProfile, *, as_json: bool) -> None:
     noise = profile.instrument.repeatability_nm or NOISE_NM
     limit = min((line.limit for line in config.lines if line.bounded), default=10 * noise)
     sigma = max(2 * noise, ENOUGH * limit)

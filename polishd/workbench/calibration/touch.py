@@ -15,7 +15,7 @@ from polishd.config.cell import CellConfig
 from polishd.files import require_new, unwritable, write_atomic
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ComputeError, ConfigError
-from polishd.process.identification.confounding import told
+from polishd.process.identification.confounding import confounding_of
 from polishd.process.identification.identify import in_the_middle
 from polishd.process.identification.parameters import ABERRATIONS, usual_parameters
 from polishd.process.identification.touch import FIELD_WANTED, WANTED
@@ -23,7 +23,7 @@ from polishd.recipe import foresight
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
 from polishd.show.tables import emit, record_table, stderr
-from polishd.workbench.calibration.touch_plan import NAME, SPOTS, Touch, as_touched, plan_touch
+from polishd.workbench.calibration.touch_plan import NAME, SPOTS, FirstTouchPlan, as_touched, plan_touch
 from polishd.workbench.programs.pictures import program_picture
 
 NOT_IN_MINUTES = {"wear": "a tool wears in hours: passes tell", "exponent": "it is not told from rate and compliance"}
@@ -64,7 +64,7 @@ def touch_verb(cell: Path, out: Path, options: TouchOptions, *, as_json: bool) -
     wanted = _wanted(options.wanted)
     with stderr.status("choosing tracks"):
         touch = plan_touch(config, recipe, wanted, options.within_min * 60)
-    if refused := foresight.refusals(recipe, touch.program, hooks.check_plan):
+    if refused := foresight.precheck_plan(recipe, touch.program, hooks.check_plan):
         raise ComputeError("plan or run would refuse the touch:\n" + "\n".join(f"  {line}" for line in refused))
     rows = _rows(touch, wanted)
     complete = all(row["wanted"] is None or row["after"] <= row["wanted"] for row in rows)
@@ -102,10 +102,10 @@ def _wanted(own: Mapping[str, float]) -> dict[str, float]:
     return {**WANTED, **own}
 
 
-def _rows(touch: Touch, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
+def _rows(touch: FirstTouchPlan, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
     parameters = touch.before.parameters
     prior, learned = (in_the_middle(known, touch.seconds / 7200) for known in (touch.before, touch.after))
-    said = told(parameters, prior, learned)
+    said = confounding_of(parameters, prior, learned)
     errors = zip(parameters, np.sqrt(np.diag(prior)), np.sqrt(np.diag(learned)), strict=True)
     return [
         {
@@ -121,7 +121,7 @@ def _rows(touch: Touch, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
     ]
 
 
-def _table(touch: Touch, rows: Sequence[Mapping[str, Any]]) -> Table:
+def _table(touch: FirstTouchPlan, rows: Sequence[Mapping[str, Any]]) -> Table:
     title = f"first touch: {touch.tracks} tracks, {touch.seconds / 60:.1f} min in contact"
     cells = [
         (
@@ -151,7 +151,7 @@ def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
     ]
 
 
-def _write(config: CellConfig, out: Path, touch: Touch, answer: Mapping[str, Any], part: str) -> None:
+def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping[str, Any], part: str) -> None:
     single = JOB_TEXT.format(use="a fragment that a cell includes", part=part, program=config.relative(out / NAME))
     made = {
         NAME: touch.text,

@@ -22,10 +22,10 @@ from polishd.plugins.rnc_robot.make import path_program
 from polishd.process import motion
 from polishd.process.conditioning import process_grid
 from polishd.process.frames import directions_to_base, points_to_base
-from polishd.process.identification.forward import Forward, forward
-from polishd.process.identification.parameters import Knowledge, unlearned, usual_parameters
+from polishd.process.identification.forward import ForwardModel, forward
+from polishd.process.identification.parameters import PriorKnowledge, unlearned, usual_parameters
 from polishd.process.identification.touch import after, design
-from polishd.process.paths.tracks import BETWEEN, Joined, Track, joined
+from polishd.process.paths.tracks import BETWEEN, Joined, Track, join_tracks
 from polishd.process.paths.wrist import largest_turn_deg, tool_axes
 from polishd.process.robot import reachable
 from polishd.process.spot import HertzSpot
@@ -63,13 +63,13 @@ NAME = "touch.rnc"
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class FirstTouchPlan:
     """A planned first touch."""
 
     text: bytes
     program: Program
-    before: Knowledge
-    after: Knowledge
+    before: PriorKnowledge
+    after: PriorKnowledge
     seconds: float
     """In contact."""
     tracks: int
@@ -94,7 +94,7 @@ class _Cell:
     def joined(self, tracks: Sequence[Track]) -> tuple[Joined, FloatArray]:
         """The path over them, and its tool axes. ComputeError where the wrist cannot follow."""
         config, optic = self.config, self.config.optic()
-        path = joined(optic, tracks, config.outline().radius_mm + LANDING_MM, self.radius_mm / 2)
+        path = join_tracks(optic, tracks, config.outline().radius_mm + LANDING_MM, self.radius_mm / 2)
         dip, lean, at = config.process.dip_deg, config.compliance_options(), config.placement()
         axes = path.axes(optic, tool_axes(path.points_mm, optic, dip, lean, at))
         largest_turn_deg(axes)
@@ -119,12 +119,12 @@ class _Cell:
             raise ComputeError(f"the touch's program has {program.n} timed moves, its path {len(path.track)}")
         return text, program, path
 
-    def forward(self, program: Program, seconds: FloatArray) -> Forward:
+    def forward(self, program: Program, seconds: FloatArray) -> ForwardModel:
         """The forward model that identification would have of such a pass."""
         recipe = self.recipe
         grid = process_grid(recipe.outline, max(recipe.grid_mm, SAMPLES * self.radius_mm))
         mask = recipe.outline.contains(*grid.axes_mm, recipe.part.edge_mm)
-        request = steps.request_of(recipe, program, grid, steps.believed_at_first(recipe))
+        request = steps.request_of(recipe, program, grid, steps.initial_estimates(recipe))
         spot, reference = SPOTS[recipe.model.name](request)
         path = path_of(request, spot, reference)
         return forward(
@@ -144,7 +144,7 @@ def as_touched(recipe: Recipe) -> Recipe:
     return replace(recipe, dwell=recipe.dwell.model_copy(update={"choose": AS_PROGRAMMED, "cross_check": ""}))
 
 
-def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> Touch:
+def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> FirstTouchPlan:
     """Tracks, their times and their program, and what is expected to be known after it. ComputeError, ConfigError."""
     cell = _Cell(config, recipe, contact_radius_mm(config))
     pool = _pool(cell)
@@ -184,7 +184,7 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
             "allowed; allow more (--minutes), or want less (--want)"
         )
     learned = after(cell.forward(program, lasts), known, cell.noise_nm)
-    return Touch(text, program, known, learned, float(lasts.sum()), len(order))
+    return FirstTouchPlan(text, program, known, learned, float(lasts.sum()), len(order))
 
 
 def _pool(cell: _Cell) -> list[Track]:
@@ -207,7 +207,7 @@ def _pool(cell: _Cell) -> list[Track]:
     return [track for track, reached in zip(every, can, strict=True) if reached]
 
 
-def _without_wear(known: Knowledge) -> Knowledge:
+def _without_wear(known: PriorKnowledge) -> PriorKnowledge:
     """For the choice of tracks: none of them knows when it will be polished."""
     still = np.array([name != "wear" for name in known.names])
     return replace(known, covariance=np.where(np.outer(still, still), known.covariance, 1e-12 * np.eye(len(still))))
@@ -220,7 +220,7 @@ def _shares(path: Joined, program: Program) -> FloatArray:
     return np.where(on, program.length_mm / whole[path.track], 0.0)
 
 
-def _deepest(model: Forward, own: BoolArray) -> float:
+def _deepest(model: ForwardModel, own: BoolArray) -> float:
     """Deepest removal of a second on a track, nm."""
     return float((model.matrix(np.zeros(len(model.parameters))) @ (model.weight_s * own)).max())
 

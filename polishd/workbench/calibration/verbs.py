@@ -14,7 +14,7 @@ from rich.table import Table
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.tables import PLACE, read_columns, write_tif
 from polishd.files import write_atomic
-from polishd.model.errors import BadMap, ComputeError, ConfigError
+from polishd.model.errors import ComputeError, ConfigError, MapError
 from polishd.model.process import MeasuredTif, Projection, ToolProcess
 from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
 from polishd.process.calibration.exponent import fit_exponent
@@ -163,11 +163,11 @@ def tif_of_maps(
     before, after = (source.read(path) for path in maps)
     for path, found in zip(maps, (before, after), strict=True):
         if found.pitch_mm is None:
-            raise BadMap(f"{path}: has no lateral scale; export it with one")
+            raise MapError(f"{path}: has no lateral scale; export it with one")
         if source.instrument is not None:
             require_answered(found, source.instrument)
     if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
-        raise BadMap(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
+        raise MapError(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
     return tif_from_maps(before.height_nm, after.height_nm, before.grid.pitch_mm, seconds, **asdict(place))
 
 

@@ -12,16 +12,16 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.absolute import PlaceError, Pose, Separated, Told, separate
+from polishd.process.absolute import AbsoluteSolution, AbsoluteTestResult, PartPose, PlaceError, separate
 from polishd.process.absolute.names import families, reference_for, term_name
 from polishd.process.instrument import same_system
 from polishd.process.metrics import pv_rms
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
-from polishd.workbench.maps.files import MapSource, require_picture, shown, told_apart
-from polishd.workbench.maps.history import made
+from polishd.workbench.maps.files import MapSource, distinguish_names, printable, require_picture
+from polishd.workbench.maps.history import history_step
 from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import AbsoluteOptions
 from polishd.workbench.maps.stitch import one_pitch, require_listed
@@ -42,10 +42,10 @@ SENSELESS = "these maps fit angles of either sense: see on a mark that the part 
 
 
 @dataclass(frozen=True, slots=True)
-class Apart:
+class AbsoluteTestOutput:
     """Part and instrument, told apart."""
 
-    found: Separated
+    found: AbsoluteSolution
     instrument: SurfaceMap
     part: SurfaceMap
     answer: dict[str, Any]
@@ -75,8 +75,8 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
 
 
 def tell_apart(
-    surfaces: Sequence[SurfaceMap], poses: Sequence[Pose], asked: AbsoluteOptions, source: MapSource
-) -> Apart:
+    surfaces: Sequence[SurfaceMap], poses: Sequence[PartPose], asked: AbsoluteOptions, source: MapSource
+) -> AbsoluteTestOutput:
     """Part and instrument from maps that are read. BadMap."""
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
     pitch = one_pitch(surfaces)
@@ -90,10 +90,10 @@ def tell_apart(
         noise_nm=asked.noise,
         place=PlaceError(asked.angle_error, asked.shift_error),
     )
-    names = told_apart([one.path or f"map {number}" for number, one in enumerate(surfaces, 1)])
+    names = distinguish_names([one.path or f"map {number}" for number, one in enumerate(surfaces, 1)])
     answer = _answer(found, names, pitch)
     answer["masks"] = [{"path": str(one.path), "masks": mask_records(one)} for one in surfaces if one.masks]
-    return Apart(found, *_made(surfaces, names, found, source), answer)
+    return AbsoluteTestOutput(found, *_made(surfaces, names, found, source), answer)
 
 
 def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapSource) -> None:
@@ -105,7 +105,7 @@ def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapS
     require_picture(asked.picture)
 
 
-def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[Pose]:
+def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
     """Of each file, from the options or from the list; where there are no files, as many as there are angles."""
     if (asked.angles is None) == (asked.at is None) or (asked.at is not None and asked.shifts is not None):
         raise typer.BadParameter(
@@ -116,14 +116,14 @@ def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[Pose]:
 
         listed = read_poses(asked.at)
         require_listed(files, listed, asked.at, "file,angle_deg")
-        return [Pose(*listed[path.name]) for path in files]
+        return [PartPose(*listed[path.name]) for path in files]
     count = len(files) or len((asked.angles or "").split(","))
     angles = _numbers("--angles", asked.angles or "", count)
     words = (asked.shifts or ":".join(["0,0"] * count)).split(":")
     if len(words) != count:
         raise typer.BadParameter(f"--shifts has {len(words)} shifts for {count} maps: x,y of each, with : between")
     shifts = [_numbers("--shifts", word, 2) for word in words]
-    return [Pose(angle, *shift) for angle, shift in zip(angles, shifts, strict=True)]
+    return [PartPose(angle, *shift) for angle, shift in zip(angles, shifts, strict=True)]
 
 
 def _numbers(option: str, text: str, count: int) -> list[float]:
@@ -147,11 +147,11 @@ def _require_one_instrument(surfaces: Sequence[SurfaceMap]) -> None:
     first = surfaces[0]
     for one in surfaces:
         if one.instrument and first.instrument and not same_system(one.instrument, first.instrument):
-            raise BadMap(f"{one.path} is of the instrument {one.instrument!r}, {first.path} of {first.instrument!r}: "
+            raise MapError(f"{one.path} is of the instrument {one.instrument!r}, {first.path} of {first.instrument!r}: "
                          "each has an error of its own; name maps of one")  # fmt: skip
 
 
-def _answer(found: Separated, names: Sequence[str], pitch_mm: float) -> dict[str, Any]:
+def _answer(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> dict[str, Any]:
     design, solution = found.design, found.solution
     rows, columns = found.instrument_nm.shape
     row, column, _ = found.circle_px
@@ -196,7 +196,7 @@ def _figures(height_nm: FloatArray) -> dict[str, Any]:
     return {"samples": int(np.count_nonzero(there)), "pv_nm": pv, "rms_nm": rms}
 
 
-def _notes(found: Separated, names: Sequence[str], pitch_mm: float) -> list[str]:
+def _notes(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> list[str]:
     notes = [MOUNT]
     if any(pose.x_mm or pose.y_mm for pose in found.design.poses):
         notes.append(SHIFTED)
@@ -214,7 +214,7 @@ def _notes(found: Separated, names: Sequence[str], pitch_mm: float) -> list[str]
 
 
 def _made(
-    surfaces: Sequence[SurfaceMap], names: Sequence[str], found: Separated, source: MapSource
+    surfaces: Sequence[SurfaceMap], names: Sequence[str], found: AbsoluteSolution, source: MapSource
 ) -> tuple[SurfaceMap, SurfaceMap]:
     """Instrument and part with what is known of the first map, as new as the newest."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
@@ -227,10 +227,10 @@ def _made(
     inputs = [("map", one) for one in surfaces]
     instrument = replace(whole, part_id="").with_height(found.instrument_nm)
     part = whole.with_height(found.part_nm)
-    own = {"result": "instrument", "without": unknown, "told": Told.of(found).facts()}
+    own = {"result": "instrument", "without": unknown, "told": AbsoluteTestResult.of(found).facts()}
     return (
-        made(instrument, "absolute", inputs, source, found.uncertainty_nm, **said, **own),
-        made(part, "absolute", inputs, source, **said, result="part", holds_of_the_instrument=unknown),
+        history_step(instrument, "absolute", inputs, source, found.uncertainty_nm, **said, **own),
+        history_step(part, "absolute", inputs, source, **said, result="part", holds_of_the_instrument=unknown),
     )
 
 
@@ -266,7 +266,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
     needs = dict.fromkeys(answer["demanded"].values())
     wanted = {what: [name for name, need in answer["demanded"].items() if need == what] for what in needs}
     lines = [
-        *mask_lines(told_apart([record["path"] for record in masked]), masked),
+        *mask_lines(distinguish_names([record["path"] for record in masked]), masked),
         *figures,
         f"terms that neither explains, nm RMS: {left}",
         f"noise {answer['noise_nm']:.4f} nm a sample",
@@ -274,7 +274,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         f"unknown, and left in the part: {unknown}",
         f"and of waves above order {answer['order']} {answer['hidden_share']:.0%} in square, {rest:.3f} nm RMS",
         *(f"to be told by {what}: {', '.join(names)}" for what, names in wanted.items()),
-        *(f"note: {shown(note)}" for note in answer["notes"]),
+        *(f"note: {printable(note)}" for note in answer["notes"]),
     ]
     stored = [line for what in ("instrument", "part") if "out" in answer[what] for line in stored_lines(answer[what])]
     return [*lines, *stored]

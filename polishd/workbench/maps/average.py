@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.process import metrics
 from polishd.process.instrument import same_system
-from polishd.process.repeats import Repeats, average
+from polishd.process.repeats import AverageResult, average
 from polishd.show.tables import emit, record_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
-from polishd.workbench.maps.files import MapSource, require_picture, shown, told_apart, warnings
-from polishd.workbench.maps.history import made, uncertainty_nm
+from polishd.workbench.maps.files import MapSource, distinguish_names, printable, require_picture, warnings
+from polishd.workbench.maps.history import history_step, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import AverageOptions
 from polishd.workbench.maps.subtract import draw_maps, less
@@ -56,7 +56,7 @@ def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool)
     if asked.out is not None:
         roles = ["left out" if name in found.rejected else "repeat" for name in found.names]
         inputs = [*zip(roles, read, strict=True), *([] if error is None else [("system error", error)])]
-        stored = store(made(mean, "average", inputs, source, known_nm, mixed=mixed), asked.out, source)
+        stored = store(history_step(mean, "average", inputs, source, known_nm, mixed=mixed), asked.out, source)
         answer |= stored | {"notes": [*notes, *stored["notes"]]}
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
     if asked.picture is not None:
@@ -67,10 +67,10 @@ def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool)
 def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
     parts = sorted({surface.part_id for surface in surfaces if surface.part_id})
     if len(parts) > 1:
-        raise BadMap(f"the maps are of several parts: {', '.join(parts)}; name repeats of one measurement")
+        raise MapError(f"the maps are of several parts: {', '.join(parts)}; name repeats of one measurement")
 
 
-def _mean_map(surfaces: Sequence[SurfaceMap], found: Repeats) -> SurfaceMap:
+def _mean_map(surfaces: Sequence[SurfaceMap], found: AverageResult) -> SurfaceMap:
     """The mean with what is known of the first map; as new as the newest, and of no instrument where of several."""
     names = [surface.instrument for surface in surfaces if surface.instrument]
     times = [surface.measured_at for surface in surfaces if surface.measured_at is not None]
@@ -90,7 +90,7 @@ def _without_system(
     for surface in surfaces:
         named = surface.instrument and error.instrument
         if named and not mixed and not same_system(surface.instrument, error.instrument):
-            raise BadMap(f"{surface.path} is of the instrument {surface.instrument!r}, the system error {error.path} "
+            raise MapError(f"{surface.path} is of the instrument {surface.instrument!r}, the system error {error.path} "
                          f"of {error.instrument!r}; name its own, or say --mixed")  # fmt: skip
     unnamed = replace(error, part_id="")  # it was measured with another part, a reference: that is no news
     found = [less(surface, unnamed) for surface in surfaces]
@@ -121,20 +121,20 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
     known = f"{answer['sample_uncertainty_nm']:.4f} nm (median standard error)"
     masked = answer["masks"]
     lines = [
-        *mask_lines(told_apart([record["path"] for record in masked]), masked),
+        *mask_lines(distinguish_names([record["path"] for record in masked]), masked),
         f"RMS of the mean, tilt removed: {mean} over {samples} samples",
         f"a sample is known to {known}; {rejected} single samples were left out",
         *_system_lines(answer["system"]),
     ]
     if "out" in answer:
         return lines + stored_lines(answer)
-    return [*lines, *(f"note: {shown(note)}" for note in answer["notes"]), "not written: --out MEAN.x3p would"]
+    return [*lines, *(f"note: {printable(note)}" for note in answer["notes"]), "not written: --out MEAN.x3p would"]
 
 
 def _system_lines(system: Mapping[str, Any] | None) -> list[str]:
     if system is None:
         return []
-    name = shown(Path(system["path"]).name)
+    name = printable(Path(system["path"]).name)
     lines = [f"less the system error {name}, of {system['rms_nm']:.4f} nm RMS (its tilt removed)"]
     if system["with_mean_nm"] is None:
         lines.append("how sure that is its file does not say: a mean of repeats, written by average, does")

@@ -9,25 +9,25 @@ from pathlib import Path
 
 from rich.table import Table
 
-from polishd.config.profile import Profile, load_profile, write_commissioned
-from polishd.model.errors import BadMap, ConfigError
-from polishd.model.instrument import Commissioned
+from polishd.config.profile import InstrumentProfile, load_profile, write_commissioned
+from polishd.model.errors import ConfigError, MapError
+from polishd.model.instrument import CommissioningRecord
 from polishd.model.surface import SurfaceMap
-from polishd.process.commissioning import Proof, artefact_heights, prove
+from polishd.process.commissioning import ProfileProof, artefact_heights, prove
 from polishd.show.tables import emit, key_table
-from polishd.workbench.maps.files import MapSource, require_picture, shown
+from polishd.workbench.maps.files import MapSource, printable, require_picture
 from polishd.workbench.maps.masks import mask_lines, mask_records
 
 
 @dataclass(frozen=True, slots=True)
-class Proved:
+class CommissioningResult:
     """A profile, the map that proves it, and how well."""
 
-    profile: Profile
+    profile: InstrumentProfile
     surface: SurfaceMap
     """As the profile turns and scales it."""
-    proof: Proof
-    record: Commissioned
+    proof: ProfileProof
+    record: CommissioningRecord
 
 
 def commission_verb(
@@ -50,7 +50,7 @@ def commission_verb(
     facts = {"profile": str(profile), **asdict(proved.proof), **asdict(proved.record)}
     facts["at"] = proved.record.at.isoformat()
     facts["masks"] = mask_records(proved.surface)
-    emit(facts, as_json=as_json, table=lambda: _table(proved), lines=mask_lines([shown(surface.name)], [facts]))
+    emit(facts, as_json=as_json, table=lambda: _table(proved), lines=mask_lines([printable(surface.name)], [facts]))
 
 
 def prove_profile(
@@ -59,7 +59,7 @@ def prove_profile(
     out: Path | None = None,
     cell: Path | None = None,
     masks: Sequence[str] | None = None,
-) -> Proved:
+) -> CommissioningResult:
     """Prove a profile by a map of its artefact, and write the record into its file; arguments, errors: the verb's."""
     given = load_profile(profile)
     if not given.bumps:
@@ -67,12 +67,12 @@ def prove_profile(
     seen = MapSource.of(cell, profile, None, masks, partly=False, system=False).read(surface)
     try:
         proof = prove(seen, given.bumps)
-    except BadMap as error:
+    except MapError as error:
         _draw(out, given, seen, "As it is seen: not proved")
-        raise BadMap(f"{surface}: {error}") from error
+        raise MapError(f"{surface}: {error}") from error
     except ConfigError as error:
         raise ConfigError(f"{profile}: {error}") from error
-    record = Commissioned(
+    record = CommissioningRecord(
         at=datetime.now(UTC).replace(microsecond=0),
         artefact=given.artefact,
         map_sha256=seen.sha256,
@@ -82,10 +82,10 @@ def prove_profile(
     )
     _draw(out, given, seen, f"As it is seen: correlates {proof.correlation:.3f}, next {proof.next_best:.3f}")
     write_commissioned(profile, record)
-    return Proved(given, seen, proof, record)
+    return CommissioningResult(given, seen, proof, record)
 
 
-def _table(proved: Proved) -> Table:
+def _table(proved: CommissioningResult) -> Table:
     proof = proved.proof
     x, y, turn = (round(value, 2) + 0.0 for value in (*proof.shift_mm, proof.turn_deg))  # + 0.0: no "-0.00"
     rows = (
@@ -100,7 +100,7 @@ def _table(proved: Proved) -> Table:
     return key_table(f"{proved.profile.instrument.name}: commissioned", rows)
 
 
-def _draw(out: Path | None, profile: Profile, seen: SurfaceMap, title: str) -> None:
+def _draw(out: Path | None, profile: InstrumentProfile, seen: SurfaceMap, title: str) -> None:
     if out is None or seen.pitch_mm is None or not seen.valid.any():
         return
     from polishd.show.style import save_picture

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process import metrics
 from polishd.process.plausible import SAME_PITCH
@@ -17,12 +17,12 @@ from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.figures import HEIGHTS, band_records, heights_nm
 from polishd.workbench.maps.files import (
     MapSource,
+    distinguish_names,
     draw,
     edges_mm,
     or_dash,
+    printable,
     require_picture,
-    shown,
-    told_apart,
     warnings,
 )
 from polishd.workbench.maps.masks import mask_lines, mask_records
@@ -92,7 +92,7 @@ def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
     heights = (before.height_nm, after.height_nm)
     if pitch is None or other is None:
         if not same_shape:
-            raise BadMap(f"{after.path}: has not the samples of {before.path}, and one has no lateral scale; "
+            raise MapError(f"{after.path}: has not the samples of {before.path}, and one has no lateral scale; "
                          "give the instrument's --profile")  # fmt: skip
         if pitch is not other:
             notes.append("one map has no lateral scale: the other's is taken for both")
@@ -119,11 +119,11 @@ def _common_mask(before: SurfaceMap, after: SurfaceMap, heights: tuple[FloatArra
     valid = [np.isfinite(height) for height in heights]
     both = np.asarray(valid[0] & valid[1])
     if np.count_nonzero(both) < max(1.0, LEAST_COMMON * min(np.count_nonzero(one) for one in valid)):
-        raise BadMap(f"{after.path}: shares only {np.count_nonzero(both)} samples with {before.path}: another part, "
+        raise MapError(f"{after.path}: shares only {np.count_nonzero(both)} samples with {before.path}: another part, "
                      "or another place on it")  # fmt: skip
     mask = metrics.trimmed(both, trim)
     if not mask.any():
-        raise BadMap(f"{after.path}: nothing is left of what it shares with {before.path}; --trim less")
+        raise MapError(f"{after.path}: nothing is left of what it shares with {before.path}; --trim less")
     return mask
 
 
@@ -173,7 +173,7 @@ def _psd(spectra: Mapping[str, metrics.RadialPsd]) -> dict[str, Any]:
 
 
 def _show(answer: Mapping[str, Any], lines: Mapping[str, Line], *, as_json: bool) -> None:
-    names = told_apart([answer[side]["path"] for side in SIDES])
+    names = distinguish_names([answer[side]["path"] for side in SIDES])
     change = answer["change_percent"]
     rows = [
         (words, or_dash(was, ".3f"), or_dash(now, ".3f"), or_dash(change[key], "+.2f"))
@@ -182,6 +182,6 @@ def _show(answer: Mapping[str, Any], lines: Mapping[str, Line], *, as_json: bool
     notes = [f"over the {answer['samples']} samples that both have"]
     both = [answer[side] for side in SIDES]
     notes += [*mask_lines(names, both), *warnings(names, both)]
-    notes += [f"note: {shown(note)}" for note in answer["notes"]]
+    notes += [f"note: {printable(note)}" for note in answer["notes"]]
     title, columns = " to ".join(names), ("nm", *SIDES, "change, %")
     emit(answer, as_json=as_json, table=lambda: figure_table(title, columns, rows), lines=notes)

@@ -11,12 +11,12 @@ import numpy as np
 import typer
 
 from polishd.files import write_atomic
-from polishd.model.errors import BadMap, ConfigError, SurfaceError
+from polishd.model.errors import ConfigError, MapError, SurfaceError
 from polishd.model.surface import SurfaceMap
 from polishd.process.instrument import same_system
 from polishd.show.tables import emit
-from polishd.workbench.maps.files import MapSource, shown
-from polishd.workbench.maps.history import made, uncertainty_nm
+from polishd.workbench.maps.files import MapSource, printable
+from polishd.workbench.maps.history import history_step, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import WriteOptions
 
@@ -32,8 +32,10 @@ def convert_verb(file: Path, target: Path, asked: WriteOptions, *, as_json: bool
     require_target(target, [file], source, force=asked.force)
     surface = source.read(file)
     answer = {"path": str(file), "format": surface.format, "masks": mask_records(surface)}
-    answer |= store(made(surface, "convert", [("map", surface)], source, uncertainty_nm(surface)), target, source)
-    lines = [*mask_lines([shown(file.name)], [answer]), *stored_lines(answer)]
+    answer |= store(
+        history_step(surface, "convert", [("map", surface)], source, uncertainty_nm(surface)), target, source
+    )
+    lines = [*mask_lines([printable(file.name)], [answer]), *stored_lines(answer)]
     emit(answer, as_json=as_json, lines=lines)
 
 
@@ -59,7 +61,9 @@ def _writer(target: Path, source: MapSource) -> tuple[str, Callable[[SurfaceMap]
     writers = {suffix: (reader.name, reader.write) for reader in asked if reader.write for suffix in reader.suffixes}
     writer = writers.get(target.suffix.lower())
     if writer is None:
-        raise typer.BadParameter(f"{shown(target)}: the ending says the format, one of {', '.join(sorted(writers))}")
+        raise typer.BadParameter(
+            f"{printable(target)}: the ending says the format, one of {', '.join(sorted(writers))}"
+        )
     return writer
 
 
@@ -69,7 +73,7 @@ def store(surface: SurfaceMap, target: Path, source: MapSource) -> dict[str, Any
     try:
         content = write(surface)
     except SurfaceError as error:
-        raise BadMap(f"{target}: {name} cannot hold this map: {error}") from error
+        raise MapError(f"{target}: {name} cannot hold this map: {error}") from error
     back = _read_back(content, target, source)
     change_nm = require_same(surface, back, target)
     try:
@@ -89,20 +93,20 @@ def store(surface: SurfaceMap, target: Path, source: MapSource) -> dict[str, Any
 def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
     """Largest change of a height, nm; BadMap where what was read back is another map, or says more than it knows."""
     if back.height_nm.shape != surface.height_nm.shape or not np.array_equal(back.valid, surface.valid):
-        raise BadMap(f"{target}: the format does not hold the map's shape or its missing samples; take another")
+        raise MapError(f"{target}: the format does not hold the map's shape or its missing samples; take another")
     pitch, other = surface.pitch_mm, back.pitch_mm
     if (pitch is None) != (other is None) or not np.isclose(pitch or 0.0, other or 0.0, rtol=WITHIN, atol=0.0):
-        raise BadMap(f"{target}: the format does not hold a pitch of {pitch} mm, but {other}; take another")
+        raise MapError(f"{target}: the format does not hold a pitch of {pitch} mm, but {other}; take another")
     invented = sorted(surface.unsaid - back.unsaid)
     if invented:
-        raise BadMap(
+        raise MapError(
             f"{target}: the map does not say its {' and '.join(invented)}, and in this format would seem to; "
             "give the instrument's --profile"
         )
     heights = surface.height_nm[surface.valid]
     change = float(np.abs(back.height_nm[surface.valid] - heights).max())
     if not change <= max(WITHIN_NM, WITHIN * float(np.ptp(heights))):
-        raise BadMap(f"{target}: heights would change by up to {change:.3g} nm in this format; take another")
+        raise MapError(f"{target}: heights would change by up to {change:.3g} nm in this format; take another")
     return change
 
 
@@ -114,7 +118,7 @@ def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
         try:
             return MapSource(source.readers, tuple(source.readers.values())).read(trial)
         except SurfaceError as error:
-            raise BadMap(f"{target}: what would be written does not read back: {error}") from error
+            raise MapError(f"{target}: what would be written does not read back: {error}") from error
 
 
 def _notes(surface: SurfaceMap, back: SurfaceMap, *, profiled: bool) -> list[str]:
@@ -147,6 +151,6 @@ def stored_lines(answer: Mapping[str, Any]) -> list[str]:
     """For people."""
     changed = f"heights within {answer['largest_change_nm']:.2g} nm" if answer["largest_change_nm"] else "heights exact"
     return [
-        f"written to {shown(answer['out'])} ({answer['out_format']}, {answer['bytes']} bytes); read back: {changed}",
+        f"written to {printable(answer['out'])} ({answer['out_format']}, {answer['bytes']} bytes); read back: {changed}",
         *(f"note: {note}" for note in answer["notes"]),
     ]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from polishd.model.errors import BadMap, SurfaceError
+from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process import metrics
 from polishd.workbench.maps.files import band_names
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Figured:
+class MapFigures:
     """A map with its figures, and the arrays that they are of."""
 
     surface: SurfaceMap
@@ -39,7 +39,7 @@ class Figured:
     answer: dict[str, Any]
 
 
-def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: metrics.Removal = "tilt") -> Figured:
+def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: metrics.Removal = "tilt") -> MapFigures:
     """All figures of a map.
 
     Args:
@@ -54,7 +54,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: m
     height, pitch = surface.height_nm, surface.pitch_mm
     mask = metrics.trimmed(surface.valid, trim)
     if not mask.any():
-        raise BadMap(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
+        raise MapError(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
     level = metrics.without(height, mask, alignment)
     bands = () if pitch is None else metrics.split_bands(level, mask, pitch, edges)
     answer = {
@@ -78,7 +78,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: m
         **_more(level, mask, pitch),
         **_origin(surface),
     }
-    return Figured(surface, mask, level, bands, answer)
+    return MapFigures(surface, mask, level, bands, answer)
 
 
 def heights_nm(height_nm: FloatArray, level_nm: FloatArray, mask: BoolArray) -> dict[str, float]:

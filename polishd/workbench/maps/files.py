@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from polishd.hookspecs import SurfaceReader
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.plugins.interferometer.formats.scales import IN_UNITS, NO_PITCH, nm_per, pitch
@@ -112,9 +112,9 @@ class MapSource:
         try:
             odd = path.exists() and not path.is_file()
         except OSError as error:  # a name that is too long, a folder that may not be entered
-            raise BadMap(f"{path}: cannot be read: {error.strerror}; name a map file") from error
+            raise MapError(f"{path}: cannot be read: {error.strerror}; name a map file") from error
         if odd:
-            raise BadMap(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
+            raise MapError(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
         surface = read_map(path, self.asked)
         if self.units is not None:
             surface = _in_units(surface, *self.units)
@@ -231,10 +231,10 @@ def draw(out: Path, picture: bytes, *, as_json: bool) -> None:
 
     save_picture(out, picture)
     if not as_json:
-        stdout.print(f"drawn in {shown(out)}", markup=False)
+        stdout.print(f"drawn in {printable(out)}", markup=False)
 
 
-def shown(path: object) -> str:
+def printable(path: object) -> str:
     """A path for people: what is no UTF-8 in it is escaped."""
     return str(path).encode("utf-8", "backslashreplace").decode()
 
@@ -247,21 +247,21 @@ def or_dash(value: float | None, form: str, unit: str = "") -> str:
 def warnings(names: Sequence[str], answers: Sequence[Mapping[str, Any]]) -> list[str]:
     """What is to be known of each map, for people."""
     return [
-        f"warning: {name}: {shown(warning)}"
+        f"warning: {name}: {printable(warning)}"
         for name, answer in zip(names, answers, strict=True)
         for warning in answer["warnings"]
     ]
 
 
-def told_apart(paths: Sequence[object]) -> list[str]:
+def distinguish_names(paths: Sequence[object]) -> list[str]:
     """Short names for people: of each path the fewest last parts that tell all of them apart."""
     parts = [Path(str(path)).parts for path in paths]
     names = list(map(str, paths))
     for depth in range(1, max(map(len, parts), default=0)):
         tails = [str(Path(*own[-depth:])) for own in parts]
         if len(set(tails)) == len(set(names)):
-            return list(map(shown, tails))
-    return list(map(shown, names))
+            return list(map(printable, tails))
+    return list(map(printable, names))
 
 
 def band_names(count: int) -> Sequence[str]:

@@ -9,13 +9,13 @@ from typing import Any
 from polishd import __version__
 from polishd.model.map_history import MapInput, MapStep
 from polishd.model.surface import SurfaceMap
-from polishd.workbench.maps.files import MapSource, shown
+from polishd.workbench.maps.files import MapSource, printable
 
 SHORT = 12
 """Digits of a hash that are shown to people."""
 
 
-def made(
+def history_step(
     surface: SurfaceMap,
     verb: str,
     inputs: Sequence[tuple[str, SurfaceMap]],
@@ -64,9 +64,9 @@ def history_rows(step: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
         return
     options = ", ".join(f"{key} {_words(value)}" for key, value in step["options"].items())
     known = "" if step["uncertainty_nm"] is None else f"; a sample known to {step['uncertainty_nm']:.4g} nm"
-    yield f"made by {step['verb']}", shown(f"polishd {step['version']}{f'; {options}' if options else ''}{known}")
+    yield f"made by {step['verb']}", printable(f"polishd {step['version']}{f'; {options}' if options else ''}{known}")
     for one in step["inputs"]:
-        yield f"  {one['role']}", shown(f"{one['name']}, sha256 {one['sha256'][:SHORT]}")
+        yield f"  {one['role']}", printable(f"{one['name']}, sha256 {one['sha256'][:SHORT]}")
         for word, text in history_rows(one["history"]):
             yield f"    {word}", text
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import typer
 
-from polishd.model.errors import BadMap, ComputeError
+from polishd.model.errors import ComputeError, MapError
 from polishd.model.outline import Circle, Outline, hexagon, rectangle
 from polishd.model.surface import BoolArray, FloatArray, MaskCount, SurfaceMap
 from polishd.process.plausible import SAME_PITCH
@@ -68,7 +68,7 @@ class Mask:
             ny, nx = surface.height_nm.shape
             found = self.what(np.arange(float(nx))[None, :], np.arange(float(ny))[:, None])
         elif surface.pitch_mm is None:
-            raise BadMap(f"{surface.path}: has no lateral scale for --mask {self.text}; give the instrument's "
+            raise MapError(f"{surface.path}: has no lateral scale for --mask {self.text}; give the instrument's "
                          f"--profile, or the mask in pixels: px:{self.text.removeprefix('not:')}")  # fmt: skip
         else:
             found = self.what(*surface.grid.axes_mm)
@@ -85,11 +85,11 @@ def masked(surface: SurfaceMap, masks: Sequence[Mask]) -> SurfaceMap:
         held = mask.holds(surface) & valid
         counts.append(MaskCount(mask.text, int(np.count_nonzero(held)), int(np.count_nonzero(valid))))
         if not held.any():
-            raise BadMap(f"{surface.path}: --mask {mask.text} holds none of its {counts[-1].of} samples with data; "
+            raise MapError(f"{surface.path}: --mask {mask.text} holds none of its {counts[-1].of} samples with data; "
                          f"{_size(surface)}")  # fmt: skip
         left &= held
     if not left.any():
-        raise BadMap(f"{surface.path}: no sample with data lies in all of the {len(masks)} masks; use fewer")
+        raise MapError(f"{surface.path}: no sample with data lies in all of the {len(masks)} masks; use fewer")
     return replace(surface, height_nm=np.where(left, surface.height_nm, np.nan), masks=(*surface.masks, *counts))
 
 
@@ -154,7 +154,7 @@ def _valid_on(surface: SurfaceMap, other: SurfaceMap) -> BoolArray:
     if same_shape and (pitch is None or its is None or abs(its - pitch) <= SAME_PITCH * pitch):
         return other.valid
     if pitch is None or its is None:
-        raise BadMap(f"{other.path}: as a mask it has not the samples of {surface.path}, and one of both has no "
+        raise MapError(f"{other.path}: as a mask it has not the samples of {surface.path}, and one of both has no "
                      "lateral scale; give the instrument's --profile")  # fmt: skip
     ny, nx = other.height_nm.shape
     row = np.rint((other.grid.y_mm[0] - surface.grid.y_mm) / its).astype(np.int64)

@@ -25,8 +25,8 @@ from polishd.show.style import (
     polishd_style,
     ruled,
 )
-from polishd.workbench.maps.figures import Figured
-from polishd.workbench.maps.files import shown, told_apart
+from polishd.workbench.maps.figures import MapFigures
+from polishd.workbench.maps.files import distinguish_names, printable
 
 PANEL_IN = 2.7
 ACROSS = 4
@@ -37,9 +37,9 @@ LEAST_NM = 1e-6
 """Below this heights are rounding errors, which are not to be looked at."""
 
 
-def figures_picture(maps: Sequence[Figured]) -> bytes:
+def figures_picture(maps: Sequence[MapFigures]) -> bytes:
     """PNG: of each map a row with heights, spectrum and histogram, and one with its bands."""
-    names = told_apart(["map" if found.surface.path is None else found.surface.path for found in maps])
+    names = distinguish_names(["map" if found.surface.path is None else found.surface.path for found in maps])
     across = max(ACROSS, *(len(found.bands_nm) for found in maps))
     rows = [1 if found.surface.pitch_mm is None else 2 for found in maps]
     with polishd_style():
@@ -52,7 +52,7 @@ def figures_picture(maps: Sequence[Figured]) -> bytes:
         return png(page)
 
 
-def _heights(row: Sequence[Axes], found: Figured, name: str) -> None:
+def _heights(row: Sequence[Axes], found: MapFigures, name: str) -> None:
     answer, pitch = found.answer, found.surface.pitch_mm
     whole, level = (_words(answer[f"pv{what}_nm"], answer[f"rms{what}_nm"]) for what in ("", "_tilt_removed"))
     _panel(row[0], found.surface.height_nm, pitch, f"{_short(name)}\n{whole}")
@@ -69,7 +69,7 @@ def _heights(row: Sequence[Axes], found: Figured, name: str) -> None:
         ax.set_axis_off()
 
 
-def _bands(row: Sequence[Axes], found: Figured, pitch_mm: float) -> None:
+def _bands(row: Sequence[Axes], found: MapFigures, pitch_mm: float) -> None:
     for ax, band, record in zip(row, found.bands_nm, found.answer["bands"], strict=False):
         if record["rms_nm"] is None:
             _empty(ax, f"{record['name']}\nshorter than two pixels")
@@ -261,4 +261,4 @@ def _empty(ax: Axes, words: str) -> None:
 
 
 def _short(name: str) -> str:
-    return shown(name) if len(name) <= 24 else f"{name[:10]}...{name[-11:]}"
+    return printable(name) if len(name) <= 24 else f"{name[:10]}...{name[-11:]}"

@@ -13,9 +13,9 @@ from polishd.model.errors import ConfigError, SurfaceError
 from polishd.show.tables import json_line, stdout
 from polishd.show.terminal import say
 from polishd.workbench.maps.figures import figured
-from polishd.workbench.maps.files import MapSource, edges_mm, shown
+from polishd.workbench.maps.files import MapSource, edges_mm, printable
 from polishd.workbench.maps.options import ReportOptions
-from polishd.workbench.maps.report_figures import Asked, Reported, reported
+from polishd.workbench.maps.report_figures import MapReportData, MapReportOptions, reported
 
 ENDINGS = (".html", ".pdf")
 
@@ -27,7 +27,7 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
         raise ConfigError(f"{asked.out}: a report is an HTML or a PDF file; name it *.html or *.pdf")
     source = MapSource.by(asked)
     wanted = _wanted(asked, source)
-    found: list[Reported] = []
+    found: list[MapReportData] = []
     for file in files:
         try:
             found.append(reported(figured(source.read(file), asked.trim, edges), wanted))
@@ -42,8 +42,8 @@ def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -
         raise typer.Exit(SurfaceError.exit_code)
 
 
-def _wanted(asked: ReportOptions, source: MapSource) -> Asked:
-    wanted = Asked(
+def _wanted(asked: ReportOptions, source: MapSource) -> MapReportOptions:
+    wanted = MapReportOptions(
         wavelength_nm=asked.wavelength,
         ordering=asked.zernike.value,
         terms=asked.terms,
@@ -57,7 +57,7 @@ def _wanted(asked: ReportOptions, source: MapSource) -> Asked:
     return wanted if asked.cell is None else _as_the_cell(wanted, asked.cell)
 
 
-def _as_the_cell(wanted: Asked, cell: Path) -> Asked:
+def _as_the_cell(wanted: MapReportOptions, cell: Path) -> MapReportOptions:
     """Judged by the lines of a cell's file, as its job is."""
     from polishd.config.cell import load_config
     from polishd.recipe.making import instrument_of
@@ -74,7 +74,7 @@ def _as_the_cell(wanted: Asked, cell: Path) -> Asked:
     )
 
 
-def _write(out: Path, found: list[Reported], *, as_json: bool) -> None:
+def _write(out: Path, found: list[MapReportData], *, as_json: bool) -> None:
     from polishd.workbench.maps.report_sheet import sheet
 
     page = sheet(found)
@@ -91,4 +91,4 @@ def _write(out: Path, found: list[Reported], *, as_json: bool) -> None:
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}; name a file with --out") from error
     if not as_json:
-        stdout.print(f"report of {len(found)} map{'s' * (len(found) > 1)} in {shown(out)}", markup=False)
+        stdout.print(f"report of {len(found)} map{'s' * (len(found) > 1)} in {printable(out)}", markup=False)

@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from polishd import __version__
-from polishd.model.errors import BadMap, SurfaceError
+from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import FloatArray, Grid
-from polishd.model.tolerance import Judged, Line, holds
+from polishd.model.tolerance import Judged, ToleranceLine, holds
 from polishd.process import metrics
 from polishd.process.metrics import Removal
 from polishd.process.metrics.zernike_terms import FIRST, Ordering
 from polishd.process.tolerance import judge
-from polishd.workbench.maps.figures import ISO_KEYS, Figured
+from polishd.workbench.maps.figures import ISO_KEYS, MapFigures
 
 T = TypeVar("T")
 WORST_CONDITION = 1e3
@@ -25,13 +25,13 @@ WORST_CONDITION = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class MapReportOptions:
     """What the page is to have beside what every map has."""
 
     wavelength_nm: float
     ordering: Ordering
     terms: int
-    lines: tuple[Line, ...] = ()
+    lines: tuple[ToleranceLine, ...] = ()
     """The drawing's."""
     repeatability_nm: float | None = None
     """Of the instrument, RMS of a map's noise; None: not known."""
@@ -44,17 +44,17 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Reported:
+class MapReportData:
     """A map's figures, with what its pictures are drawn of."""
 
-    figured: Figured
+    figured: MapFigures
     grid: Grid
     """The map's; with a pitch of 1 px where it has none."""
     unit: str
     """Of places on it: mm, or px."""
     slope_urad: FloatArray | None
     """(ny, nx) magnitude; None where the map does not carry it."""
-    lines: tuple[Line, ...]
+    lines: tuple[ToleranceLine, ...]
     answer: dict[str, Any]
 
 
@@ -62,8 +62,8 @@ class Reported:
 class _Finder:
     """Computes what the map carries, and keeps the reasons of what it does not."""
 
-    found: Figured
-    asked: Asked
+    found: MapFigures
+    asked: MapReportOptions
     left_out: list[str] = field(default_factory=list)
 
     def some(self, name: str, figure: Callable[[], T]) -> T | None:
@@ -87,7 +87,7 @@ class _Finder:
         return {"nm": nm, "waves": nm / self.asked.wavelength_nm}
 
 
-def reported(found: Figured, asked: Asked) -> Reported:
+def reported(found: MapFigures, asked: MapReportOptions) -> MapReportData:
     """The figures of the page, over the mask and the trim of ``found``, piston and tilt removed.
 
     Raises:
@@ -145,15 +145,15 @@ def reported(found: Figured, asked: Asked) -> Reported:
         },
     }
     slope_urad = None if slopes is None else metrics.slope_map(level, mask, grid.pitch_mm)
-    return Reported(found, grid, answer["place_unit"], slope_urad, asked.lines, answer)
+    return MapReportData(found, grid, answer["place_unit"], slope_urad, asked.lines, answer)
 
 
-def _judged(found: Figured, asked: Asked) -> Sequence[Judged]:
+def _judged(found: MapFigures, asked: MapReportOptions) -> Sequence[Judged]:
     if not asked.lines:
         return ()
     pitch = found.surface.pitch_mm
     if pitch is None:
-        raise BadMap(
+        raise MapError(
             f"{found.surface.path}: has no lateral scale to judge a tolerance by; give the instrument's --profile"
         )
     figure = found.level_nm
@@ -161,13 +161,13 @@ def _judged(found: Figured, asked: Asked) -> Sequence[Judged]:
         figure = metrics.without(found.surface.height_nm, found.mask, asked.alignment)
     try:
         return judge(asked.lines, figure, found.mask, pitch, asked.repeatability_nm)
-    except BadMap as error:
-        raise BadMap(f"{found.surface.path}: {error}") from error
+    except MapError as error:
+        raise MapError(f"{found.surface.path}: {error}") from error
 
 
 def _aberrations(finder: _Finder, fitted: metrics.zernike.ZernikeFit) -> dict[str, dict[str, float]]:
     if fitted.condition > WORST_CONDITION:
-        raise BadMap(
+        raise MapError(
             f"over this shape the Zernike terms are hard to tell apart (condition {fitted.condition:.1e}, at most "
             f"{WORST_CONDITION:.0e}): fit fewer --terms, or lay a round --mask"
         )

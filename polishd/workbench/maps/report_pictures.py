@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from polishd.model.surface import FloatArray
-from polishd.model.tolerance import Line
+from polishd.model.tolerance import ToleranceLine
 from polishd.show.sheet import Picture
 from polishd.show.style import (
     BLUE,
@@ -24,7 +24,7 @@ from polishd.show.style import (
     ruled,
 )
 from polishd.workbench.maps.pictures import LEAST_NM
-from polishd.workbench.maps.report_figures import Reported
+from polishd.workbench.maps.report_figures import MapReportData
 
 WIDE_IN = 9.0
 DPI = 160
@@ -33,7 +33,7 @@ COLOURS = {"peak": ORANGE, "valley": BLUE}
 MARKS = {"peak": "^", "valley": "v"}
 
 
-def heights(found: Reported) -> Picture:
+def heights(found: MapReportData) -> Picture:
     """The level map with its peak and valley, and the lines through them, along x and y."""
     caption = (
         "Piston and tilt removed; red is high. Marked: peak (triangle up) and valley (triangle down); the dashed lines "
@@ -63,7 +63,7 @@ def heights(found: Reported) -> Picture:
         return Picture("heights", caption, png(page, DPI))
 
 
-def slopes(found: Reported, slope_urad: FloatArray) -> Picture:
+def slopes(found: MapReportData, slope_urad: FloatArray) -> Picture:
     """The magnitude of the slope."""
     caption = "Magnitude of the slope over two samples' distance; the last colour is the 99.8th percentile and above."
     with polishd_style():
@@ -73,7 +73,7 @@ def slopes(found: Reported, slope_urad: FloatArray) -> Picture:
         return Picture("slope", caption, png(page, DPI), wide=False)
 
 
-def spectrum(found: Reported) -> Picture:
+def spectrum(found: MapReportData) -> Picture:
     """The radially averaged PSD up to Nyquist, with the lines that the drawing has for it."""
     psd = found.answer["psd"]
     lines = [line for line in found.lines if line.figure == "psd"]
@@ -95,13 +95,13 @@ def spectrum(found: Reported) -> Picture:
         return Picture("spectrum", caption, png(page, DPI), wide=False)
 
 
-def _ends(lines: list[Line]) -> Iterator[tuple[Line, FloatArray]]:
+def _ends(lines: list[ToleranceLine]) -> Iterator[tuple[ToleranceLine, FloatArray]]:
     """Each line of a PSD with the frequencies between which it holds."""
     for line in lines:
         yield line, np.array([1 / (line.below_mm or np.inf), 1 / line.above_mm])
 
 
-def _map(ax: Axes, found: Reported, values: FloatArray, unit: str, **colours: Any) -> None:
+def _map(ax: Axes, found: MapReportData, values: FloatArray, unit: str, **colours: Any) -> None:
     half_x, half_y = found.grid.nx * found.grid.pitch_mm / 2, found.grid.ny * found.grid.pitch_mm / 2
     ax.set_facecolor(NO_DATA)
     seen = ax.imshow(values, extent=(-half_x, half_x, -half_y, half_y), interpolation="none", **colours)

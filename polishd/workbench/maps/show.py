@@ -11,15 +11,15 @@ import typer
 from polishd.model.errors import SurfaceError
 from polishd.show.tables import figure_table, json_line, key_table, stdout
 from polishd.show.terminal import say
-from polishd.workbench.maps.figures import HEIGHTS, Figured, figured
+from polishd.workbench.maps.figures import HEIGHTS, MapFigures, figured
 from polishd.workbench.maps.files import (
     MapSource,
+    distinguish_names,
     draw,
     edges_mm,
     or_dash,
+    printable,
     require_picture,
-    shown,
-    told_apart,
     warnings,
 )
 from polishd.workbench.maps.history import history_rows
@@ -40,7 +40,7 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
         raise typer.BadParameter(f"--out draws {MOST_DRAWN} maps at most, not {len(files)}")
     source = MapSource.by(asked)
     answers: list[dict[str, Any]] = []
-    drawn: list[Figured] = []
+    drawn: list[MapFigures] = []
     for file in files:
         try:
             found = figured(source.read(file), asked.trim, edges)
@@ -64,9 +64,9 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
 
 def _show(answers: Sequence[Mapping[str, Any]]) -> None:
     """For people: everything of one map, or a row each of several; then what is to be known of them."""
-    names = told_apart([answer["path"] for answer in answers])
+    names = distinguish_names([answer["path"] for answer in answers])
     if len(answers) == 1:
-        stdout.print(key_table(shown(answers[0]["path"]), _rows(answers[0])))
+        stdout.print(key_table(printable(answers[0]["path"]), _rows(answers[0])))
     else:
         columns = ["file", "samples", "pitch mm", "missing", "dated by", "PV nm", "RMS nm", "PV level", "RMS level"]
         columns += next(([band["name"] for band in answer["bands"]] for answer in answers if answer["bands"]), [])
@@ -93,7 +93,7 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows = [
         ("format", f"{answer['format']}, reader {answer['reader_version']}"),
         ("samples", f"{answer['rows']} x {answer['cols']}, {missing}; {answer['samples']} count{trim}"),
-        *((f"mask {shown(record['mask'])}", mask_words(record)) for record in answer["masks"]),
+        *((f"mask {printable(record['mask'])}", mask_words(record)) for record in answer["masks"]),
         ("pitch", _pitch_words(answer)),
         ("PV, RMS", _pair(answer, "")),
         ("level", f"{_pair(answer, '_tilt_removed')} (piston and tilt removed)"),
@@ -102,7 +102,7 @@ def _rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
         *((band["name"], _band_words(band)) for band in answer["bands"] or ()),
     ]
     said = {"part": answer["part_id"], "instrument": answer["instrument"], "taken": date_words(answer)}
-    rows += [(name, shown(value)) for name, value in said.items() if value]
+    rows += [(name, printable(value)) for name, value in said.items() if value]
     rows += [("orientation", answer["orientation"]), *history_rows(answer["history"])]
     if answer["unsaid"]:
         rows.append(("the file does not say", ", ".join(answer["unsaid"])))

@@ -11,16 +11,16 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrics import pv_rms
 from polishd.process.mosaic import SubAperture
 from polishd.process.plausible import SAME_PITCH
-from polishd.process.stitching import Stitched, stitch
+from polishd.process.stitching import StitchResult, stitch
 from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.convert import require_target, store, stored_lines
-from polishd.workbench.maps.files import MapSource, draw, require_picture, told_apart
-from polishd.workbench.maps.history import made
+from polishd.workbench.maps.files import MapSource, distinguish_names, draw, require_picture
+from polishd.workbench.maps.history import history_step
 from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import StitchOptions
 
@@ -38,7 +38,7 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     require_listed(files, positions, asked.at, "file,x_mm,y_mm")
     surfaces = [source.read(path) for path in files]
     pitch = one_pitch(surfaces)
-    names = told_apart(files)
+    names = distinguish_names(files)
     maps = [
         SubAperture(name, one.height_nm, *positions[path.name])
         for name, path, one in zip(names, files, surfaces, strict=True)
@@ -88,21 +88,21 @@ def one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
     pitches: list[float] = []
     for one in surfaces:
         if one.pitch_mm is None:
-            raise BadMap(f"{one.path}: has no lateral scale, so nobody knows where its samples lie; give the "
+            raise MapError(f"{one.path}: has no lateral scale, so nobody knows where its samples lie; give the "
                          "instrument's --profile")  # fmt: skip
         pitches.append(one.pitch_mm)
         if abs(one.pitch_mm - pitches[0]) > SAME_PITCH * pitches[0]:
-            raise BadMap(
+            raise MapError(
                 f"{one.path}: has a pitch of {one.pitch_mm:.7g} mm, {surfaces[0].path} {pitches[0]:.7g} mm: name "
                 "maps of one zoom"
             )
     parts = sorted({one.part_id for one in surfaces if one.part_id})
     if len(parts) > 1:
-        raise BadMap(f"the maps are of several parts: {', '.join(parts)}; name those of one")
+        raise MapError(f"the maps are of several parts: {', '.join(parts)}; name those of one")
     return pitches[0]
 
 
-def _answer(found: Stitched, first: SubAperture, pitch_mm: float, free: Sequence[str]) -> dict[str, Any]:
+def _answer(found: StitchResult, first: SubAperture, pitch_mm: float, free: Sequence[str]) -> dict[str, Any]:
     there = np.isfinite(found.height_nm)
     row, column = np.unravel_index(int(np.nanargmax(found.uncertainty_nm)), there.shape)
     pv, rms = pv_rms(found.height_nm, there)
@@ -127,13 +127,13 @@ def _answer(found: Stitched, first: SubAperture, pitch_mm: float, free: Sequence
     }
 
 
-def _on_part(found: Stitched, first: SubAperture, pitch_mm: float, row: float, column: float) -> list[float]:
+def _on_part(found: StitchResult, first: SubAperture, pitch_mm: float, row: float, column: float) -> list[float]:
     """x, y in mm where the list of positions has its origin."""
     down, right = row - found.centre_px[0], column - found.centre_px[1]
     return [first.x_mm + float(right) * pitch_mm, first.y_mm - float(down) * pitch_mm]
 
 
-def _power_notes(found: Stitched, free: Sequence[str]) -> list[str]:
+def _power_notes(found: StitchResult, free: Sequence[str]) -> list[str]:
     shared = (
         f"a power that all maps share, as the reference optic's, is (R/r)^2 = {found.power_growth:.3g} times as large "
         "in the result; no overlap shows it, and the uncertainty does not hold it"
@@ -145,7 +145,7 @@ def _power_notes(found: Stitched, free: Sequence[str]) -> list[str]:
 
 
 def _stored(
-    surfaces: Sequence[SurfaceMap], found: Stitched, asked: StitchOptions, source: MapSource, **options: Any
+    surfaces: Sequence[SurfaceMap], found: StitchResult, asked: StitchOptions, source: MapSource, **options: Any
 ) -> dict[str, Any]:
     """Write the map and its uncertainty; what there is to say of each."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
@@ -153,11 +153,11 @@ def _stored(
     inputs = [("reference", surfaces[0]), *(("sub-aperture", one) for one in surfaces[1:])]
     answer: dict[str, Any] = {}
     if asked.out is not None:
-        result = made(whole.with_height(found.height_nm), "stitch", inputs, source, **options)
+        result = history_step(whole.with_height(found.height_nm), "stitch", inputs, source, **options)
         answer |= store(result, asked.out, source)
     if asked.uncertainty is not None:
         unsure = whole.with_height(found.uncertainty_nm)
-        unsure = made(unsure, "stitch", inputs, source, **options, result="uncertainty, one standard deviation")
+        unsure = history_step(unsure, "stitch", inputs, source, **options, result="uncertainty, one standard deviation")
         answer["uncertainty"] = store(unsure, asked.uncertainty, source)
     return answer
 
@@ -188,7 +188,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         f"{answer['uncertainty_worst_nm']:.4f} nm at ({x:+.2f}, {y:+.2f}) mm"
     )
     return [
-        *mask_lines(told_apart([record["path"] for record in masked]), masked),
+        *mask_lines(distinguish_names([record["path"] for record in masked]), masked),
         f"{size}: PV {answer['pv_nm']:.3f}, RMS {answer['rms_nm']:.3f} nm in the frame of {answer['reference']}",
         f"noise {answer['noise_nm']:.4f} nm a sample of a map, from the overlaps",
         known,

@@ -16,8 +16,16 @@ from polishd.show.tables import emit, figure_table
 from polishd.workbench.maps.compare import Pair, paired
 from polishd.workbench.maps.convert import require_target, store, stored_lines
 from polishd.workbench.maps.figures import HEIGHTS, figured, heights_nm
-from polishd.workbench.maps.files import MapSource, draw, edges_mm, require_picture, shown, told_apart, warnings
-from polishd.workbench.maps.history import known_lines, made, uncertainty_nm
+from polishd.workbench.maps.files import (
+    MapSource,
+    distinguish_names,
+    draw,
+    edges_mm,
+    printable,
+    require_picture,
+    warnings,
+)
+from polishd.workbench.maps.history import history_step, known_lines, uncertainty_nm
 from polishd.workbench.maps.masks import mask_lines, mask_records
 from polishd.workbench.maps.options import BANDS, NewMapOptions
 
@@ -97,7 +105,9 @@ def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: b
         "sample_uncertainty_nm": found.uncertainty_nm,
         "notes": list(found.pair.notes),
     }
-    kept = made(found.surface, "subtract", list(zip(SIDES, maps, strict=True)), source, known_nm=found.uncertainty_nm)
+    kept = history_step(
+        found.surface, "subtract", list(zip(SIDES, maps, strict=True)), source, known_nm=found.uncertainty_nm
+    )
     if asked.out is not None:
         stored = store(kept, asked.out, source)
         answer |= stored | {"notes": [*found.pair.notes, *stored["notes"]]}
@@ -126,7 +136,7 @@ def _marks(surface: SurfaceMap, laid_nm: FloatArray, pitch_mm: float | None) -> 
 
 def _show(answer: Mapping[str, Any], *, as_json: bool) -> None:
     both = [answer[side] for side in SIDES]
-    names = told_apart([one["path"] for one in both])
+    names = distinguish_names([one["path"] for one in both])
     columns = ("nm", *names, "difference")
     rows = [(words, *(f"{one[key]:.3f}" for one in (*both, answer))) for key, words in HEIGHTS.items()]
     lines = [
@@ -138,6 +148,6 @@ def _show(answer: Mapping[str, Any], *, as_json: bool) -> None:
     if "out" in answer:
         lines += stored_lines(answer)
     else:
-        lines += [*(f"note: {shown(note)}" for note in answer["notes"]), "not written: --out C.x3p would"]
+        lines += [*(f"note: {printable(note)}" for note in answer["notes"]), "not written: --out C.x3p would"]
     title = " less ".join(names)
     emit(answer, as_json=as_json, table=lambda: figure_table(title, columns, rows), lines=lines)

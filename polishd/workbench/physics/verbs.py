@@ -90,7 +90,7 @@ def compliance_verb(cell: Path, program: Path | None, out: Path | None, *, as_js
     along = None
     if program is not None:
         recipe = make_recipe(config, hooks)
-        read = steps.as_polished(recipe, steps.read_program(recipe, program))
+        read = steps.executed_surface(recipe, steps.read_program(recipe, program))
         found = path_compliance(
             read, recipe.process, recipe.robot, recipe.placement, options=recipe.options, optic=recipe.optic
         )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from polishd.plugins.rnc_robot.dialect import DIALECTS, AnyDialect, Dialect, DwellWord, dialect
-from polishd.plugins.rnc_robot.languages import Profile
+from polishd.plugins.rnc_robot.dialect import DIALECTS, AnyDialect, DwellWord, GcodeDialect, dialect
+from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.show.tables import emit, record_table
 
 _COLUMNS = ("dialect", "for", "dwell", "new dwells", "quantum, s", "time in F", "lines at most")
@@ -24,11 +24,11 @@ def dialect_answer(profile: AnyDialect) -> dict[str, Any]:
         "kind": profile.kind,
         **dict.fromkeys(("title", "dwell", "written", "quantum_s", "finest_s", "resolution_s", "feed", "inverse")),
         "most_lines": None,
-        **(_of_nc(profile) if isinstance(profile, Dialect) else _of_language(profile)),
+        **(_of_nc(profile) if isinstance(profile, GcodeDialect) else _of_language(profile)),
     }
 
 
-def _of_language(profile: Profile) -> dict[str, Any]:
+def _of_language(profile: LanguageProfile) -> dict[str, Any]:
     return {
         "title": profile.summary,
         "dwell": [*profile.statements.dwell, *profile.statements.dwell_in_position],
@@ -38,7 +38,7 @@ def _of_language(profile: Profile) -> dict[str, Any]:
     }
 
 
-def _of_nc(profile: Dialect) -> dict[str, Any]:
+def _of_nc(profile: GcodeDialect) -> dict[str, Any]:
     dwell = profile.dwell
     words = {letter: _unit(word) for letter, word in dwell.words.items()}
     return {

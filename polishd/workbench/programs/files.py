@@ -15,7 +15,7 @@ from polishd import __version__
 from polishd.files import whole_file
 from polishd.model.errors import ProgramError
 from polishd.model.program import Encoding, Program
-from polishd.plugins.rnc_robot.dialect import AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.nc.stream import look_through, rewrite_stream
@@ -30,7 +30,7 @@ _FIRST_LINES = re.compile(rb"(?:[ \t]*(?:%|;\$PATH|[Oo:][0-9]).*\n|[ \t]*\r?\n)*
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class RewriteResult:
     """What was written; times are read back from it."""
 
     out: tuple[Path, ...]
@@ -51,7 +51,7 @@ def rewrite_file(
     *,
     comment: bool = False,
     progress: Progress | None = None,
-) -> Written:
+) -> RewriteResult:
     """Write the program in ``file`` to ``out`` with the times of ``table``.
 
     NC text whose encoding stays goes through in bounded memory and is read back before it gets its name. Everything
@@ -63,7 +63,7 @@ def rewrite_file(
     """
     not_over(out, file, table.path)
     mark = _comment(dialect) if comment else b""
-    if isinstance(dialect, Dialect) and encoding is None:
+    if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
     return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
 
@@ -93,31 +93,31 @@ def opened(file: Path) -> Iterator[BinaryIO]:
 
 
 def _streamed(
-    file: Path, table: DwellTable, out: Path, dialect: Dialect, *, mark: bytes, progress: Progress | None
-) -> Written:
+    file: Path, table: DwellTable, out: Path, dialect: GcodeDialect, *, mark: bytes, progress: Progress | None
+) -> RewriteResult:
     with opened(file) as source, target_file(out) as target:
         sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
         passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
         found = look_through(dialect, target, out.name)
-    return Written((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
+    return RewriteResult((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
 
 
 def _held(
     program: Program, table: DwellTable, out: Path, dialect: AnyDialect, encoding: Encoding | None, *, mark: bytes
-) -> Written:
+) -> RewriteResult:
     times = table.take(program.n)
     table.finish()
     text = _marked(rewrite(dialect, program, times, encoding), mark)
     proof = verify(program.text, text, dialect)
     if proof.difference is not None:
         raise ProgramError(f"{program.name}: cannot be written in other words without a change: {proof.difference}.")
-    parts = [text] if isinstance(dialect, Dialect) else split(dialect, text, program.name)
+    parts = [text] if isinstance(dialect, GcodeDialect) else split(dialect, text, program.name)
     outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
     with ExitStack() as stack:  # all are on the disk before the first gets its name
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)
     written = program.encoding if encoding is None else encoding
-    return Written(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
+    return RewriteResult(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
 
 
 @contextmanager
@@ -132,7 +132,7 @@ def target_file(path: Path) -> Iterator[BinaryIO]:
 
 def _comment(dialect: AnyDialect) -> bytes:
     """The line that says what was done, in the dialect's comment."""
-    if not isinstance(dialect, Dialect):
+    if not isinstance(dialect, GcodeDialect):
         raise ProgramError(
             f"in {dialect.name} a line of comment has no place that is sure everywhere. To do: leave --comment out."
         )

@@ -232,7 +232,7 @@ def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> N
     """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
     without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
-    found = foresight.refusals(recipe, program, hooks.check_plan)
+    found = foresight.precheck_plan(recipe, program, hooks.check_plan)
     if found:
         says = "\n".join(f"  {line}" for line in found)
         raise ProgramError(

@@ -16,10 +16,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from polishd.model.errors import ProgramError
 from polishd.model.program import Encoding, Program
 from polishd.plugins.rnc_robot.detect import HEAD_BYTES, detect, require_language
-from polishd.plugins.rnc_robot.dialect import DEFAULT, AnyDialect, Dialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import read
-from polishd.plugins.rnc_robot.nc.stream import Passed, look_through
+from polishd.plugins.rnc_robot.nc.stream import StreamCounts, look_through
 from polishd.plugins.rnc_robot.verify import Verification, verify
 from polishd.show.tables import emit, key_table, stderr, stdout
 from polishd.workbench.programs.dwell_csv import DwellTable
@@ -75,8 +75,8 @@ def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_js
 
 def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
     """The figures as JSON holds them. NC text of any size is looked through in bounded memory."""
-    found: Passed | Program
-    if isinstance(profile, Dialect):
+    found: StreamCounts | Program
+    if isinstance(profile, GcodeDialect):
         with _bar("reading", file) as progress, opened(file) as source:
             found = look_through(profile, source, file.name, progress)
         points, total_s, (slow, fast) = found.points, found.time_s, found.feed_mm_min

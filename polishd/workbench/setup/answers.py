@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from polishd.config.document import Document, parse_text, parse_toml
-from polishd.config.places import Source, did_you_mean, listed
-from polishd.config.values import Angle, Positive, Section, Text
+from polishd.config.document import TomlDocument, load_toml, loads_toml
+from polishd.config.places import TomlSource, did_you_mean, join_words
+from polishd.config.values import Angle, ConfigSection, Positive, Text
 from polishd.workbench.setup.arms import ARMS
 
 
-class ArmKeys(Section):
+class ArmKeys(ConfigSection):
     """What [kinematics] may say besides a cell's own keys."""
 
     arm: Text | None = None
@@ -26,13 +26,13 @@ class ArmKeys(Section):
     def _known(cls, name: str | None) -> str | None:
         if name is not None and name not in ARMS:
             raise ValueError(
-                f"there is no arm {name!r}{did_you_mean(name, ARMS)} There are: {listed(ARMS)}; of any other write "
+                f"there is no arm {name!r}{did_you_mean(name, ARMS)} There are: {join_words(ARMS)}; of any other write "
                 'type = "serial" and its rows (docs/first_hour.md)'
             )
         return name
 
 
-class SampleKeys(Section):
+class SampleKeys(ConfigSection):
     """What [instrument] may say besides a cell's own keys."""
 
     sample: Text | None = None
@@ -43,14 +43,14 @@ class SampleKeys(Section):
     """Width of its pixels on the part, where the file has no lateral scale at all."""
 
 
-class MakeKeys(Section):
+class MakeKeys(ConfigSection):
     """What [program] may say besides a cell's own keys."""
 
     make: Literal["raster", "spiral", "none"] = "raster"
     """The program to make where `path` names none."""
 
 
-class SpotKeys(Section):
+class SpotKeys(ConfigSection):
     """A removal spot that was measured: two maps and the time between, or a file of the rate."""
 
     before: Text | None = None
@@ -80,7 +80,7 @@ class SpotKeys(Section):
         return self
 
 
-class OwnKeys(Document):
+class OwnKeys(TomlDocument):
     """What answers may say besides a cell's keys."""
 
     kinematics: ArmKeys = ArmKeys()
@@ -97,7 +97,7 @@ class Answers:
     """The cell's own keys, by section; not judged yet."""
     own: OwnKeys
     """The others."""
-    source: Source
+    source: TomlSource
     """The text, which says where a key stands."""
 
     @property
@@ -108,15 +108,15 @@ class Answers:
 
 def read_answers(path: Path) -> Answers:
     """A file of answers; ConfigError, ``FILE:LINE: key: what is wrong; what to do``, where keys of init's own are."""
-    return _answers(*parse_toml(path))
+    return _answers(*load_toml(path))
 
 
 def answers_of(text: str, path: Path) -> Answers:
     """The same of a text that is to stand in that file."""
-    return _answers(*parse_text(text, path))
+    return _answers(*loads_toml(text, path))
 
 
-def _answers(raw: dict[str, Any], source: Source) -> Answers:
+def _answers(raw: dict[str, Any], source: TomlSource) -> Answers:
     cell, own = {}, {}
     for name, section in raw.items():
         if name == "spot":

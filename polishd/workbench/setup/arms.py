@@ -15,7 +15,7 @@ UNKNOWN_N_MM_PER_RAD = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class ArmModel:
     """A maker's arm."""
 
     title: str
@@ -43,7 +43,7 @@ def as_if_rigid(dh: Sequence[Sequence[float]], tool_length_mm: float) -> tuple[f
     return (float(f"{reach_mm**2 / GIVES_MM_PER_N:.2g}"),) * len(dh)
 
 
-def _universal_robots(model: str, *lengths_mm: float) -> Arm:
+def _universal_robots(model: str, *lengths_mm: float) -> ArmModel:
     """Its rows from the six lengths in which its arms differ: d1, a2, a3, d4, d5, d6."""
     d1, a2, a3, d4, d5, d6 = lengths_mm
     rows = (
@@ -54,10 +54,10 @@ def _universal_robots(model: str, *lengths_mm: float) -> Arm:
         (0.0, -90.0, d5, 0.0),
         (0.0, 0.0, d6, 0.0),
     )
-    return Arm(f"Universal Robots {model}", rows, (0.0, -110.0, 110.0, -90.0, -90.0, 0.0), 360.0, UR)
+    return ArmModel(f"Universal Robots {model}", rows, (0.0, -110.0, 110.0, -90.0, -90.0, 0.0), 360.0, UR)
 
 
-ARMS: Mapping[str, Arm] = {
+ARMS: Mapping[str, ArmModel] = {
     "ur5": _universal_robots("UR5", 89.159, -425.0, -392.25, 109.15, 94.65, 82.3),
     "ur10": _universal_robots("UR10", 127.3, -612.0, -572.3, 163.941, 115.7, 92.2),
     "ur5e": _universal_robots("UR5e", 162.5, -425.0, -392.2, 133.3, 99.7, 99.6),

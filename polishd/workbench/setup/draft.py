@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from polishd.config.cell import FILES, PORTS, CellConfig, consistent, device_options
-from polishd.config.document import Document
+from polishd.config.document import TomlDocument
 from polishd.config.outline import OUTLINES
 from polishd.config.process import SerialSection
 from polishd.hooks.loader import Hooks
@@ -22,7 +22,7 @@ from polishd.process.paths.spacing import on_optic
 from polishd.process.robot.dh_chain import chain
 from polishd.workbench.setup.answers import Answers
 from polishd.workbench.setup.arms import ARMS, UNKNOWN_N_MM_PER_RAD, as_if_rigid
-from polishd.workbench.setup.sample import Sample
+from polishd.workbench.setup.sample import SampleMap
 
 ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report")
 """Plugins that every cell needs."""
@@ -81,14 +81,14 @@ ORDER = (
 """Of the sections, as in examples/cell.toml."""
 
 
-class _ArmDocument(Document):
+class _ArmDocument(TomlDocument):
     """What is to be known before a part can be put before an arm."""
 
     kinematics: SerialSection
 
 
 @dataclass(slots=True)
-class Draft:
+class CellDraft:
     """A cell that is being made in a folder."""
 
     answers: Answers
@@ -144,12 +144,12 @@ class Draft:
         return Path(os.path.relpath(there, self.folder)).as_posix()
 
 
-def gathered(answers: Answers, folder: Path, hooks: Hooks, sample: Sample | None = None) -> Draft:
+def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap | None = None) -> CellDraft:
     """The cell of these answers, its files' paths still from the answers' folder; ConfigError as of `judged`.
 
     ``hooks`` has the plugins among which the answers choose: polishd's own.
     """
-    draft = Draft(answers, folder.absolute(), hooks)
+    draft = CellDraft(answers, folder.absolute(), hooks)
     for name, section in answers.cell.items():
         draft.raw[name] = dict(section) if isinstance(section, Mapping) else section
     for section in dict.fromkeys(key.partition(".")[0] for key in (*ASSUMED, "plugins.load", "instrument.profile")):
@@ -169,11 +169,11 @@ def gathered(answers: Answers, folder: Path, hooks: Hooks, sample: Sample | None
     return draft
 
 
-def _is_usual(draft: Draft, port: str) -> bool:
+def _is_usual(draft: CellDraft, port: str) -> bool:
     return bool(draft.raw[port].get("type") == ASSUMED[f"{port}.type"][0])
 
 
-def _said_otherwise(draft: Draft, key: str) -> bool:
+def _said_otherwise(draft: CellDraft, key: str) -> bool:
     """Whether another answer says what this key would."""
     if key == "job.tolerance_nm":
         return "tolerance" in draft.raw
@@ -182,7 +182,7 @@ def _said_otherwise(draft: Draft, key: str) -> bool:
     return False
 
 
-def _assume_names(draft: Draft, sample: Sample | None) -> None:
+def _assume_names(draft: CellDraft, sample: SampleMap | None) -> None:
     part = draft.raw["part"]
     if sample is not None:
         if not any(key in part for key in OUTLINES):
@@ -196,7 +196,7 @@ def _assume_names(draft: Draft, sample: Sample | None) -> None:
     draft.assume("instrument.profile", PROFILE)
 
 
-def _assume_robot(draft: Draft) -> None:
+def _assume_robot(draft: CellDraft) -> None:
     """Its geometry, and a place of the part that it reaches."""
     kinematics = draft.raw["kinematics"]
     arm = draft.answers.own.kinematics.arm
@@ -220,7 +220,7 @@ def _assume_robot(draft: Draft) -> None:
         draft.assume("part.rotation_rpy_deg", [180.0, 0.0, 0.0], f"{where}; here: facing up, base z down")
 
 
-def _rigid(draft: Draft) -> tuple[float, ...]:
+def _rigid(draft: CellDraft) -> tuple[float, ...]:
     """Stiffnesses of an arm that nobody has measured, from its own rows where they are known and sound."""
     dh, tool_mm = draft.raw["kinematics"].get("dh"), draft.raw["kinematics"].get("tool_length_mm")
     numbers = [tool_mm, *(value for row in dh for value in row)] if _are_rows(dh) else []
@@ -234,7 +234,7 @@ def _are_rows(dh: Any) -> bool:
     return isinstance(dh, list | tuple) and all(isinstance(row, list | tuple) and len(row) == 4 for row in dh)
 
 
-def _home_mm(draft: Draft) -> list[float]:
+def _home_mm(draft: CellDraft) -> list[float]:
     """The tool's tip with the arm at home."""
     arm = _ArmDocument.of({"kinematics": draft.raw["kinematics"]}, draft.answers.source)
     robot = SerialRobot(**{name: value for name, value in arm.kinematics if name != "type"})
@@ -242,7 +242,7 @@ def _home_mm(draft: Draft) -> list[float]:
     return [round(float(value), 1) + 0.0 for value in tip]
 
 
-def _plugins(draft: Draft) -> list[str]:
+def _plugins(draft: CellDraft) -> list[str]:
     """Those that every cell needs, and those that bring the device types that were named."""
     types = draft.hooks.device_types()
     named = [
@@ -260,7 +260,7 @@ def _tables(section: Any) -> list[Any]:
     return list(section.values()) if isinstance(section, Mapping) else []
 
 
-def _assume_ranges(draft: Draft) -> None:
+def _assume_ranges(draft: CellDraft) -> None:
     """Where the tool may go, from the part."""
     provisional = {**draft.raw["machine"], **{f"{axis}_mm": [-1.0, 1.0] for axis in "xyz"}}
     machine, draft.raw["machine"] = draft.raw["machine"], provisional

@@ -21,7 +21,7 @@ from polishd.workbench.maps.files import MapSource
 from polishd.workbench.setup.answers import Answers, answers_of
 from polishd.workbench.setup.arms import ARMS
 from polishd.workbench.setup.connected import Connected
-from polishd.workbench.setup.draft import ASSUMED, PART, gathered
+from polishd.workbench.setup.draft import ASSUMED, PART, draft_cell
 from polishd.workbench.setup.sample import missing_of
 
 ANSWERS = "answers.toml"
@@ -67,7 +67,7 @@ Ask = Callable[[Question, str], str]
 """Puts a question, with what was wrong with the last answer; the answer as it was typed."""
 
 
-def asked(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) -> Answers:
+def ask_questions(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) -> Answers:
     """All answers; each is judged as those of a file, and asked again where it is wrong."""
     given: dict[str, Any] = {}
     for question in questions(given, connected, hooks, folder):
@@ -237,7 +237,7 @@ def _problem(given: Mapping[str, Any], question: Question, value: Any, folder: P
     if question.choices:
         return "" if value in question.choices else f"{value!r} is none of {', '.join(question.choices)}"
     try:
-        gathered(answers_of(answers_text(given), folder / ANSWERS), folder, hooks).judged()
+        draft_cell(answers_of(answers_text(given), folder / ANSWERS), folder, hooks).judged()
     except ConfigError as error:
         here = [line for line in str(error).splitlines() if f" {question.key}: " in line]
         return "\n".join(line.partition(f" {question.key}: ")[2] for line in here)

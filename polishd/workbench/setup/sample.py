@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.plain import toml
 from polishd.plugins.interferometer.formats.scales import IN_UNITS, nm_per
@@ -44,7 +44,7 @@ UNIT = "# unit_nm = 1.0                      # LOOK: its files name no unit; nan
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class SampleMap:
     """A map of the instrument."""
 
     name: str
@@ -69,7 +69,7 @@ def missing_of(surface: SurfaceMap) -> str:
     return "sample_units" if IN_UNITS in surface.factors else "sample_pitch_mm"
 
 
-def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = None) -> Sample:
+def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = None) -> SampleMap:
     """The map, with what was answered of it: ``units`` as of ``--units``, and its pitch where the file has none.
 
     Raises:
@@ -78,7 +78,7 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
     try:
         read = MapSource.of(units=units).read(path)
     except typer.BadParameter as error:
-        raise BadMap(f"{path}: {error.message.replace('--units', 'sample_units')}") from error
+        raise MapError(f"{path}: {error.message.replace('--units', 'sample_units')}") from error
     if pitch_mm is not None and missing_of(read) == "sample_pitch_mm":
         settled = read.doubts.get("pitch")
         read = replace(
@@ -94,22 +94,22 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
     if surface.pitch_mm is None:
         key = missing_of(surface)
         example = '"mm,nm"' if key == "sample_units" else "0.1"
-        raise BadMap(f"{path}: its file has no lateral scale. Give instrument.{key}, as {key} = {example}.")
+        raise MapError(f"{path}: its file has no lateral scale. Give instrument.{key}, as {key} = {example}.")
     own = read.factors.get("units")
     unit_nm = nm_per(own[1]) if own else None
-    return Sample(path.name, surface, aperture_mm(surface, surface.pitch_mm), pitch_mm, unit_nm)
+    return SampleMap(path.name, surface, aperture_mm(surface, surface.pitch_mm), pitch_mm, unit_nm)
 
 
 def aperture_mm(surface: SurfaceMap, pitch_mm: float) -> float:
     """Diameter, mm, of the round part that a map shows, centred in its frame."""
     rows, columns = np.nonzero(surface.valid)
     if not rows.size:
-        raise BadMap(f"{surface.path}: has no data; name another map")
+        raise MapError(f"{surface.path}: has no data; name another map")
     extent = (min(np.ptp(rows), np.ptp(columns)) + 1) * pitch_mm
     return math.floor(float(extent))
 
 
-def profile_text(sample: Sample | None) -> str:
+def profile_text(sample: SampleMap | None) -> str:
     """The instrument's profile as far as one map tells it; what a person has to say stands there as comments."""
     if sample is None:
         return TEMPLATE.format(name=toml("interferometer"), says="", unit="")

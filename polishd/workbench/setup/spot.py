@@ -15,12 +15,12 @@ from polishd.process.measured_tif import preston_from_tif
 from polishd.workbench.calibration.verbs import SpotPlace, tif_of_maps
 from polishd.workbench.maps.files import MapSource
 from polishd.workbench.setup.answers import SpotKeys
-from polishd.workbench.setup.draft import Draft
+from polishd.workbench.setup.draft import CellDraft
 
 SPOT = "spot.npz"
 
 
-def add_spot(draft: Draft, given: SpotKeys, config: CellConfig) -> None:
+def add_spot(draft: CellDraft, given: SpotKeys, config: CellConfig) -> None:
     """The measured TIF beside the cell, which names it and the Preston constant that goes with it."""
     tif = _tif(given, draft.answers.folder)
     preston = preston_from_tif(config.tool_process(), tif.depth_ratio, tif)

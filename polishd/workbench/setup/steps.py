@@ -25,7 +25,7 @@ FAILED = "failed"
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SetupStep:
     """One thing to do."""
 
     what: str
@@ -37,16 +37,16 @@ class Step:
     """What does it."""
 
 
-def steps(cell: Path) -> list[Step]:
+def steps(cell: Path) -> list[SetupStep]:
     """All, in the order in which they are done; a cell that cannot be read has only its first."""
     try:
         config = load_config(cell)
     except ConfigError as error:
-        return [Step("write the cell", False, str(error), f"$EDITOR {_quoted(cell)}")]
+        return [SetupStep("write the cell", False, str(error), f"$EDITOR {_quoted(cell)}")]
     return list(_steps(config, cell))
 
 
-def lines(found: Sequence[Step]) -> list[str]:
+def lines(found: Sequence[SetupStep]) -> list[str]:
     """For people: two lines a step, whole: what is on them can be copied. A step that is done has no command."""
     marks = {True: "[x]", False: "[ ]", None: "[?]"}
     told = []
@@ -56,60 +56,60 @@ def lines(found: Sequence[Step]) -> list[str]:
     return told
 
 
-def _steps(config: CellConfig, file: Path) -> Iterator[Step]:
+def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     cell = _quoted(file)
     runs = _summaries(config.state_dir / "runs", *([config.run_dir] if config.run_dir else []))
     look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(LOOK)]
     lines = ", ".join(map(str, look))
     found = f"{len(look)} values, below the lines {lines}" if look else "nothing is marked as assumed"
-    yield Step("look at what was assumed", not look, found, f"$EDITOR {cell}")
+    yield SetupStep("look at what was assumed", not look, found, f"$EDITOR {cell}")
     made = config.program_path.is_file()
     path = _quoted(file.parent / config.program.path)
     command = f"polishd program make raster --out {path} --cell {cell}"
-    yield Step("have a program", made, path if made else f"{path}: is missing", command)
-    yield Step(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
+    yield SetupStep("have a program", made, path if made else f"{path}: is missing", command)
+    yield SetupStep(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
     ran = any(of["outcome"] != FAILED for of in runs.values())
     answered = "a run has been there" if ran else "leaves nothing on disk: ask the devices"
-    yield Step("probe", True if ran else None, answered, f"polishd probe {cell}")
+    yield SetupStep("probe", True if ran else None, answered, f"polishd probe {cell}")
     yield _commission(config, file.parent)
     yield from _calibrate(config, cell)
     plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
     out = _quoted(file.parent / "plan")
     planned = ", ".join(map(_quoted, plans)) or "no plan of this job lies beside the cell"
-    yield Step("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
+    yield SetupStep("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
     rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
     rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
     said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
     again = f"polishd run {_quoted(rehearsal / f'{config.path.stem}-rehearsal.toml')}"
     simulate = f"polishd sim {_quoted(rehearsal / 'sim.toml')}" if rehearsal.is_dir() else f"polishd sim --from {cell}"
-    yield Step("rehearse", _succeeded(rehearsed), said, f"{simulate}, and in another terminal: {again}")
-    yield Step("run", _succeeded(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
+    yield SetupStep("rehearse", _succeeded(rehearsed), said, f"{simulate}, and in another terminal: {again}")
+    yield SetupStep("run", _succeeded(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
 
 
-def _commission(config: CellConfig, folder: Path) -> Step:
+def _commission(config: CellConfig, folder: Path) -> SetupStep:
     if config.profile_path is None or config.instrument.profile is None:
-        return Step("commission", False, "the cell names no instrument's profile", "docs/instruments.md")
+        return SetupStep("commission", False, "the cell names no instrument's profile", "docs/instruments.md")
     command = f"polishd map commission {_quoted(folder / config.instrument.profile)} {MAP}"
     try:
         profile = load_profile(config.profile_path)
     except PolishdError as error:
-        return Step("commission", False, str(error), command)
+        return SetupStep("commission", False, str(error), command)
     found = profile.unproved or f"{profile.instrument.name}: proved"
     if profile.unproved and not profile.bumps:
         found = f"{config.instrument.profile}: describe the artefact's bumps, [artefact], and measure it"
-    return Step("commission", not profile.unproved, found, command)
+    return SetupStep("commission", not profile.unproved, found, command)
 
 
-def _calibrate(config: CellConfig, cell: str) -> Iterator[Step]:
+def _calibrate(config: CellConfig, cell: str) -> Iterator[SetupStep]:
     """Removal and stiffness, each by its measurements."""
     spot = config.process.tif is not None or "process.preston" in config.included
     tif = config.process.tif or config.included.get("process.preston", "")
     command = f"polishd calibrate tif BEFORE AFTER --seconds S --cell {cell} --out tif.toml"
-    yield Step("calibrate tif", spot, tif if spot else NO_SPOT, command)
+    yield SetupStep("calibrate tif", spot, tif if spot else NO_SPOT, command)
     stiff = {file for key, file in config.included.items() if key.startswith("kinematics.")}
     stiff |= {str(getattr(config.kinematics, "table", ""))} - {""}
     command = f"polishd calibrate stiffness TESTS.csv --cell {cell} --out stiffness.toml"
-    yield Step("calibrate stiffness", bool(stiff), ", ".join(sorted(stiff)) or "stiffness is assumed", command)
+    yield SetupStep("calibrate stiffness", bool(stiff), ", ".join(sorted(stiff)) or "stiffness is assumed", command)
 
 
 def _beside(config: CellConfig) -> list[Path]:

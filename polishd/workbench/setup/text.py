@@ -10,11 +10,11 @@ from pydantic import BaseModel
 
 from polishd.config.cell import PORTS, CellConfig
 from polishd.config.meanings import in_words, meanings
-from polishd.config.places import plain_kind, section_of
+from polishd.config.places import section_of, toml_type
 from polishd.config.process import HybridSection, MeasuredSection, SerialSection
 from polishd.plain import toml
 from polishd.workbench.setup.arms import ARMS
-from polishd.workbench.setup.draft import ORDER, Draft
+from polishd.workbench.setup.draft import ORDER, CellDraft
 
 FILL_IN = "to be filled in, from the arm's data sheet; here that of another arm"
 WIDTH = 120
@@ -25,7 +25,7 @@ KINDS: Mapping[str, type[BaseModel]] = {"hybrid": HybridSection, "serial": Seria
 ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 
 
-def cell_text(draft: Draft) -> str:
+def cell_text(draft: CellDraft) -> str:
     """The cell's file."""
     lines = [
         "# A polishd cell, made by polishd init. Relative paths start from this file's folder. LOOK: the next key was",
@@ -49,7 +49,7 @@ def _is_section(value: Any) -> bool:
     )
 
 
-def _keys(draft: Draft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
+def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
     told = _meanings(draft, name, section)
     if (arm := draft.answers.own.kinematics.arm) and name == "kinematics":
         yield f"# {ARMS[arm].title}. Rows: {ARMS[arm].source}"
@@ -80,15 +80,15 @@ def _written(key: str, value: Any, meaning: str) -> Iterator[str]:
         yield beside
 
 
-def _meanings(draft: Draft, name: str, section: Mapping[str, Any]) -> Mapping[str, str]:
+def _meanings(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Mapping[str, str]:
     return {} if (model := _model(draft, name, section)) is None else meanings(model)
 
 
-def _model(draft: Draft, name: str, section: Mapping[str, Any]) -> type[BaseModel] | None:
+def _model(draft: CellDraft, name: str, section: Mapping[str, Any]) -> type[BaseModel] | None:
     """Who judges a section; None for a table of several by name."""
     if name in PORTS:
         kind = draft.hooks.device_types().get(section.get("type", ""))
         return None if kind is None else kind.options
     if name == "kinematics":
         return KINDS[section.get("type", "hybrid")]
-    return section_of(plain_kind(CellConfig.model_fields[name].annotation))
+    return section_of(toml_type(CellConfig.model_fields[name].annotation))

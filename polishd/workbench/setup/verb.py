@@ -26,12 +26,12 @@ from polishd.workbench.programs.make import make_program
 from polishd.workbench.programs.options import MakeOptions
 from polishd.workbench.setup.answers import Answers, read_answers
 from polishd.workbench.setup.connected import look
-from polishd.workbench.setup.draft import PROFILE, Draft, gathered
-from polishd.workbench.setup.questions import ANSWERS, Question, asked
+from polishd.workbench.setup.draft import PROFILE, CellDraft, draft_cell
+from polishd.workbench.setup.questions import ANSWERS, Question, ask_questions
 from polishd.workbench.setup.sample import profile_text, read_sample
 from polishd.workbench.setup.seat import find_seat, reached
 from polishd.workbench.setup.spot import add_spot
-from polishd.workbench.setup.steps import Step, lines, steps
+from polishd.workbench.setup.steps import SetupStep, lines, steps
 from polishd.workbench.setup.text import cell_text
 
 CELL = "cell.toml"
@@ -72,7 +72,7 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
     if answers is None:
         _require_new(folder, [ANSWERS], force=force)  # before anybody answers
         stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
-        given = asked(folder, connected, load_own(), _prompt)
+        given = ask_questions(folder, connected, load_own(), _prompt)
         if not dry_run:
             _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
     else:
@@ -114,7 +114,7 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
     with _blamed(answers, "instrument.sample"):
         path = None if own.sample is None else answers.folder / Path(own.sample).expanduser()
         shown = None if path is None else read_sample(path, own.sample_units, own.sample_pitch_mm)
-    draft = gathered(answers, folder, load_own(), shown)
+    draft = draft_cell(answers, folder, load_own(), shown)
     config = draft.judged()
     if answers.own.spot is not None:
         with _blamed(answers, "spot"):
@@ -139,13 +139,13 @@ def _blamed(answers: Answers, key: str) -> Iterator[None]:
         raise answers.own.error(key, str(error)) from error
 
 
-def _makes_program(draft: Draft) -> bool:
+def _makes_program(draft: CellDraft) -> bool:
     """Whether a program over the part is wanted of `polishd init`, and enough is known of the robot to make one."""
     wanted = draft.answers.own.program.make != "none" and "path" not in draft.answers.cell.get("program", {})
     return wanted and not draft.blank
 
 
-def _within_reach(draft: Draft, config: CellConfig) -> CellConfig:
+def _within_reach(draft: CellDraft, config: CellConfig) -> CellConfig:
     """The cell with its part where the robot reaches all of it: where that was assumed, at the nearest such place.
 
     ConfigError where there is none. A place that was answered stays as it is.
@@ -159,7 +159,7 @@ def _within_reach(draft: Draft, config: CellConfig) -> CellConfig:
     return draft.judged()
 
 
-def _reached_at(draft: Draft, config: CellConfig) -> Vector:
+def _reached_at(draft: CellDraft, config: CellConfig) -> Vector:
     """The nearest place of the part where the robot reaches all of it; ConfigError where there is none."""
     seat = find_seat(config)
     if seat is not None and seat.share == 1.0:
@@ -178,7 +178,7 @@ def _reached_at(draft: Draft, config: CellConfig) -> Vector:
     )
 
 
-def _add_program(draft: Draft, config: CellConfig) -> str:
+def _add_program(draft: CellDraft, config: CellConfig) -> str:
     """The program over the part, where the answers name none; what was made, or why not.
 
     ConfigError where the robot does not reach the part at the place that was answered: with one where it does.
@@ -240,7 +240,7 @@ def _table(made: NewCell, cell: Path, *, dry_run: bool) -> Table:
     return key_table(f"{cell}: {written}; assumed, look at each:", rows)
 
 
-def _tell(made: NewCell, cell: Path, todo: list[Step], *, dry_run: bool) -> None:
+def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) -> None:
     """The cell itself where nothing was written; else what is to be done, whole lines: commands can be copied."""
     if dry_run:
         stdout.print(made.files[CELL].decode(), markup=False, highlight=False, soft_wrap=True)

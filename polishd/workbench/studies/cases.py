@@ -10,13 +10,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from polishd.config.cell import CellConfig, lay_over, load_config
-from polishd.config.document import parse_toml
+from polishd.config.cell import CellConfig, load_config, overlay
+from polishd.config.document import load_toml
 from polishd.config.loop_study import LoopStudy, Scenario
-from polishd.config.places import Location, problems
+from polishd.config.places import Location, validation_problems
 from polishd.config.simulator import SimConfig
 from polishd.config.study import Study
-from polishd.config.sweep_points import Point, Swept, require_all
+from polishd.config.sweep_points import Point, SweepStudy, require_all
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.case import Case, made_of
 
@@ -28,10 +28,10 @@ OF_PEOPLE = {"web", "opcua", "shop", "notify", "certificate"}
 """Sections of a cell's file that say who watches it and who is told: no figure depends on them."""
 
 
-class Making:
+class CaseFactory:
     """What cases of one study are made of: files are read once, cells' configurations kept."""
 
-    def __init__(self, swept: Swept) -> None:
+    def __init__(self, swept: SweepStudy) -> None:
         self.swept = swept
         self._kept: dict[str, Any] = {}
 
@@ -63,9 +63,9 @@ class Making:
     def plant(self, study: LoopStudy, scenario: str) -> dict[str, Any]:
         """SIM.toml's sections, the study's laid over them, and the scenario's. ConfigError."""
         path = study.file_of("plant")
-        sections, _ = self._once(f"sim {path}", lambda: parse_toml(path))
+        sections, _ = self._once(f"sim {path}", lambda: load_toml(path))
         whole = deepcopy(dict(sections))
-        lay_over(whole, {name: dict(keys) for name, keys in study.plant_with.items()})
+        overlay(whole, {name: dict(keys) for name, keys in study.plant_with.items()})
         return laid_over(whole, self.scenarios(study)[scenario])
 
     def scenarios(self, study: LoopStudy) -> Mapping[str, Scenario]:
@@ -76,7 +76,7 @@ class Making:
     def check_plant(self, study: LoopStudy, scenario: str) -> None:
         """ConfigError, with the place of the scenario's, the study's or the sweep's key, where no plant is so."""
         path, wrong = study.file_of("plant"), self.scenarios(study)[scenario]
-        _, source = self._once(f"sim {path}", lambda: parse_toml(path))
+        _, source = self._once(f"sim {path}", lambda: load_toml(path))
         stands: list[tuple[Location, Location]]
         stands = [((a, b), ("plant", a, b)) for a, keys in wrong.plant.items() for b in keys]
         swept = dict(study.source.stands_for)
@@ -86,7 +86,7 @@ class Making:
         try:
             SimConfig.model_validate(self.plant(study, scenario))
         except ValidationError as error:
-            raise ConfigError("\n".join(problems(error, SimConfig, places))) from error
+            raise ConfigError("\n".join(validation_problems(error, SimConfig, places))) from error
 
     def _once(self, key: str, make: Callable[[], Any]) -> Any:
         if key not in self._kept:
@@ -98,21 +98,21 @@ def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     """SIM.toml's sections with a scenario's laid over them; what a plant without wires has no use for is left out."""
     whole = deepcopy(dict(plant))
     whole.pop("fault", None)
-    lay_over(whole, {name: dict(keys) for name, keys in scenario.plant.items()})
+    overlay(whole, {name: dict(keys) for name, keys in scenario.plant.items()})
     return whole
 
 
-def cases_of(swept: Swept) -> list[Case]:
+def cases_of(swept: SweepStudy) -> list[Case]:
     """All of them in order: points, of a point seeds, of a seed scenarios, of these loops.
 
     So whatever is compared stands side by side, on the same draws. ConfigError for all that cannot be, a line each.
     """
-    making, cases = Making(swept), list[Case]()
+    making, cases = CaseFactory(swept), list[Case]()
     require_all(swept, lambda number, point: cases.extend(_at(making, swept.at(point), number, point, len(cases))))
     return cases
 
 
-def _at(making: Making, study: Study, number: int, point: Point, first: int) -> Iterator[Case]:
+def _at(making: CaseFactory, study: Study, number: int, point: Point, first: int) -> Iterator[Case]:
     """Those of one point."""
     if not isinstance(study, LoopStudy):
         yield Case(first, number, point, None, None, None, making.of(study, None, None, None))

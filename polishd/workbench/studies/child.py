@@ -17,7 +17,7 @@ from polishd.model.errors import ConfigError, PolishdError
 from polishd.plain import plain
 from polishd.plugins.rnc_robot.nc import compiled
 from polishd.workbench.studies.case import Case, versions
-from polishd.workbench.studies.working import Bench
+from polishd.workbench.studies.working import CaseRunner
 
 
 def serve(requests: TextIO, answers: TextIO) -> None:
@@ -30,7 +30,7 @@ def serve(requests: TextIO, answers: TextIO) -> None:
             if bench is None or begun != request["run"]:
                 if bench is not None:
                     bench.close()
-                bench, begun = Bench(Path(request["study"])), request["run"]
+                bench, begun = CaseRunner(Path(request["study"])), request["run"]
             case = Case(**request["case"])
             bench.require_same(case)
         except ConfigError as error:
@@ -41,7 +41,7 @@ def serve(requests: TextIO, answers: TextIO) -> None:
         bench.close()
 
 
-def _answer(bench: Bench, case: Case) -> dict[str, Any]:
+def _answer(bench: CaseRunner, case: Case) -> dict[str, Any]:
     wall, cpu = time.monotonic(), time.process_time()
     try:
         answer: dict[str, Any] = {"rows": bench.rows(case)}

@@ -43,7 +43,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CaseResult:
     """What came of a case: its rows, or why there are none."""
 
     number: int
@@ -53,7 +53,7 @@ class Answer:
     cpu_s: float = 0.0
 
 
-class Child:
+class StudyWorker:
     """One process, which works one case after the other."""
 
     def __init__(self, versions: Mapping[str, str]) -> None:
@@ -78,7 +78,7 @@ class Child:
             self.end()
             raise ConfigError(f"a worker has other versions: {', '.join(wrong)}; install the same on all machines")
 
-    def ask(self, task: Task, case: Case) -> Answer:
+    def ask(self, task: Task, case: Case) -> CaseResult:
         """One case; whatever comes of it is an answer. After one with an error of the process, it is dead.
 
         Raises ConfigError where it refuses the task.
@@ -94,11 +94,11 @@ class Child:
             hung = wall_s >= task.within_s
             words = self.end()
             why = f"did not end within {task.within_s:g} s and was killed" if hung else f"killed its worker: {words}"
-            return Answer(case.number, error=why, wall_s=wall_s)
+            return CaseResult(case.number, error=why, wall_s=wall_s)
         if "refused" in told:
             raise ConfigError(told["refused"])
         failed = told.get("failed", "")
-        return Answer(case.number, tuple(told.get("rows", ())), failed, told["wall_s"], told["cpu_s"])
+        return CaseResult(case.number, tuple(told.get("rows", ())), failed, told["wall_s"], told["cpu_s"])
 
     @property
     def alive(self) -> bool:
@@ -140,16 +140,16 @@ class Child:
         return answer
 
 
-class Children:
+class StudyWorkerPool:
     """Of each thread that runs tasks, its child."""
 
     def __init__(self) -> None:
         self._mine = threading.local()
-        self._all: set[Child] = set()
+        self._all: set[StudyWorker] = set()
         self._lock = threading.Lock()
         self._closed = False
 
-    def run(self, task: Task) -> list[Answer]:
+    def run(self, task: Task) -> list[CaseResult]:
         """All cases of a task, in order, in this thread's child. ConfigError where they are refused."""
         return [self._child(task.versions).ask(task, case) for case in task.cases]
 
@@ -165,11 +165,11 @@ class Children:
         while self._all:
             self._all.pop().end()
 
-    def _child(self, versions: Mapping[str, str]) -> Child:
-        child: Child | None = getattr(self._mine, "child", None)
+    def _child(self, versions: Mapping[str, str]) -> StudyWorker:
+        child: StudyWorker | None = getattr(self._mine, "child", None)
         if child is not None and child.alive:
             return child
-        made = None if self._closed else Child(versions)
+        made = None if self._closed else StudyWorker(versions)
         with self._lock:
             if made is None or self._closed:
                 if made is not None:

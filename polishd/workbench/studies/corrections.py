@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from polishd.config.study import CorrectionsStudy
-from polishd.model.dwell import Certificate
+from polishd.model.dwell import OptimalityCertificate
 from polishd.model.process import Correction
 from polishd.model.surface import FloatArray
-from polishd.process.conditioning import Conditioned
+from polishd.process.conditioning import ConditionedMap
 from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.setup import choose_piston_nm
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
+from polishd.process.dynamic_tif import CorrectedSpot, tif_at_point
 from polishd.process.effect import Effect
 from polishd.process.metrics import band_rms
 from polishd.workbench.studies.scene import Scene, make_scene
@@ -36,7 +36,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CorrectionRow:
     """One correction against one plant; figures over the clear aperture."""
 
     plant: str
@@ -55,17 +55,17 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class CorrectionComparison:
     """All rows of a study, and what its tables and pictures are made of."""
 
     scene: Scene
-    start: Conditioned
-    rows: tuple[Row, ...]
+    start: ConditionedMap
+    rows: tuple[CorrectionRow, ...]
     time_s: Mapping[str, FloatArray]
     """(n,) dwell by correction."""
     notes: tuple[str, ...]
 
-    def row(self, plant: str, correction: str) -> Row:
+    def row(self, plant: str, correction: str) -> CorrectionRow:
         """That row."""
         return next(row for row in self.rows if (row.plant, row.correction) == (plant, correction))
 
@@ -74,7 +74,7 @@ class Comparison:
         return self.row(plant, correction).rms_nm / self.row(plant, "none").rms_nm
 
 
-def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> Comparison:
+def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> CorrectionComparison:
     """Solve each correction once, and let both plants remove with its dwell. ConfigError for what cannot be."""
     tell("compliance along the path")
     scene, start = make_scene(study), start_surface(study, read)
@@ -108,16 +108,16 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
         for plant, effect in plants.items()
         for name, time_s in dwell.items()
     ]
-    return Comparison(scene, start, tuple(rows), dwell, tuple(notes))
+    return CorrectionComparison(scene, start, tuple(rows), dwell, tuple(notes))
 
 
 def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
     """What each correction believes of the spot; "calibrated" takes one at the mean pose for all, uncorrected."""
     gamma = scene.gamma
-    calibrated = corrected_spot("none", gamma, reference=float(gamma.mean()))
+    calibrated = tif_at_point("none", gamma, reference=float(gamma.mean()))
     corrected: list[Correction] = ["pointwise", "linear", "power", "exact"]
-    spots: dict[str, CorrectedSpot] = {name: corrected_spot(name, gamma, exponent) for name in corrected}
-    return {"none": corrected_spot("none", gamma), "calibrated": calibrated, **spots}
+    spots: dict[str, CorrectedSpot] = {name: tif_at_point(name, gamma, exponent) for name in corrected}
+    return {"none": tif_at_point("none", gamma), "calibrated": calibrated, **spots}
 
 
 def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
@@ -127,13 +127,15 @@ def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
     return scene.effect(spot)
 
 
-def removal_wanted(start: Conditioned, unreached: float) -> FloatArray:
+def removal_wanted(start: ConditionedMap, unreached: float) -> FloatArray:
     """(ny, nx) nm: the surface, raised so far that nothing needs to be added; 0 outside the aperture."""
     piston = choose_piston_nm(start.height_nm, start.solve_mask, np.zeros(start.grid.shape), unreached)
     return np.where(start.solve_mask, start.height_nm + piston, 0.0)
 
 
-def dwell_problem(study: CorrectionsStudy, effect: Effect, start: Conditioned, target_nm: FloatArray) -> DwellProblem:
+def dwell_problem(
+    study: CorrectionsStudy, effect: Effect, start: ConditionedMap, target_nm: FloatArray
+) -> DwellProblem:
     """Eq. 50 with ``t >= 0`` and no upper bound."""
     return DwellProblem(
         effect=effect,
@@ -146,7 +148,7 @@ def dwell_problem(study: CorrectionsStudy, effect: Effect, start: Conditioned, t
     )
 
 
-def solver_notes(effect: Effect, certificate: Certificate) -> list[str]:
+def solver_notes(effect: Effect, certificate: OptimalityCertificate) -> list[str]:
     """What a reader of the table must know of a solution."""
     found = []
     if isinstance(effect, ConvolutionEffect):
@@ -159,10 +161,10 @@ def solver_notes(effect: Effect, certificate: Certificate) -> list[str]:
     return found
 
 
-def make_row(residual_nm: FloatArray, start: Conditioned, lsf_period_mm: float, **named: Any) -> Row:
+def make_row(residual_nm: FloatArray, start: ConditionedMap, lsf_period_mm: float, **named: Any) -> CorrectionRow:
     """Figures of a (ny, nx) residual; ``named`` are the row's other fields."""
     inside = residual_nm[start.metric_mask]
-    return Row(
+    return CorrectionRow(
         **named,
         pv_nm=float(np.ptp(inside)),
         rms_nm=float(np.sqrt(np.mean(inside**2))),
@@ -172,7 +174,7 @@ def make_row(residual_nm: FloatArray, start: Conditioned, lsf_period_mm: float, 
     )
 
 
-def tie_words(compared: Comparison) -> list[str]:
+def tie_words(compared: CorrectionComparison) -> list[str]:
     """Where pointwise and linear tie, and why, a sentence a plant."""
     words = []
     for plant in PLANTS:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.case import Case, versions
-from polishd.workbench.studies.children import Answer, Task
+from polishd.workbench.studies.children import CaseResult, Task
 from polishd.workbench.studies.executors import LOST, Executor
 
 TASK_S = 1.0
@@ -26,11 +26,11 @@ LOOK_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class FinishedCase:
     """A case, and what came of it at its last try."""
 
     case: Case
-    answer: Answer
+    answer: CaseResult
     tries: int
 
 
@@ -44,7 +44,7 @@ def work(
     executor: Executor,
     within_s: float = WITHIN_S,
     tell: Callable[[str], None] = _silent,
-) -> Iterator[Done]:
+) -> Iterator[FinishedCase]:
     """Each as it ends, in any order. One that fails, hangs or kills its worker is tried once more, and by itself.
 
     Where nobody is there to work, ``tell`` is told once, and once more when somebody has come.
@@ -52,7 +52,7 @@ def work(
     """
     whole = Task(str(study), uuid.uuid4().hex, versions(), within_s, ())
     fresh, again = deque(cases), deque[Case]()
-    running: dict[Future[list[Answer]], tuple[Case, ...]] = {}
+    running: dict[Future[list[CaseResult]], tuple[Case, ...]] = {}
     tried: dict[int, int] = {}
     pace, lack = _Pace(), _Lack(executor, tell)
     while fresh or again or running:
@@ -68,10 +68,10 @@ def work(
                     again.append(case)
                     continue
                 pace.add(answer)
-                yield Done(case, answer, tried[case.number])
+                yield FinishedCase(case, answer, tried[case.number])
 
 
-def _answers(future: Future[list[Answer]], cases: Sequence[Case]) -> list[Answer]:
+def _answers(future: Future[list[CaseResult]], cases: Sequence[Case]) -> list[CaseResult]:
     """Of each case; where the whole task was lost, why."""
     try:
         return future.result()
@@ -80,7 +80,7 @@ def _answers(future: Future[list[Answer]], cases: Sequence[Case]) -> list[Answer
     except CancelledError as error:
         raise ConfigError(LOST) from error
     except Exception as error:  # noqa: BLE001  a cluster loses tasks in ways of its own
-        return [Answer(case.number, error=f"its task was lost: {type(error).__name__}: {error}") for case in cases]
+        return [CaseResult(case.number, error=f"its task was lost: {type(error).__name__}: {error}") for case in cases]
 
 
 class _Lack:
@@ -103,7 +103,7 @@ class _Pace:
     def __init__(self) -> None:
         self._spent_s, self._ended = 0.0, 0
 
-    def add(self, answer: Answer) -> None:
+    def add(self, answer: CaseResult) -> None:
         self._spent_s, self._ended = self._spent_s + answer.wall_s, self._ended + 1
 
     @property

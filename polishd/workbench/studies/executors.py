@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from polishd.model.errors import ConfigError
-from polishd.workbench.studies.children import Answer, Children, Task
+from polishd.workbench.studies.children import CaseResult, StudyWorkerPool, Task
 
 ANSWER_S = 60.0
 """In which a scheduler answers."""
@@ -27,7 +27,7 @@ class Executor(Protocol):
     def lack(self) -> str:
         """In words, for whom is waited and what to do; empty where somebody works."""
 
-    def submit(self, task: Task) -> Future[list[Answer]]:
+    def submit(self, task: Task) -> Future[list[CaseResult]]:
         """Run it somewhere. Its future raises ConfigError where it is refused, anything else where it was lost."""
 
     def __enter__(self) -> Self:
@@ -46,10 +46,10 @@ class LocalPool:
         """``workers`` None: one a core that this process may use."""
         self.slots = workers or len(os.sched_getaffinity(0))
         self.lack = ""  # they are started as they are wanted
-        self._children = Children()
+        self._children = StudyWorkerPool()
         self._threads = ThreadPoolExecutor(self.slots, thread_name_prefix="study")
 
-    def submit(self, task: Task) -> Future[list[Answer]]:
+    def submit(self, task: Task) -> Future[list[CaseResult]]:
         """To the next process that is free."""
         return self._threads.submit(self._children.run, task)
 
@@ -101,9 +101,9 @@ class DaskCluster:
             return ""
         return f"no worker at {self._address}: start one with `dask worker {self._address} --nthreads 1`"
 
-    def submit(self, task: Task) -> Future[list[Answer]]:
+    def submit(self, task: Task) -> Future[list[CaseResult]]:
         """To some worker; where it is lost, Dask gives the task to another."""
-        future: Future[list[Answer]] = self._executor.submit(run_there, task)
+        future: Future[list[CaseResult]] = self._executor.submit(run_there, task)
         return future
 
     def __enter__(self) -> Self:
@@ -116,9 +116,9 @@ class DaskCluster:
         self._client.close()
 
 
-_there = Children()
+_there = StudyWorkerPool()
 
 
-def run_there(task: Task) -> list[Answer]:
+def run_there(task: Task) -> list[CaseResult]:
     """The cases of a task on a worker of a cluster. ConfigError where they are refused."""
     return _there.run(task)

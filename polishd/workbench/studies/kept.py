@@ -10,7 +10,7 @@ from typing import Any
 from polishd.files import require_writable, unwritable, whole_file, write_atomic
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies.case import Case, versions
-from polishd.workbench.studies.engine import Done
+from polishd.workbench.studies.engine import FinishedCase
 
 JOURNAL = "cases.jsonl"
 TABLE = "cases.parquet"
@@ -25,7 +25,7 @@ Row = dict[str, Any]
 Rows = list[Row]
 
 
-class Kept:
+class ResultStore:
     """What is known of a study's cases, by what decides each."""
 
     def __init__(self, folder: Path | None) -> None:
@@ -45,7 +45,7 @@ class Kept:
         """Of the cases that are known, those of another study, or of this one as it was."""
         return len(self._known.keys() - {case.of for case in cases})
 
-    def add(self, done: Done) -> Rows:
+    def add(self, done: FinishedCase) -> Rows:
         """One more case, on the disk at once."""
         rows = _rows(done)
         self._known[done.case.of] = rows
@@ -109,7 +109,7 @@ def _known(folder: Path) -> dict[str, Rows]:
     return dict(_of_table(folder / TABLE)) | dict(_of_journal(folder / JOURNAL))
 
 
-def _rows(done: Done) -> Rows:
+def _rows(done: FinishedCase) -> Rows:
     case, answer = done.case, done.answer
     after: Row = {
         "error": answer.error or None,

@@ -17,10 +17,10 @@ from polishd.config.loop_study import Poses, Taken
 from polishd.hooks.cell import plugins_of
 from polishd.hooks.loader import Hooks
 from polishd.hookspecs import RemovalAnswer, RemovalRequest
-from polishd.model.cause import Named
+from polishd.model.cause import Diagnosis
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ComputeError, PlanRefused, PolishdError
-from polishd.model.finding import Finding, Series, Shown
+from polishd.model.finding import Finding, PassIndicators, PassSeries
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.model.tolerance import holds
@@ -28,7 +28,7 @@ from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.process import motion, naming
 from polishd.process.contact import relative_removal
-from polishd.process.findings import findings, followed
+from polishd.process.findings import extend_series, findings
 from polishd.process.identification.touch import WANTED
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.decisions import (
@@ -46,14 +46,14 @@ from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught
+from polishd.recipe.records import EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, PlanResult, SolveResult
 from polishd.workbench.calibration.touch_plan import as_touched, plan_touch
 from polishd.workbench.programs.own_raster import own_program
 from polishd.workbench.studies.plant_process import PlantProcess
-from polishd.workbench.studies.turned import calibrated, certified
+from polishd.workbench.studies.turned import with_absolute_test, with_certified_map
 from polishd.workbench.studies.witness import polish_witness
 
-_Executed = tuple[Planned, FloatArray, FloatArray]
+_Executed = tuple[PlanResult, FloatArray, FloatArray]
 """A pass's plan, and (n,) s of each timed point: as it lasted, and as force and speed acted."""
 GATE = "gate"
 """How a loop ends that the gate stopped."""
@@ -65,7 +65,7 @@ TOUCH_S = 1200.0
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class ClosedLoopResult:
     """One job: what it saw, and what was true."""
 
     scenario: str
@@ -117,7 +117,7 @@ class _Account:
         """What was said of the machine, each once."""
         self.named += dict.fromkeys(name for name in names if name not in self.named)
 
-    def told(self, shown: Shown) -> None:
+    def told(self, shown: PassIndicators) -> None:
         """What a pass left, beside what was expected of it."""
         if shown.expected_nm is not None and shown.seen_nm is not None:
             self.came_nm.append((*shown.expected_nm, shown.seen_nm))
@@ -164,7 +164,9 @@ class ClosedLoop:
         text = own_program(self.config, f"raster over {self.config.outline()}")
         return read(dialect(self.config.program.format), text, "raster.rnc")
 
-    def run(self, plant: PlantProcess, sections: Mapping[str, Any], scenario: str, loop: str, seed: int) -> Run:
+    def run(
+        self, plant: PlantProcess, sections: Mapping[str, Any], scenario: str, loop: str, seed: int
+    ) -> ClosedLoopResult:
         """One job, from its first map to its end, on the plant that this seed draws from SIM.toml's sections."""
         begun_s, account = time.process_time(), _Account()
         plant.new(sections, seed)
@@ -173,11 +175,11 @@ class ClosedLoop:
             if self._witness:
                 plant.new(sections, seed)
             if self._poses:
-                recipe = calibrated(recipe, plant, self._poses)
+                recipe = with_absolute_test(recipe, plant, self._poses)
             ended = begun if isinstance(begun, _Ended) else self._job(recipe, plant, account).polish(begun)
         except PolishdError as error:
             ended = _Ended(ERROR, f"{type(error).__name__}: {error}")
-        return Run(
+        return ClosedLoopResult(
             scenario,
             loop,
             seed,
@@ -193,7 +195,7 @@ class ClosedLoop:
             time.process_time() - begun_s,
         )
 
-    def _begun(self, plant: PlantProcess, account: _Account) -> tuple[Recipe, Believed | _Ended]:
+    def _begun(self, plant: PlantProcess, account: _Account) -> tuple[Recipe, EstimatesInUse | _Ended]:
         """The recipe and what is believed before the first pass: as configured, or of a witness. ComputeError."""
         recipe = self._recipe
         if self._witness == "touch":
@@ -211,7 +213,7 @@ class ClosedLoop:
             if self._witness == "rate":
                 return _remembering(recipe), witness.rate(recipe)
             recipe = witness.spot(recipe, self._hooks.removal_models()["measured_tif"])
-        return _remembering(recipe), steps.believed_at_first(recipe)
+        return _remembering(recipe), steps.initial_estimates(recipe)
 
     @cached_property
     def _touch(self) -> Program:
@@ -235,11 +237,11 @@ class _Job:
     plant: PlantProcess
     account: _Account
 
-    def polish(self, believed: Believed) -> _Ended:
+    def polish(self, believed: EstimatesInUse) -> _Ended:
         """As the daemon's cycle (``polishd.daemon.cycle``): measure, learn, judge, solve, plan, run."""
         recipe, program, account = self.recipe, self.program, self.account
-        series, shown = Series(""), []
-        before: Measured | None = None
+        series, shown = PassSeries(""), []
+        before: MeasureResult | None = None
         last: _Executed | None = None
         while True:
             surface = self._measured(before)
@@ -252,7 +254,7 @@ class _Job:
                 if taught.shown is not None:
                     account.told(taught.shown)
                     shown.append(taught.shown)
-                    series = followed(series, taught.shown)
+                    series = extend_series(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
                     account.name(one.kind for one in found)
             match decision_of(recipe, surface, account.rms_nm, found, self.passes):
@@ -272,18 +274,18 @@ class _Job:
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
-    def teach(self) -> tuple[Taught, str]:
+    def teach(self) -> tuple[LearnResult, str]:
         """One pass as programmed: what it teaches of the machine, and why a person must look first; "" else."""
         recipe, program, before = self.recipe, self.program, self._measured(None)
-        believed = steps.believed_at_first(recipe)
+        believed = steps.initial_estimates(recipe)
         solved = dwell_step.solve(recipe, program, before, believed)
         plan = steps.rewrite(recipe, program, solved, program.name)
         last = (self._planned(plan, solved, before), *self._execute(plan))
         return self._learned(before, self._measured(before), last, believed)[1:]
 
     def _learned(
-        self, before: Measured, surface: Measured, last: _Executed, believed: Believed
-    ) -> tuple[Measured, Taught, str]:
+        self, before: MeasureResult, surface: MeasureResult, last: _Executed, believed: EstimatesInUse
+    ) -> tuple[MeasureResult, LearnResult, str]:
         """The map that counts, what it taught, and why a person must look before the next pass; "" else."""
         taught, account = self._taught(before, surface, last, believed), self.account
         if taught.doubted:
@@ -299,27 +301,27 @@ class _Job:
         """As the instrument gives the part so long after now."""
         return self._map(*self.plant.measure(wait_s), len(self.account.rms_nm))
 
-    def _again(self, surface: Measured) -> tuple[Measured, tuple[Named, ...], tuple[Named, ...]]:
+    def _again(self, surface: MeasureResult) -> tuple[MeasureResult, tuple[Diagnosis, ...], tuple[Diagnosis, ...]]:
         """As the daemon: maps until two agree; the last one, what they named, and what the tolerance does not bear."""
-        account, seen, moves = self.account, list[Named](), tuple[Named, ...]()
+        account, seen, moves = self.account, list[Diagnosis](), tuple[Diagnosis, ...]()
         for _ in range(naming.MAPS):
             account.rms_nm.pop()  # of the same measurement, the last map counts
             account.true_rms_nm.pop()
             before, surface = surface, self._measured(surface, naming.WAIT_S)
-            last, moves = moves, steps.changed(self.recipe, before, surface)
+            last, moves = moves, steps.map_changes(self.recipe, before, surface)
             seen += moves
-            if not naming.settles(moves, last):
+            if not naming.is_settling(moves, last):
                 break
-        return surface, naming.lasting(seen), steps.harmful(self.recipe, moves)
+        return surface, naming.persistent(seen), steps.harmful_changes(self.recipe, moves)
 
-    def _measured(self, before: Measured | None, wait_s: float = 0.0) -> Measured:
+    def _measured(self, before: MeasureResult | None, wait_s: float = 0.0) -> MeasureResult:
         """The part as the instrument gives it so long after now, and on the account what it truly is."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
         surface = steps.condition(recipe, self.map(wait_s), masks, lay)
         told, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
         true = self._map(height, float(told["pitch_mm"]), -1)
-        truly = steps.condition(certified(recipe), true, surface.masks)
+        truly = steps.condition(with_certified_map(recipe), true, surface.masks)
         account.rms_nm.append(surface.figure_nm)
         account.true_rms_nm.append(truly.figure_nm)
         account.true_fits = holds(truly.judged)
@@ -331,23 +333,23 @@ class _Job:
 
     def _taught(
         self,
-        before: Measured,
-        after: Measured,
+        before: MeasureResult,
+        after: MeasureResult,
         last: _Executed,
-        believed: Believed,
-        again: tuple[Named, ...] | None = None,
-    ) -> Taught:
+        believed: EstimatesInUse,
+        again: tuple[Diagnosis, ...] | None = None,
+    ) -> LearnResult:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
-        done = Pass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast, again)
+        done = ExecutedPass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast, again)
         return steps.learn(self.recipe, self.program, done, believed)
 
-    def _planned(self, plan: Plan, solved: Solved, surface: Measured) -> Planned:
+    def _planned(self, plan: Plan, solved: SolveResult, surface: MeasureResult) -> PlanResult:
         vetoes = [*steps.violations(self.recipe, plan), *self.hooks.check_plan(plan, self.recipe.envelope)]
         if vetoes:
             raise PlanRefused("; ".join(vetoes))
         expected = forecast_of(self.recipe, surface, plan, solved.believed)
-        return Planned.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
+        return PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
 
     def _execute(self, plan: Plan) -> tuple[FloatArray, FloatArray]:
         """(n,) seconds of each timed point as the plant's own robot moves, and as force and speed acted."""
@@ -380,7 +382,7 @@ def _remembering(recipe: Recipe) -> Recipe:
 
 
 def decision_of(
-    recipe: Recipe, surface: Measured, rms_nm: Sequence[float], found: Sequence[Finding], passes: int
+    recipe: Recipe, surface: MeasureResult, rms_nm: Sequence[float], found: Sequence[Finding], passes: int
 ) -> Decision:
     """Decide what follows a measurement, as the daemon's job does.
 

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Any
 
 from polishd.config.loop_study import AS_IT_IS, Scenario
-from polishd.workbench.studies.loop import Run
+from polishd.workbench.studies.loop import ClosedLoopResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +46,10 @@ class LoopRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Looped:
+class LoopRows:
     """All runs, and the row of each scenario and loop."""
 
-    runs: tuple[Run, ...]
+    runs: tuple[ClosedLoopResult, ...]
     rows: tuple[LoopRow, ...]
 
     def as_json(self) -> list[dict[str, Any]]:
@@ -57,12 +57,12 @@ class Looped:
         return [asdict(row) for row in self.rows]
 
 
-def looped(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Looped:
+def looped(runs: Sequence[ClosedLoopResult], scenarios: Mapping[str, Scenario]) -> LoopRows:
     """What these jobs came to, in the order of the scenarios."""
-    return Looped(tuple(runs), tuple(_rows(runs, scenarios)))
+    return LoopRows(tuple(runs), tuple(_rows(runs, scenarios)))
 
 
-def _rows(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Iterator[LoopRow]:
+def _rows(runs: Sequence[ClosedLoopResult], scenarios: Mapping[str, Scenario]) -> Iterator[LoopRow]:
     """In the scenarios' order."""
     order = {name: number for number, name in enumerate(scenarios)}
     ordered = sorted(runs, key=lambda run: order[run.scenario])  # stable: loops stay in theirs
@@ -72,7 +72,7 @@ def _rows(runs: Sequence[Run], scenarios: Mapping[str, Scenario]) -> Iterator[Lo
             yield _row(scenarios[scenario], [run for run in mine if run.loop == loop])
 
 
-def _row(scenario: Scenario, runs: Sequence[Run]) -> LoopRow:
+def _row(scenario: Scenario, runs: Sequence[ClosedLoopResult]) -> LoopRow:
     never = float("inf")
     passes = median(run.passes if run.accepted else never for run in runs)
     true_nm = median(run.true_rms_nm[-1] if run.true_rms_nm else never for run in runs)

@@ -11,7 +11,7 @@ import numpy as np
 from polishd.config.study import PassesStudy
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.dynamic_tif import corrected_spot
+from polishd.process.dynamic_tif import tif_at_point
 from polishd.workbench.studies.scene import Scene, make_scene
 
 
@@ -54,7 +54,7 @@ def polish_evenly(study: PassesStudy, tell: Callable[[str], None]) -> Passes:
     scene = make_scene(study)
     tell("removing")
     time_s = np.full(scene.program.n, study.dwell_s * study.passes)
-    removal = scene.effect(corrected_spot("exact", scene.gamma)).removal_nm(time_s)
+    removal = scene.effect(tif_at_point("exact", scene.gamma)).removal_nm(time_s)
     gamma = gamma_map(scene)
     clear = study.outline().contains(*scene.grid.axes_mm, study.part.edge_mm)
     with study.blame("path"):
@@ -77,7 +77,7 @@ def polish_evenly(study: PassesStudy, tell: Callable[[str], None]) -> Passes:
 
 def gamma_map(scene: Scene) -> FloatArray:
     """(ny, nx) gamma at the samples: the mean of the points that reach one; NaN where none does."""
-    rigid = scene.effect(corrected_spot("none", scene.gamma))
+    rigid = scene.effect(tif_at_point("none", scene.gamma))
     reach = rigid.removal_nm(np.ones(scene.program.n))
     with np.errstate(invalid="ignore"):
         return np.where(reach > 0, rigid.removal_nm(scene.gamma) / reach, np.nan)

@@ -24,8 +24,8 @@ from polishd.show.style import (
     polishd_style,
     ruled,
 )
-from polishd.workbench.studies.corrections import PLANTS, Comparison, Row
-from polishd.workbench.studies.loops import Looped
+from polishd.workbench.studies.corrections import PLANTS, CorrectionComparison, CorrectionRow
+from polishd.workbench.studies.loops import LoopRows
 from polishd.workbench.studies.passes import Passes
 from polishd.workbench.studies.spots import READINGS, SpotRow
 
@@ -36,7 +36,7 @@ LOOP_COLOURS = (BLUE, ORANGE, GREEN, MUTED, "#cc79a7", "#e69f00")
 COLOURS = (MUTED, BLUE, GREEN, "#cc79a7", "#e69f00", ORANGE)
 
 
-def of_corrections(compared: Comparison) -> Mapping[str, Draw]:
+def of_corrections(compared: CorrectionComparison) -> Mapping[str, Draw]:
     """The setting, a page of residuals for each plant, and their spectra."""
     residuals = {f"residuals_{plant}.png": drawn(_residuals, compared, plant) for plant in PLANTS}
     return {"setting.png": drawn(_setting, compared), **residuals, "psd.png": drawn(_spectra, compared)}
@@ -55,7 +55,7 @@ def of_passes(passes: Passes) -> Mapping[str, Draw]:
     return {"passes.png": drawn(_passes, passes)}
 
 
-def of_loops(looped: Looped) -> Mapping[str, Draw]:
+def of_loops(looped: LoopRows) -> Mapping[str, Draw]:
     """True RMS over the passes, a panel each scenario, a colour each loop."""
     return {"loops.png": drawn(_loops, looped)}
 
@@ -70,7 +70,7 @@ def drawn(draw: Callable[..., Figure], *what: object) -> Draw:
     return in_style
 
 
-def _setting(compared: Comparison) -> Figure:
+def _setting(compared: CorrectionComparison) -> Figure:
     """Start, gamma and the exact correction's dwell."""
     page = figure(10.6, 3.6)
     axes = page.subplots(1, 3)
@@ -83,7 +83,7 @@ def _setting(compared: Comparison) -> Figure:
     return page
 
 
-def _residuals(compared: Comparison, plant: str) -> Figure:
+def _residuals(compared: CorrectionComparison, plant: str) -> Figure:
     """What each correction leaves, about zero; a scale of its own for each, as they differ by thousands."""
     page = figure(10.6, 6.6)
     rows = [row for row in compared.rows if row.plant == plant]
@@ -94,13 +94,13 @@ def _residuals(compared: Comparison, plant: str) -> Figure:
     return page
 
 
-def _spectra(compared: Comparison) -> Figure:
+def _spectra(compared: CorrectionComparison) -> Figure:
     """Radial spectra of the start and of what each correction leaves on the plant "depth"."""
     page = figure(7.0, 4.4)
     ax = page.subplots()
     start = compared.start
     maps = {"start": (start.height_nm, "black")}
-    rows: list[Row] = [row for row in compared.rows if row.plant == "depth"]
+    rows: list[CorrectionRow] = [row for row in compared.rows if row.plant == "depth"]
     maps |= {row.correction: (row.residual_nm, colour) for row, colour in zip(rows, COLOURS, strict=True)}
     for name, (height, colour) in maps.items():
         spectrum = radial_psd(np.where(start.metric_mask, height, 0.0), start.metric_mask, start.grid.pitch_mm)
@@ -165,7 +165,7 @@ def _map(ax: Axes, grid: Grid, values: FloatArray, title: str, unit: str = "", *
     bar.outline.set_visible(False)
 
 
-def _loops(looped: Looped) -> Figure:
+def _loops(looped: LoopRows) -> Figure:
     """The part's own RMS at each map: medians, and each job as a thin line."""
     scenarios = list(dict.fromkeys(run.scenario for run in looped.runs))
     loops = list(dict.fromkeys(run.loop for run in looped.runs))

@@ -9,26 +9,26 @@ from dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from polishd.config.loop_study import LoopStudy
-from polishd.config.sweep_points import Swept
+from polishd.config.sweep_points import SweepStudy
 from polishd.show.tables import stderr
 from polishd.workbench.studies.case import Case
 from polishd.workbench.studies.cases import cases_of
 from polishd.workbench.studies.engine import work
 from polishd.workbench.studies.executors import DaskCluster, Executor, LocalPool
-from polishd.workbench.studies.kept import Kept, Rows, make_folder
+from polishd.workbench.studies.kept import ResultStore, Rows, make_folder
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.working import closed_loop
 
 
 @dataclass(frozen=True, slots=True)
-class Worked:
+class StudyRows:
     """All rows of a study's cases, in their order."""
 
     cases: Sequence[Case]
     rows: Rows
 
 
-def run_cases(swept: Swept, options: StudyOptions) -> Worked:
+def run_cases(swept: SweepStudy, options: StudyOptions) -> StudyRows:
     """Check all cases, compute those that are not known, and write ``cases.parquet`` whole, whatever ends it.
 
     ConfigError, ProgramError before anything is computed.
@@ -41,7 +41,7 @@ def run_cases(swept: Swept, options: StudyOptions) -> Worked:
             with first.blame(f"loops.{name}"):
                 closed_loop(first, name)
     make_folder(options.out)  # what is refused leaves none
-    kept = Kept(options.out)
+    kept = ResultStore(options.out)
     if others := kept.count_others(of_study):
         _say(f"{options.out}: {others} cases there are of other files, keys or versions than now, and are not taken")
     todo = [case for case in cases if kept.find(case) is None]
@@ -53,7 +53,7 @@ def run_cases(swept: Swept, options: StudyOptions) -> Worked:
                     bar.advance(bar.task_ids[0])
     finally:
         kept.merge(of_study, swept.source.text)
-    return Worked(cases, [row for case in cases for row in kept.table(case)])
+    return StudyRows(cases, [row for case in cases for row in kept.table(case)])
 
 
 def _say(words: str) -> None:

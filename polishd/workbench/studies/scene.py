@@ -12,7 +12,7 @@ from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.compliance import depth_ratio
 from polishd.process.contact import hertz_depth_mm
 from polishd.process.curved import on_curved
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot
+from polishd.process.dynamic_tif import CorrectedSpot, tif_at_point
 from polishd.process.effect import SparseEffect
 from polishd.process.path_compliance import path_compliance
 from polishd.process.paths.spacing import on_optic
@@ -78,7 +78,7 @@ def make_scene(study: PartStudy) -> Scene:
         compliance_um_per_n=found.compliance_mm_per_n * 1e3,
         lattice=lattice,
         on_nodes=study.path.step_mm == study.process.grid_mm,
-        notes=(words, *found.notes, *path.on_part(corrected_spot("exact", gamma))[1]),
+        notes=(words, *found.notes, *path.on_part(tif_at_point("exact", gamma))[1]),
     )
 
 

@@ -30,7 +30,7 @@ NEVER = math.inf
 
 
 @dataclass(frozen=True, slots=True)
-class Middle:
+class MedianInterval:
     """A median, and between which two it lies with a chance of ``SURE``; None: it never came, or nobody knows."""
 
     median: float | None
@@ -39,7 +39,7 @@ class Middle:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class LabelGroup:
     """All rows of one label."""
 
     label: Mapping[str, str]
@@ -49,11 +49,11 @@ class Group:
     share: tuple[float, float, float]
     """Of those that failed: as counted, and its interval (Wilson's)."""
     errors: int
-    figures: Mapping[str, Middle]
+    figures: Mapping[str, MedianInterval]
 
 
 @dataclass(frozen=True, slots=True)
-class Paired:
+class PairedDifference:
     """One label against the first, on the same draws."""
 
     label: Mapping[str, str]
@@ -64,7 +64,7 @@ class Paired:
     """Pairs in which its figure is the lower one, ..."""
     same: int
     higher: int
-    difference: Middle
+    difference: MedianInterval
     """Its figure less the other's, where both have one."""
 
 
@@ -80,7 +80,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, slots=True)
-class Fails:
+class FailureRegion:
     """How many fail in a part of a key's values."""
 
     label: Mapping[str, str]
@@ -96,17 +96,17 @@ class Summary:
 
     kind: str
     rows: int
-    groups: tuple[Group, ...]
-    paired: tuple[Paired, ...]
+    groups: tuple[LabelGroup, ...]
+    paired: tuple[PairedDifference, ...]
     sensitivity: tuple[Sensitivity, ...]
-    fails: tuple[Fails, ...]
+    fails: tuple[FailureRegion, ...]
 
     def as_json(self) -> dict[str, Any]:
         """As JSON holds it."""
         return asdict(self)
 
 
-def summed_up(rows: Iterable[Row]) -> Summary:
+def summarise(rows: Iterable[Row]) -> Summary:
     """Of the rows of a study, in their order."""
     known = [{**row, "passes_to_tolerance": _to_tolerance(row)} for row in rows]
     kind = kind_of(known)
@@ -152,18 +152,18 @@ def failed(row: Row) -> bool:
     return bool(row.get("error")) or row.get("accepted") is False
 
 
-def middle(values: Sequence[float]) -> Middle:
+def middle(values: Sequence[float]) -> MedianInterval:
     """Median and its interval, by ranks: no distribution is assumed."""
     from scipy.stats import binom
 
     ordered, n = sorted(values), len(values)
     if not n:
-        return Middle(None, None, None)
+        return MedianInterval(None, None, None)
     median = float(np.median(ordered)) if not math.isinf(ordered[n // 2]) else NEVER
     below = int(binom.ppf((1 - SURE) / 2, n, 0.5))
     inside = below > 0
     low, high = (ordered[below - 1], ordered[n - below]) if inside else (None, None)
-    return Middle(*(None if one is None or math.isinf(one) else float(one) for one in (median, low, high)))
+    return MedianInterval(*(None if one is None or math.isinf(one) else float(one) for one in (median, low, high)))
 
 
 def share(count: int, of: int) -> tuple[float, float, float]:
@@ -180,15 +180,17 @@ def _to_tolerance(row: Row) -> float | None:
     return float(row["passes"]) if row["accepted"] else NEVER
 
 
-def _group(label: Mapping[str, str], rows: Sequence[Row], kind: str) -> Group:
+def _group(label: Mapping[str, str], rows: Sequence[Row], kind: str) -> LabelGroup:
     bad = sum(map(failed, rows))
     figures = {name: middle([row[name] for row in rows if row.get(name) is not None]) for name in FIGURES[kind]}
-    return Group(label, len(rows), bad, share(bad, len(rows)), sum(bool(row.get("error")) for row in rows), figures)
+    return LabelGroup(
+        label, len(rows), bad, share(bad, len(rows)), sum(bool(row.get("error")) for row in rows), figures
+    )
 
 
 def _all_paired(
     by_label: Mapping[tuple[str, ...], Sequence[Row]], groups: Mapping[tuple[str, ...], Mapping[str, str]], kind: str
-) -> Iterable[Paired]:
+) -> Iterable[PairedDifference]:
     """Each label against the first with which it shares all but what is compared."""
     first: dict[tuple[str, ...], tuple[str, ...]] = {}
     for label, rows in by_label.items():
@@ -200,7 +202,9 @@ def _all_paired(
                 yield _paired(groups[label], other[-1], rows, by_label[other], figure)
 
 
-def _paired(label: Mapping[str, str], against: str, rows: Sequence[Row], others: Sequence[Row], figure: str) -> Paired:
+def _paired(
+    label: Mapping[str, str], against: str, rows: Sequence[Row], others: Sequence[Row], figure: str
+) -> PairedDifference:
     theirs = {(row["point"], row["seed"]): row.get(figure) for row in others}
     pairs = [
         (row[figure], other)
@@ -208,7 +212,7 @@ def _paired(label: Mapping[str, str], against: str, rows: Sequence[Row], others:
         if row.get(figure) is not None and (other := theirs.get((row["point"], row["seed"]))) is not None
     ]
     both = [mine - other for mine, other in pairs if not math.isinf(mine) and not math.isinf(other)]
-    return Paired(
+    return PairedDifference(
         label,
         against,
         figure,
@@ -236,7 +240,7 @@ def _rank_correlation(pairs: Sequence[tuple[float, float]]) -> float | None:
     return float(spearmanr(x, y).statistic)
 
 
-def _fails(label: Mapping[str, str], rows: Sequence[Row], key: str) -> Iterable[Fails]:
+def _fails(label: Mapping[str, str], rows: Sequence[Row], key: str) -> Iterable[FailureRegion]:
     """By thirds of a key's values where it has many, by value where it has few."""
     have = [row for row in rows if row.get(key) is not None]
     values = [row[key] for row in have]
@@ -252,7 +256,9 @@ def _fails(label: Mapping[str, str], rows: Sequence[Row], key: str) -> Iterable[
     for name in names:
         mine = [row for row, where in zip(have, wheres, strict=True) if where == name]
         if mine:
-            yield Fails(label, key.removeprefix(OVER), name, len(mine), share(sum(map(failed, mine)), len(mine)))
+            yield FailureRegion(
+                label, key.removeprefix(OVER), name, len(mine), share(sum(map(failed, mine)), len(mine))
+            )
 
 
 def _is_number(value: Any) -> bool:

@@ -12,7 +12,7 @@ from rich.table import Table
 from polishd.show.style import BLUE, DIVERGING, NO_DATA, ORANGE, figure, ruled
 from polishd.show.tables import figure_table
 from polishd.workbench.studies.pictures import Draw, drawn
-from polishd.workbench.studies.summary import FIGURES, THIRDS, Group, Middle, Summary
+from polishd.workbench.studies.summary import FIGURES, THIRDS, LabelGroup, MedianInterval, Summary
 
 MOST_KEYS = 12
 """Of a picture."""
@@ -88,7 +88,7 @@ def _share(found: tuple[float, float, float]) -> str:
     return f"{value:.1%} ({low:.1%} to {high:.1%})"
 
 
-def _middle(one: Middle) -> str:
+def _middle(one: MedianInterval) -> str:
     if one.median is None:
         return "-"
     if one.low is None:
@@ -117,7 +117,7 @@ def _medians(summary: Summary) -> Figure:
     return page
 
 
-def _ends(group: Group, name: str) -> tuple[float, float, float]:
+def _ends(group: LabelGroup, name: str) -> tuple[float, float, float]:
     one = group.figures[name]
     known = [np.nan if value is None else value for value in (one.median, one.low, one.high)]
     return known[0], known[1], known[2]

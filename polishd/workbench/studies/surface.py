@@ -9,7 +9,7 @@ import numpy as np
 
 from polishd.config.study import CorrectionsStudy, PartStudy
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.process.conditioning import MARGIN_MM, MIN_SAMPLES, Conditioned, condition, process_grid
+from polishd.process.conditioning import MARGIN_MM, MIN_SAMPLES, ConditionedMap, condition, process_grid
 from polishd.process.metrics import fitted
 from polishd.process.nominal import less_nominal
 from polishd.process.registration.record import Registration
@@ -25,7 +25,7 @@ def study_grid(study: PartStudy, pitch_mm: float) -> Grid:
     return process_grid(study.outline(), pitch_mm, max(MARGIN_MM, study.path.extension_mm))
 
 
-def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
+def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
     """The surface on the process grid with its masks; ConfigError where the map cannot be used."""
     part, wanted = study.part, study.surface
     if wanted.rms_nm is not None and wanted.period_mm is not None:
@@ -45,7 +45,7 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> Conditioned:
         )
 
 
-def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> Conditioned:
+def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> ConditionedMap:
     """A surface of this RMS over the clear aperture, without what the part's maps are levelled by."""
     part = study.part
     grid = study_grid(study, study.process.grid_mm)
@@ -56,7 +56,7 @@ def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float
     height = random_waves(grid, period_mm, study.surface.seed)
     height -= fitted(height, metric, part.alignment)
     height *= rms_nm / height[metric].std()
-    return Conditioned(grid, np.where(solve, height, np.nan), solve, metric)
+    return ConditionedMap(grid, np.where(solve, height, np.nan), solve, metric)
 
 
 def random_waves(grid: Grid, period_mm: tuple[float, float], seed: int) -> FloatArray:

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from polishd.config.study import PassesStudy, SpotsStudy
 from polishd.show.tables import figure_table, key_table
-from polishd.workbench.studies.corrections import PLANTS, Comparison, Row, tie_words
-from polishd.workbench.studies.loops import Looped, LoopRow
+from polishd.workbench.studies.corrections import PLANTS, CorrectionComparison, CorrectionRow, tie_words
+from polishd.workbench.studies.loops import LoopRow, LoopRows
 from polishd.workbench.studies.paper import DIVERGENCE_BASE, TABLE_IV, TABLE_IV_RATIO
 from polishd.workbench.studies.passes import Passes
 from polishd.workbench.studies.spots import READINGS, SpotRow, shape_words
@@ -20,12 +20,12 @@ MOST_NOTES = 12
 PLANT_WORDS = {"eq49": "plant eq. 49: R0 diag(gamma)", "depth": "plant depth: each point's spot at its own depth"}
 
 
-def correction_tables(title: str, compared: Comparison) -> list[Table]:
+def correction_tables(title: str, compared: CorrectionComparison) -> list[Table]:
     """One table a plant, the paper's Table IV beside it."""
     return [_correction_table(f"{title}, {PLANT_WORDS[plant]}", compared, plant) for plant in PLANTS]
 
 
-def _correction_table(title: str, compared: Comparison, plant: str) -> Table:
+def _correction_table(title: str, compared: CorrectionComparison, plant: str) -> Table:
     columns = ("correction", "PV nm", "RMS nm", "/ none", "less piston", "LSF nm", "dwell s", "wall s")
     rows = [
         (row.correction, *_correction_cells(row, compared.ratio(plant, row.correction)))
@@ -35,7 +35,7 @@ def _correction_table(title: str, compared: Comparison, plant: str) -> Table:
     return figure_table(title, (*columns, "paper PV", "RMS"), rows)
 
 
-def _correction_cells(row: Row, ratio: float) -> list[str]:
+def _correction_cells(row: CorrectionRow, ratio: float) -> list[str]:
     paper = TABLE_IV.get(row.correction)
     return [
         f"{row.pv_nm:.3f}",
@@ -49,7 +49,7 @@ def _correction_cells(row: Row, ratio: float) -> list[str]:
     ]
 
 
-def correction_notes(compared: Comparison) -> list[str]:
+def correction_notes(compared: CorrectionComparison) -> list[str]:
     """The ties, our ratio beside the paper's, and what is to be known of the solutions."""
     ours = ", ".join(f"{name} {compared.ratio('depth', name):.3g}" for name in ("linear", "power", "exact"))
     return [
@@ -118,7 +118,7 @@ def passes_table(study: PassesStudy, passes: Passes) -> Table:
     return key_table(f"{study.title}: equal dwell", rows)
 
 
-def loop_table(title: str, looped: Looped) -> Table:
+def loop_table(title: str, looped: LoopRows) -> Table:
     """One row a scenario and loop."""
     columns = ("scenario", "loop", "jobs", "accepted", "passes", "after pass 1 nm", "true RMS nm")
     return figure_table(
@@ -142,12 +142,12 @@ def _loop_cells(row: LoopRow) -> list[str]:
     ]
 
 
-def _share(looped: Looped) -> str:
+def _share(looped: LoopRows) -> str:
     held, of = (sum(getattr(row, name) for row in looped.rows) for name in ("held", "forecasts"))
     return f"{held / of:.0%} of {of}" if of else "none came so far"
 
 
-def loop_notes(looped: Looped) -> list[str]:
+def loop_notes(looped: LoopRows) -> list[str]:
     """What the columns mean, and what stopped loops said."""
     stopped = {f"{run.scenario}, {run.loop}, seed {run.seed}: {run.why}": None for run in looped.runs if run.why}
     told = list(stopped)[:MOST_NOTES]

@@ -28,7 +28,7 @@ from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.passes import polish_evenly
 from polishd.workbench.studies.running import run_cases
 from polishd.workbench.studies.spots import compute_spots
-from polishd.workbench.studies.summary import summed_up
+from polishd.workbench.studies.summary import summarise
 from polishd.workbench.studies.summary_show import summary_pictures, summary_tables
 from polishd.workbench.studies.working import read, run_of
 
@@ -36,7 +36,7 @@ TABLE = "table.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class StudyResult:
     """What a study came to."""
 
     rows: list[dict[str, Any]] | dict[str, Any]
@@ -73,7 +73,7 @@ def show_verb(folder: Path, *, as_json: bool) -> None:
     _give(_summed(title or folder.name, rows), folder, as_json=as_json)
 
 
-def _give(answer: Answer, out: Path | None, *, as_json: bool) -> None:
+def _give(answer: StudyResult, out: Path | None, *, as_json: bool) -> None:
     if out is not None:
         _write(out, answer)
     if as_json:
@@ -89,42 +89,42 @@ def _give(answer: Answer, out: Path | None, *, as_json: bool) -> None:
         )
 
 
-def _answer(study: Study, tell: Tell) -> Answer:
+def _answer(study: Study, tell: Tell) -> StudyResult:
     if isinstance(study, CorrectionsStudy):
         compared = compare_corrections(study, read, tell)
         rows = [facts_of(row) for row in compared.rows]
         shown = tables.correction_tables(study.title, compared)
-        return Answer(rows, shown, tables.correction_notes(compared), pictures.of_corrections(compared))
+        return StudyResult(rows, shown, tables.correction_notes(compared), pictures.of_corrections(compared))
     if isinstance(study, SpotsStudy):
         spots = compute_spots(study, tell)
         shown = tables.spot_tables(study, spots)
-        return Answer([row.as_json() for row in spots], shown, tables.spot_notes(spots), pictures.of_spots(spots))
+        return StudyResult([row.as_json() for row in spots], shown, tables.spot_notes(spots), pictures.of_spots(spots))
     assert isinstance(study, PassesStudy)  # noqa: S101  (loops are many)
     polished = polish_evenly(study, tell)
     shown = [tables.passes_table(study, polished)]
-    return Answer([polished.as_json()], shown, list(polished.notes), pictures.of_passes(polished))
+    return StudyResult([polished.as_json()], shown, list(polished.notes), pictures.of_passes(polished))
 
 
-def _of_many(study: Study, rows: Rows, *, is_sweep: bool) -> Answer:
+def _of_many(study: Study, rows: Rows, *, is_sweep: bool) -> StudyResult:
     """Of a sweep what its rows say together; of loops alone a row of each scenario and loop."""
     if is_sweep or not isinstance(study, LoopStudy):
         return _summed(study.title, rows)
     found = looped([run_of(row) for row in rows], study.all_scenarios())
     shown = [tables.loop_table(study.title, found), confusion.confusion_table(study.title, found)]
     pages = {confusion.FILE: confusion.confusion_page(found)}
-    return Answer(found.as_json(), shown, tables.loop_notes(found), pictures.of_loops(found), pages)
+    return StudyResult(found.as_json(), shown, tables.loop_notes(found), pictures.of_loops(found), pages)
 
 
-def _summed(title: str, rows: Rows) -> Answer:
-    summary = summed_up(rows)
+def _summed(title: str, rows: Rows) -> StudyResult:
+    summary = summarise(rows)
     notes = [
         f"{summary.rows} rows; failed: an error, or not in tolerance at the job's end; medians of true RMS at that end",
         *tables.error_notes(rows),
     ]
-    return Answer(summary.as_json(), summary_tables(title, summary), notes, summary_pictures(summary))
+    return StudyResult(summary.as_json(), summary_tables(title, summary), notes, summary_pictures(summary))
 
 
-def _write(out: Path, answer: Answer) -> None:
+def _write(out: Path, answer: StudyResult) -> None:
     try:
         for name, draw in answer.pictures.items():
             write_atomic(out / name, draw())

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polishd.hookspecs import RemovalModel
-from polishd.model.beliefs import Belief
+from polishd.model.beliefs import Estimate
 from polishd.model.process import MeasuredTif
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, SurfaceMap
@@ -17,7 +17,7 @@ from polishd.process.instrument import as_profiled
 from polishd.process.measured_tif import tif_from_maps, volume_mm3_min
 from polishd.recipe import steps
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed
+from polishd.recipe.records import EstimatesInUse
 from polishd.workbench.studies.plant_process import PlantProcess
 
 Measure = Callable[[], SurfaceMap]
@@ -27,18 +27,18 @@ DEPTH_NM = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Witness:
+class WitnessSpot:
     """A spot that was polished at rest at one point of a program, and what it removed."""
 
     point: Program
     """That point alone."""
     tif: MeasuredTif
 
-    def rate(self, recipe: Recipe) -> Believed:
+    def rate(self, recipe: Recipe) -> EstimatesInUse:
         """The belief with which the recipe's model removes the volume of this spot."""
-        first = steps.believed_at_first(recipe)
+        first = steps.initial_estimates(recipe)
         modelled = float(_modelled_nm_s(recipe, self.point).sum()) * recipe.grid_mm**2 * 60e-6  # mm^3/min
-        rate = Belief(volume_mm3_min(self.tif) / modelled)
+        rate = Estimate(volume_mm3_min(self.tif) / modelled)
         return replace(first, removal=replace(first.removal, rate=rate))
 
     def spot(self, recipe: Recipe, measured_tif: RemovalModel) -> Recipe:
@@ -46,7 +46,7 @@ class Witness:
         return replace(recipe, model=measured_tif, tif=self.tif)
 
 
-def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measure: Measure) -> Witness:
+def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measure: Measure) -> WitnessSpot:
     """A spot in the middle of the part that lies there, as the program would have it. ComputeError."""
     middle = int(np.argmin(np.hypot(*steps.in_part_frame(recipe, program).end_mm[:, :2].T)))
     point = _at_rest(program, middle)
@@ -54,11 +54,11 @@ def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measur
     before = as_profiled(measure(), recipe.instrument)
     plant.polish(point, seconds, recipe.process.force_n, recipe.process.rpm)
     after = as_profiled(measure(), recipe.instrument)
-    azimuth_deg = float(np.degrees(lean_azimuth_rad(steps.as_polished(recipe, point))[0]))
+    azimuth_deg = float(np.degrees(lean_azimuth_rad(steps.executed_surface(recipe, point))[0]))
     whole = _with_data(before, after)
     seen = (before.height_nm[whole], after.height_nm[whole])
     tif, _ = tif_from_maps(*seen, before.grid.pitch_mm, float(seconds[0]), azimuth_deg=azimuth_deg)
-    return Witness(point, tif)
+    return WitnessSpot(point, tif)
 
 
 def _at_rest(program: Program, point: int) -> Program:

@@ -17,9 +17,9 @@ from polishd.model.surface import SurfaceMap
 from polishd.recipe.encoding import facts_of
 from polishd.recipe.files import read_map
 from polishd.workbench.studies.case import Case
-from polishd.workbench.studies.cases import UNHURRIED, Making
+from polishd.workbench.studies.cases import UNHURRIED, CaseFactory
 from polishd.workbench.studies.corrections import compare_corrections
-from polishd.workbench.studies.loop import ERROR, ClosedLoop, Run
+from polishd.workbench.studies.loop import ERROR, ClosedLoop, ClosedLoopResult
 from polishd.workbench.studies.passes import polish_evenly
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.spots import compute_spots
@@ -31,12 +31,12 @@ UNHURRIED_S = 3600.0
 """Of a solve: iterations end it."""
 
 
-class Bench:
+class CaseRunner:
     """A worker's: one study, the loops that it has made ready, and one plant."""
 
     def __init__(self, study: Path) -> None:
         """Read the study's file. ConfigError."""
-        self._making = Making(read_swept(study))
+        self._making = CaseFactory(read_swept(study))
         self._loops: dict[str, ClosedLoop] = {}
         self._plant: PlantProcess | None = None
 
@@ -96,7 +96,7 @@ def closed_loop(study: LoopStudy, name: str) -> ClosedLoop:
     return ClosedLoop(cell, keys, study.passes, raster=study.raster, witness=witness, poses=poses, learns=learns)
 
 
-def row_of(run: Run) -> dict[str, Any]:
+def row_of(run: ClosedLoopResult) -> dict[str, Any]:
     """A job's figures, and what all rows are looked at by."""
     own = {field.name: getattr(run, field.name) for field in fields(run)}
     for name in ("scenario", "loop", "seed"):  # which the case has
@@ -105,11 +105,13 @@ def row_of(run: Run) -> dict[str, Any]:
     return {**own, "accepted": run.accepted, "falsely_accepted": run.falsely_accepted, "true_rms_end_nm": end_nm}
 
 
-def run_of(row: dict[str, Any]) -> Run:
+def run_of(row: dict[str, Any]) -> ClosedLoopResult:
     """The job of a row; of a case that failed, one that never began."""
     if row["error"]:
-        return Run(row["scenario"], row["loop"], row["seed"], ERROR, row["error"], (), 0, (), (), (), (), False, 0.0)
-    return Run(**{field.name: _frozen(row[field.name]) for field in fields(Run)})
+        return ClosedLoopResult(
+            row["scenario"], row["loop"], row["seed"], ERROR, row["error"], (), 0, (), (), (), (), False, 0.0
+        )
+    return ClosedLoopResult(**{field.name: _frozen(row[field.name]) for field in fields(ClosedLoopResult)})
 
 
 def _computed(study: Study) -> Iterator[dict[str, Any]]:

@@ -12,7 +12,7 @@ import pytest
 
 from polishd.drivers.spindle_can import codec
 from polishd.drivers.spindle_can import link as links
-from polishd.drivers.transport.address import Slcan
+from polishd.drivers.transport.address import SlcanAddress
 from polishd.drivers.transport.can_bus import CanFrame, OnFrame
 from tests.campaigns.codecs.nasty import WEIGHTS, Nasty, Talk
 
@@ -55,7 +55,7 @@ class Spindle(Talk):
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
-        self._link = links.DriveLink(Slcan(Path("bus")), NODE, self.silence_s)
+        self._link = links.DriveLink(SlcanAddress(Path("bus")), NODE, self.silence_s)
         self._timer: asyncio.TimerHandle | None = None
         self._asked = b""
 
@@ -66,7 +66,7 @@ class Spindle(Talk):
         monkeypatch.setattr(links, "open_bus", open_bus)
 
     async def open(self) -> None:
-        self._link = links.DriveLink(Slcan(Path("bus")), NODE, self.silence_s)
+        self._link = links.DriveLink(SlcanAddress(Path("bus")), NODE, self.silence_s)
         await self._link.open()
 
     async def close(self) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from polishd.api import PlainLines
 from polishd.drivers.force_sensor_line import ForceSensorLine
-from polishd.drivers.linuxcnc.connection import Connection
+from polishd.drivers.linuxcnc.connection import RshConnection
 from polishd.drivers.linuxcnc.dialogue import AXES
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.monitor_line import MonitorLine
@@ -257,13 +257,13 @@ class LinuxCnc(Talk):
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
         super().__init__(**how)
         self._address = address
-        self._connection: Connection | None = None
+        self._connection: RshConnection | None = None
         self._asked = b""
         self._told: dict[bytes, bytes] = {}
 
     async def open(self) -> None:
         self._told.clear()
-        self._connection = Connection(self._address, ("EMC", "EMCTOO"), self.silence_s)
+        self._connection = RshConnection(self._address, ("EMC", "EMCTOO"), self.silence_s)
         await self._connection.open()
 
     async def close(self) -> None:

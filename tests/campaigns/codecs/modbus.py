@@ -11,7 +11,7 @@ from typing import Any
 
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.handover.modbus import Modbus
-from polishd.drivers.handover.registers import Place, place
+from polishd.drivers.handover.registers import ModbusAddress, place
 from polishd.drivers.handover.variables import watched
 from polishd.drivers.profiled.modbus_link import ModbusLink
 from polishd.drivers.transport.address import Tcp
@@ -227,7 +227,9 @@ class Controller(TcpSlave):
         super().__init__(**how)
         table = load_controller_profile("plc-modbus", Path()).variables
         self._variables = Modbus(address, table, self.silence_s, unit=UNIT)
-        self._places: dict[str, Place] = {name: place(name, one, little=False) for name, one in watched(table).items()}
+        self._places: dict[str, ModbusAddress] = {
+            name: place(name, one, little=False) for name, one in watched(table).items()
+        }
         self._words: dict[str, list[int]] = {}
         self._beats = 0
 

@@ -14,12 +14,12 @@ from typing import Any
 from zlib import crc32
 
 from polishd.api import RobotTimes
-from polishd.drivers.robot_link.connection import Connection
-from polishd.drivers.robot_link.frames import Kind
+from polishd.drivers.robot_link.connection import RobotLinkConnection
+from polishd.drivers.robot_link.frames import FrameType
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots import dashboard
-from polishd.drivers.universal_robots.link import Link
-from polishd.drivers.universal_robots.sample import OUTPUTS, Registers
+from polishd.drivers.universal_robots.link import RtdeConnection
+from polishd.drivers.universal_robots.sample import OUTPUTS, UrRegisters
 from tests.campaigns.codecs.lines import HOST
 from tests.campaigns.codecs.nasty import WEIGHTS, Talk
 
@@ -43,12 +43,12 @@ class RobotLink(Talk):
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
         super().__init__(**how)
         self._address = address
-        self._connection: Connection | None = None
+        self._connection: RobotLinkConnection | None = None
         self._said: deque[bytes] = deque(maxlen=9)
 
     async def open(self) -> None:
         times = RobotTimes(silence_s=self.silence_s, watchdog_s=1.0)
-        self._connection = Connection(self._address, "writer", None, times)
+        self._connection = RobotLinkConnection(self._address, "writer", None, times)
         await self._connection.open("test")
 
     async def close(self) -> None:
@@ -57,7 +57,7 @@ class RobotLink(Talk):
 
     async def ask(self) -> Any:
         assert self._connection is not None
-        told = (await self._connection.command(Kind.HOLD, {})).progress
+        told = (await self._connection.command(FrameType.HOLD, {})).progress
         buffer_s = told.buffer_s if math.isfinite(self._connection.progress.buffer_s) else math.nan
         return told.state, told.accepted, told.executed, told.stops, buffer_s
 
@@ -65,13 +65,13 @@ class RobotLink(Talk):
         while data:
             kind, size = data[2], struct.unpack_from(">I", data, 4)[0]
             data = data[12 + size :]
-            if kind == Kind.HELLO:
+            if kind == FrameType.HELLO:
                 about = dict.fromkeys(("vendor", "model", "serial", "firmware"), "x")
                 more = {"protocol": 1, "boot_id": BOOT, "window": 100, "watchdog_s": 10.0, "lease": "l"}
-                yield link_frame(Kind.WELCOME, json.dumps({**about, **more, "status": self._status()}).encode())
-            elif kind == Kind.HOLD:
+                yield link_frame(FrameType.WELCOME, json.dumps({**about, **more, "status": self._status()}).encode())
+            elif kind == FrameType.HOLD:
                 self._said.append(
-                    link_frame(Kind.ACK, json.dumps({"of": Kind.HOLD, "status": self._status()}).encode())
+                    link_frame(FrameType.ACK, json.dumps({"of": FrameType.HOLD, "status": self._status()}).encode())
                 )
                 yield self._said[-1]
 
@@ -82,8 +82,8 @@ class RobotLink(Talk):
         return {**dict(zip(keys, self.truth, strict=True)), "program_sha256": "", "boot_id": BOOT, "detail": ""}
 
     def refusal(self, reply: bytes) -> bytes:
-        of = Kind.HELLO if reply[2] == Kind.WELCOME else Kind.HOLD
-        return link_frame(Kind.NAK, json.dumps({"of": of, "code": "state", "text": "no"}).encode())
+        of = FrameType.HELLO if reply[2] == FrameType.WELCOME else FrameType.HOLD
+        return link_frame(FrameType.NAK, json.dumps({"of": of, "code": "state", "text": "no"}).encode())
 
     def tells(self, sent: bytes, reply: bytes) -> bool:
         """What has a right checksum is ours. An ACK has no number: an older one, or a double, may answer the next."""
@@ -104,7 +104,7 @@ class RobotLink(Talk):
         said += [json.dumps(content | {"status": rng.choice([None, [], "held", 5])})]
         said += [json.dumps(content).replace(str(status["buffer_s"]), rng.choice(["1e999", "1" + "0" * 400]), 1)]
         said += ["", "[" * 3000, "[]", "7", "{", '"held"', json.dumps(content)[:-1]]
-        if reply[2] == Kind.WELCOME:
+        if reply[2] == FrameType.WELCOME:
             watchdog = rng.choice([math.nan, math.inf, 0, -1, None, "1", True])
             said += [
                 json.dumps(content | {"watchdog_s": watchdog}),
@@ -130,8 +130,8 @@ class Rtde(Talk):
 
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
         super().__init__(**how)
-        registers = Registers()
-        self.link = Link(address, 100.0, registers, self.silence_s)
+        registers = UrRegisters()
+        self.link = RtdeConnection(address, 100.0, registers, self.silence_s)
         self._names = (*OUTPUTS, *registers.outputs())
         self._timer: asyncio.TimerHandle | None = None
         self._own: list[bytes] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.drivers.handover.variables import Reading
+from polishd.drivers.handover.variables import VariableSnapshot
 from tests.campaigns.codecs.controllers import MAKERS, Make, read_for_ever
 
 SEED = 15
@@ -22,9 +22,9 @@ async def test_no_reading_is_taken_that_is_none(monkeypatch: pytest.MonkeyPatch,
 async def test_what_is_taken_is_counted(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
     server, variables = make(monkeypatch, SEED)
 
-    async def gullible() -> Reading:
+    async def gullible() -> VariableSnapshot:
         server.reading()
-        return Reading(1.0, server.truth)
+        return VariableSnapshot(1.0, server.truth)
 
     monkeypatch.setattr(variables, "read", gullible)
     outcomes = await read_for_ever(variables, server, 20)

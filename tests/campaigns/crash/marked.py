@@ -24,8 +24,8 @@ import polishd.files
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.lock import locked
-from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
+from polishd.model.cycle import CyclePhase, Outcome
+from polishd.model.devices import ExecutedBlock
 from polishd.plain import plain
 
 CHECKPOINT_PAGES = 24
@@ -121,7 +121,7 @@ async def _cycle(journal: Journal, job: str, *, whole: bool) -> None:
     cycle = next(journal.remaining(9))
     program = f"{job} {cycle}"
     random = np.random.default_rng(len(program))
-    async with journal.phase(cycle, Phase.MEASURE):
+    async with journal.phase(cycle, CyclePhase.MEASURE):
         arrays = journal.arrays.put({"height_nm": random.normal(size=(40, 40))})
         journal.record_map(cycle, f"map of {program}", "map.dat", {"rms_nm": 1.0}, arrays)
     plan, start = (journal.arrays.put({"x": random.normal(size=200)}) for _ in range(2))
@@ -136,7 +136,7 @@ async def _cycle(journal: Journal, job: str, *, whole: bool) -> None:
 
 
 def _block(seq: int, touched: bool | None) -> BlockRecord:
-    return BlockRecord(Executed(seq, seq * 0.1, seq * 0.1 + 0.05), touched)
+    return BlockRecord(ExecutedBlock(seq, seq * 0.1, seq * 0.1 + 0.05), touched)
 
 
 def main(marks: str, what: str, *arguments: str) -> int:

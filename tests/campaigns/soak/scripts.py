@@ -175,7 +175,7 @@ BY_A_PERSON = (
         2.0,
         {"truth": {"worn": 0.5}},
         end=ASIDE,
-        faults=("GateStop", "ToolStop"),
+        faults=("RemovalCheckStop", "ToolStop"),
         visits=(TOOL,),
     ),
     Script(
@@ -183,7 +183,7 @@ BY_A_PERSON = (
         2.0,
         {"interferometer.faults": {"mirror": True}},
         end=ASIDE,
-        faults=("GateStop",),
+        faults=("RemovalCheckStop",),
         visits=(GATE,),
     ),
     Script(
@@ -191,7 +191,7 @@ BY_A_PERSON = (
         2.0,
         {"interferometer.faults": {"rotation_deg": 90}},
         end=ASIDE,
-        faults=("GateStop",),
+        faults=("RemovalCheckStop",),
         visits=(GATE,),
     ),
     Script(
@@ -199,7 +199,7 @@ BY_A_PERSON = (
         1.0,
         {"interferometer.faults": {"sign": -1}},
         end=ASIDE,
-        faults=("GateStop",),
+        faults=("RemovalCheckStop",),
         visits=(GATE,),
     ),
     Script(
@@ -207,7 +207,7 @@ BY_A_PERSON = (
         1.0,
         {"interferometer.faults": {"factor": 2.0}},
         end=ASIDE,
-        faults=("GateStop",),
+        faults=("RemovalCheckStop",),
         visits=(GATE,),
     ),
 )

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from polishd.api import ForceActuator
 from polishd.drivers.profiled import make
-from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp
 from polishd.model.times import ActuatorTimes
-from polishd.testing.rig import Scope
+from polishd.testing.rig import TestScope
 from polishd.testing.suites.actuator import ActuatorRig
 from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
 from tests.fakes import cia402
@@ -21,7 +21,7 @@ from tests.fakes.profiled import IdealDrive, ProfiledPeer
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind
 
-TOUCHES = Scope(touch_mm=5.0)
+TOUCHES = TestScope(touch_mm=5.0)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)
 """A busy machine is silent for longer than most wires would be."""
 
@@ -82,7 +82,7 @@ async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
     """A drive of CiA 402 behind a serial adapter, in profile torque; a spring lifts."""
     drive, coil = cia402.sim_coil()
     wire = PtyWire(SlcanPeer(drive), folder / "slcan")
-    device: ForceActuator = cia402.cia402_actuator(Slcan(wire.path), PATIENT)
+    device: ForceActuator = cia402.cia402_actuator(SlcanAddress(wire.path), PATIENT)
     async with cia402_drive(drive, wire, device, lambda: coil.position_mm <= 0.1) as rig:
         yield rig
 
@@ -92,7 +92,7 @@ async def cia402_actuator_position(_: Path) -> AsyncIterator[ActuatorRig]:
     """The same behind a socketcand server; profile position lifts."""
     drive, coil = cia402.sim_coil()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    address = Socketcand("127.0.0.1", wire.port, "can0")
+    address = SocketcandAddress("127.0.0.1", wire.port, "can0")
     device: ForceActuator = cia402.cia402_actuator(address, PATIENT, lift="position")
     async with cia402_drive(drive, wire, device, lambda: coil.position_mm <= 0.1) as rig:
         yield rig

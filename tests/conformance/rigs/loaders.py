@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 
-from polishd.api import Loader
+from polishd.api import PartLoader
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.model.times import LoaderTimes
@@ -39,7 +39,7 @@ async def loader_tcp_dribbled(_: Path) -> AsyncIterator[LoaderRig]:
         yield rig
 
 
-def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: Loader) -> AbstractAsyncContextManager[LoaderRig]:
+def _loader(fake: FakeLoader, wire: PtyWire | TcpWire, device: PartLoader) -> AbstractAsyncContextManager[LoaderRig]:
     return on_wire(wire, device, lambda: fake.state != 1)
 
 

@@ -11,10 +11,10 @@ from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.robot_link import RobotLink
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.driver import UniversalRobot
-from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.sample import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from polishd.model.times import RobotTimes
-from polishd.testing.rig import Rig, Scope
+from polishd.testing.rig import Rig, TestScope
 from polishd.testing.suites.robot import RobotRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes import handover
@@ -24,7 +24,7 @@ from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import TcpWire, dribbled
 from tests.kinds import kind
 
-URSCRIPT = Scope(block=urscript)
+URSCRIPT = TestScope(block=urscript)
 PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 """A busy machine is silent for longer than most wires would be."""
 
@@ -99,7 +99,7 @@ async def universal_robots_dribbled(_: Path) -> AsyncIterator[RobotRig]:
 @asynccontextmanager
 async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
     await fake.start()
-    device = UniversalRobot(fake.addresses, Settings(Registers(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+    device = UniversalRobot(fake.addresses, Settings(UrRegisters(), PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
     try:
         mute = lambda: setattr(fake, "silent", True)  # noqa: E731
         yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=URSCRIPT)

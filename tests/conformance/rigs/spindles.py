@@ -9,9 +9,9 @@ from pathlib import Path
 from polishd.api import Spindle
 from polishd.drivers.profiled import make
 from polishd.drivers.spindle_can import SpindleCan
-from polishd.drivers.transport.address import SerialLine, Slcan, Socketcand, Tcp
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp
 from polishd.model.times import SpindleTimes
-from polishd.testing.rig import Scope
+from polishd.testing.rig import TestScope
 from polishd.testing.suites.spindle import SpindleRig
 from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
 from tests.fakes import cia402
@@ -30,7 +30,7 @@ async def spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
     """spindle_can behind a serial adapter."""
     drive = Drive()
     wire = PtyWire(SlcanPeer(drive), folder / "slcan")
-    async with _spindle(drive, wire, SpindleCan(Slcan(wire.path), PATIENT_SPINDLE)) as rig:
+    async with _spindle(drive, wire, SpindleCan(SlcanAddress(wire.path), PATIENT_SPINDLE)) as rig:
         yield rig
 
 
@@ -39,7 +39,9 @@ async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
     """spindle_can behind a socketcand server."""
     drive = Drive()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    async with _spindle(drive, wire, SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"), PATIENT_SPINDLE)) as rig:
+    async with _spindle(
+        drive, wire, SpindleCan(SocketcandAddress("127.0.0.1", wire.port, "can0"), PATIENT_SPINDLE)
+    ) as rig:
         yield rig
 
 
@@ -57,7 +59,7 @@ async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
     """A drive of CiA 402 behind a serial adapter, in profile velocity."""
     drive, motor = cia402.sim_motor()
     wire = PtyWire(SlcanPeer(drive), folder / "slcan")
-    device: Spindle = cia402.cia402_spindle(Slcan(wire.path), PATIENT_SPINDLE)
+    device: Spindle = cia402.cia402_spindle(SlcanAddress(wire.path), PATIENT_SPINDLE)
     async with cia402_drive(drive, wire, device, lambda: motor.rpm == 0.0) as rig:
         yield rig
 
@@ -67,7 +69,7 @@ async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
     """The same behind a socketcand server."""
     drive, motor = cia402.sim_motor()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    address = Socketcand("127.0.0.1", wire.port, "can0")
+    address = SocketcandAddress("127.0.0.1", wire.port, "can0")
     device: Spindle = cia402.cia402_spindle(address, PATIENT_SPINDLE)
     async with cia402_drive(drive, wire, device, lambda: motor.rpm == 0.0) as rig:
         yield rig
@@ -102,7 +104,7 @@ def _inverter(
 ) -> AbstractAsyncContextManager[SpindleRig]:
     address = SerialLine(wire.path) if isinstance(wire, PtyWire) else Tcp("127.0.0.1", wire.port)
     device = make.spindle(shipped(name), address, PATIENT_SPINDLE)
-    return on_wire(wire, device, lambda: stands(peer, "stopped", "fault"), scope=Scope(forgives=forgives))
+    return on_wire(wire, device, lambda: stands(peer, "stopped", "fault"), scope=TestScope(forgives=forgives))
 
 
 SPINDLES = [

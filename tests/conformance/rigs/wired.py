@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 from polishd.api import Device
-from polishd.testing.rig import USUAL, Rig, Scope
+from polishd.testing.rig import USUAL, Rig, TestScope
 from tests.fakes import cia402
 from tests.fakes.profiled import ProfiledPeer
 from tests.fakes.wires import PtyWire, TcpWire
@@ -17,7 +17,7 @@ D = TypeVar("D", bound=Device)
 
 @asynccontextmanager
 async def on_wire(
-    wire: PtyWire | TcpWire, device: D, safe: Callable[[], bool], *, whole_file: bool = False, scope: Scope = USUAL
+    wire: PtyWire | TcpWire, device: D, safe: Callable[[], bool], *, whole_file: bool = False, scope: TestScope = USUAL
 ) -> AsyncIterator[Rig[D]]:
     """The rig; device and wire are closed with it."""
     try:

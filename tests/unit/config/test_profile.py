@@ -13,7 +13,7 @@ import tomlkit
 
 from polishd.config.profile import load_profile, write_commissioned
 from polishd.model.errors import ConfigError
-from polishd.model.instrument import Commissioned, Instrument
+from polishd.model.instrument import CommissioningRecord, Instrument
 from tests.commissioned import AT, SHIPPED, commissioned, forged
 
 FULL = """
@@ -143,8 +143,10 @@ def test_a_profile_that_is_not_there(tmp_path: Path) -> None:
 # the record
 
 
-def record(path: Path, **changes: Any) -> Commissioned:
-    return replace(Commissioned(AT, 'a "good" one', "ab" * 32, 0.98765, 0.4, load_profile(path).sha256), **changes)
+def record(path: Path, **changes: Any) -> CommissioningRecord:
+    return replace(
+        CommissioningRecord(AT, 'a "good" one', "ab" * 32, 0.98765, 0.4, load_profile(path).sha256), **changes
+    )
 
 
 def test_a_record_is_read_back_and_leaves_the_users_text_alone(tmp_path: Path) -> None:
@@ -217,10 +219,10 @@ def test_a_text_that_only_looks_like_a_record_stays(tmp_path: Path) -> None:
 )
 def test_a_record_goes_into_any_layout(tmp_path: Path, earlier: str) -> None:
     path = written(tmp_path, f'name = "x"\n{earlier}')
-    proof = Commissioned(AT, "another", "0" * 64, 0.9, 0.1, "1" * 64)
+    proof = CommissioningRecord(AT, "another", "0" * 64, 0.9, 0.1, "1" * 64)
     write_commissioned(path, proof)
     raw = tomllib.loads(path.read_text())
-    assert Commissioned(**raw.pop("commissioned")) == proof
+    assert CommissioningRecord(**raw.pop("commissioned")) == proof
     assert raw == {
         key: value for key, value in tomllib.loads(f'name = "x"\n{earlier}').items() if key != "commissioned"
     }

@@ -11,7 +11,7 @@ from polishd.config.cell import CellConfig, device_options, load_config
 from polishd.daemon.assembly import build_cell, contact_limits, require_time_limits
 from polishd.hooks.loader import load_own
 from polishd.model.errors import ConfigError
-from polishd.model.signal_limits import Bounds, SignalLimits
+from polishd.model.signal_limits import SignalLimits, SignalRange
 
 EXAMPLE = (Path(__file__).parents[3] / "examples" / "monitored_cell.toml").read_text()
 SEVEN = (
@@ -40,10 +40,18 @@ def test_limits_reach_the_daemon(config: CellConfig) -> None:
     cell = build_cell(config, load_own())
     found = {limits.name: limits for limits in cell.signals.limits}
     assert found["slurry_flow"] == SignalLimits(
-        "slurry_flow", "monitor.slurry", "slurry_flow", "l/min", Bounds(min=1.0), 60.0, Bounds(min=0.8), 1.0, "lift"
+        "slurry_flow",
+        "monitor.slurry",
+        "slurry_flow",
+        "l/min",
+        SignalRange(min=1.0),
+        60.0,
+        SignalRange(min=0.8),
+        1.0,
+        "lift",
     )
     assert (found["chuck_vacuum"].monitor, found["chuck_vacuum"].signal) == ("monitor.cabinet", "AI4")
-    assert found["guard_closed"].in_contact == Bounds(state=True)
+    assert found["guard_closed"].in_contact == SignalRange(state=True)
     assert list(cell.devices)[-3:] == ["force_sensor", "monitor.slurry", "monitor.cabinet"]
     assert cell.used["force_sensor"] == "force_sensor"
     assert "monitor" not in cell.used, "all of them count"

@@ -10,7 +10,7 @@ import pytest
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.tolerance import notation
 from polishd.model.errors import ConfigError
-from polishd.model.tolerance import Line
+from polishd.model.tolerance import ToleranceLine
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 SHORT = "tolerance_nm = 2.0 "
@@ -33,22 +33,22 @@ def refusal(tmp_path: Path, lines: str, **how: object) -> str:
 @pytest.mark.parametrize(
     ("keys", "line", "what"),
     [
-        ("rms_nm = 2.0", Line("rms", 2.0), "RMS"),
-        ("pv_nm = 9.0\nperiods_below_mm = 5.0", Line("pv", 9.0, below_mm=5.0), "PV of periods below 5 mm"),
+        ("rms_nm = 2.0", ToleranceLine("rms", 2.0), "RMS"),
+        ("pv_nm = 9.0\nperiods_below_mm = 5.0", ToleranceLine("pv", 9.0, below_mm=5.0), "PV of periods below 5 mm"),
         (
             "slope_rms_urad = 0.7\nintegration_mm = 2.0\nperiods_above_mm = 4.0",
-            Line("slope_rms", 0.7, above_mm=4.0, integration_mm=2.0),
+            ToleranceLine("slope_rms", 0.7, above_mm=4.0, integration_mm=2.0),
             "slope RMS over 2 mm of periods above 4 mm",
         ),
         (
             "psd_nm2_mm2 = 30.0\nexponent = 1.5\nperiods_above_mm = 1.0\nperiods_below_mm = 20.0",
-            Line("psd", 30.0, 1.0, 20.0, exponent=1.5),
+            ToleranceLine("psd", 30.0, 1.0, 20.0, exponent=1.5),
             "PSD x f^1.5 of periods 1 to 20 mm",
         ),
     ],
     ids=["rms", "pv", "slope", "psd"],
 )
-def test_a_line_of_the_file_is_a_line_of_the_drawing(tmp_path: Path, keys: str, line: Line, what: str) -> None:
+def test_a_line_of_the_file_is_a_line_of_the_drawing(tmp_path: Path, keys: str, line: ToleranceLine, what: str) -> None:
     (section,) = cell(tmp_path, f"[[tolerance]]\n{keys}").tolerance
     assert section.lines == (line,)
     assert line.what == what

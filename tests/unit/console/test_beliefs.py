@@ -10,14 +10,14 @@ import pytest
 from polishd.console.demo_files import write_demo
 from polishd.daemon import remembering
 from polishd.daemon.lock import locked
-from polishd.model.beliefs import Belief, Beliefs, MachineBeliefs
-from polishd.recipe.records import Believed
+from polishd.model.beliefs import Estimate, Estimates, MachineEstimates
+from polishd.recipe.records import EstimatesInUse
 from tests.unit.daemon.test_remembering import journal_of
 from tests.unit.said import Polishd
 
 TOOL = {"memory.tool": "bonnet 7"}
-MACHINE = MachineBeliefs(
-    Belief(0.82, 0.01),
+MACHINE = MachineEstimates(
+    Estimate(0.82, 0.01),
     applied={"offset_x": 0.4},
     mean={"rate": -0.2, "offset_x": 0.4},
     covariance=((1e-4, 0.0), (0.0, 9e-4)),
@@ -29,18 +29,18 @@ def cell(tmp_path: Path) -> Path:
     """One with two jobs of one tool, and one of another."""
     files = write_demo(tmp_path / "demo", None, 2.0, 4, None)
     files.state_dir.mkdir()
-    taught(files.state_dir, "mirror-1", {}, Beliefs(Belief(0.7)))
+    taught(files.state_dir, "mirror-1", {}, Estimates(Estimate(0.7)))
     taught(files.state_dir, "mirror-2", TOOL, MACHINE)
-    taught(files.state_dir, "mirror-3", {}, Beliefs(Belief(0.9, 0.004)))
+    taught(files.state_dir, "mirror-3", {}, Estimates(Estimate(0.9, 0.004)))
     return files.cell
 
 
-def taught(state_dir: Path, name: str, terms: dict[str, str], beliefs: Beliefs, *, stops: bool = False) -> None:
+def taught(state_dir: Path, name: str, terms: dict[str, str], beliefs: Estimates, *, stops: bool = False) -> None:
     with journal_of(state_dir, name, terms) as journal:
         journal.begin_pass(0, "sha", "boot", 10)
         journal.end_pass(0, "done")
         found = [{"kind": "drift", "what": "x", "stops": "cell"}] if stops else []
-        journal.add_facts(0, {**remembering.facts(terms, Believed(beliefs, 0.0071)), "findings": found})
+        journal.add_facts(0, {**remembering.facts(terms, EstimatesInUse(beliefs, 0.0071)), "findings": found})
 
 
 def test_the_last_lesson_of_each_tool_and_all_that_identification_believes(polishd: Polishd, cell: Path) -> None:
@@ -63,7 +63,7 @@ def test_for_programs(polishd: Polishd, cell: Path) -> None:
 
 
 def test_a_tool_that_a_person_had_to_see_to_is_another_one(polishd: Polishd, cell: Path) -> None:
-    taught(cell.parent / "state", "mirror-4", {}, Beliefs(Belief(0.5)), stops=True)
+    taught(cell.parent / "state", "mirror-4", {}, Estimates(Estimate(0.5)), stops=True)
     (one,) = json.loads(polishd("beliefs", cell, "--json").out)["beliefs"]
     assert one["tool"] == "bonnet 7"
 

@@ -21,7 +21,7 @@ from polishd.console.demo_files import (
     write_demo,
 )
 from polishd.hooks.loader import load_own
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.program import Program
 from polishd.recipe import steps
 from polishd.recipe.making import make_recipe
@@ -133,7 +133,7 @@ def test_a_demo_on_a_measured_map_has_its_size(tmp_path: Path) -> None:
 def test_a_map_without_a_scale_cannot_start_a_demo(tmp_path: Path) -> None:
     path = tmp_path / "m.dat"
     path.write_bytes(pack(DatMap(np.arange(81.0).reshape(9, 9) + 1, 0.0)))
-    with pytest.raises(BadMap, match="no lateral scale"):
+    with pytest.raises(MapError, match="no lateral scale"):
         write_demo(tmp_path / "out", path, 5.0, 2, None)
     assert not (tmp_path / "out").exists()
 
@@ -183,7 +183,7 @@ def test_the_tool_dips_inward_by_the_processs_angle(program: Program, config: Ce
     recipe = make_recipe(config, load_own())
     part = steps.in_part_frame(recipe, program)
     assert part.axis[:, 2] == pytest.approx(np.cos(np.radians(config.process.dip_deg)), abs=1e-6)
-    stripped = steps.as_polished(recipe, replace(program, axis=np.tile([0.0, 0.0, 1.0], (program.n, 1))))
+    stripped = steps.executed_surface(recipe, replace(program, axis=np.tile([0.0, 0.0, 1.0], (program.n, 1))))
     assert part.axis == pytest.approx(stripped.axis, abs=1e-5), "what an unstated axis is taken for"
 
 

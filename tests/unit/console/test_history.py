@@ -9,7 +9,7 @@ import pytest
 
 from polishd.console.demo_files import write_demo
 from polishd.console.history_picture import draw
-from polishd.daemon.history import Fault, JobHistory, Measurement
+from polishd.daemon.history import FaultEvent, HistoryMeasurement, JobHistory
 from tests.unit.daemon.test_history import polished
 from tests.unit.said import Polishd
 
@@ -67,10 +67,10 @@ def test_the_picture_of_nothing_and_of_months(monkeypatch: pytest.MonkeyPatch, j
             0,
             99.0,
             (
-                Measurement(k * week, 20.0, (), 0.95, 0.01, 1.0, True),
-                Measurement(k * week + 60, 1.5, (), None, None, None, None),
+                HistoryMeasurement(k * week, 20.0, (), 0.95, 0.01, 1.0, True),
+                HistoryMeasurement(k * week + 60, 1.5, (), None, None, None, None),
             ),
-            tuple(Fault(k * week, f"kind-{n}", "x") for n in range(k % 9)),
+            tuple(FaultEvent(k * week, f"kind-{n}", "x") for n in range(k % 9)),
         )
         for k in range(jobs)
     ]

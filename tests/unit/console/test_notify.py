@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon.assembly import build_notifiers
-from polishd.daemon.courier import kept_in
+from polishd.daemon.courier import outbox_path
 from polishd.hooks.cell import load_cell
 from tests.fakes.receivers import web_server
 from tests.unit.said import Polishd
@@ -63,7 +63,7 @@ def test_each_notifier_says_how_its_test_went(cell: Any, polishd: Polishd, tmp_p
     assert "answered 403" in found["closed"]["error"]
     assert hook.wait()["event"] == "test"
     assert SECRET not in told.out + told.err + for_people.out + for_people.err
-    assert not kept_in(tmp_path / "state", "hook").exists(), "it is no daemon's affair"
+    assert not outbox_path(tmp_path / "state", "hook").exists(), "it is no daemon's affair"
 
 
 def test_all_well_is_0_and_what_a_daemon_left_is_counted(cell: Any, polishd: Polishd, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_all_well_is_0_and_what_a_daemon_left_is_counted(cell: Any, polishd: Pol
     assert polishd("notify", path).code == 0
     left = json.loads((tmp_path / "told").read_text())
     left = {key: value for key, value in left.items() if key not in {"title", "text"}}
-    kept = kept_in(tmp_path / "state", "siren")
+    kept = outbox_path(tmp_path / "state", "siren")
     kept.parent.mkdir(parents=True)
     kept.write_text(json.dumps({"waiting": [left], "told": {}}))
     told = polishd("notify", path, "--json")

@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 from polishd.cli import app
 from polishd.config.cell import load_config
-from polishd.config.places import Source
+from polishd.config.places import TomlSource
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.config.tables import write_tif
-from polishd.console.rehearsal.draft import Draft
+from polishd.console.rehearsal.draft import RehearsalDraft
 from polishd.console.rehearsal.places import require_apart
 from polishd.console.rehearsal.text import cell_text, sim_text
-from polishd.console.rehearsal.verb import gathered, write_rehearsal
+from polishd.console.rehearsal.verb import draft_rehearsal, write_rehearsal
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif
@@ -44,22 +44,22 @@ ARM = {
 }
 
 
-def made(folder: Path, text: str, plugins: str = "") -> Draft:
+def made(folder: Path, text: str, plugins: str = "") -> RehearsalDraft:
     """What is gathered of such a cell; nothing is written."""
     cell = folder / "cell.toml"
     cell.write_text(text.replace('load = ["rnc_robot"', f'load = ["rnc_robot"{plugins}'))
     (folder / "program.rnc").write_text("G21 G90 G94\nM2\n")
-    return gathered(*load_cell(cell))
+    return draft_rehearsal(*load_cell(cell))
 
 
-def sim_of(draft: Draft, folder: Path) -> SimConfig:
+def sim_of(draft: RehearsalDraft, folder: Path) -> SimConfig:
     for name, content in draft.files.items():
         (folder / name).write_bytes(content)
     text = sim_text(draft)
-    return SimConfig.of(tomllib.loads(text), Source(str(folder / "sim.toml"), text))
+    return SimConfig.of(tomllib.loads(text), TomlSource(str(folder / "sim.toml"), text))
 
 
-def changed(draft: Draft, folder: Path) -> dict[str, Any]:
+def changed(draft: RehearsalDraft, folder: Path) -> dict[str, Any]:
     """Dotted keys in which the rehearsal's cell is not the cell, and what they are there."""
     own = folder / "rehearsal"
     own.mkdir()

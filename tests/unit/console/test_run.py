@@ -13,14 +13,14 @@ from polishd.console import run as running
 from polishd.console.demo_files import DemoFiles, with_values, write_demo
 from polishd.console.run import worst
 from polishd.daemon.app import CellRun
-from polishd.daemon.endings import standing
+from polishd.daemon.endings import safety_of
 from polishd.model import errors
-from polishd.model.events import Failed, PassBegun
+from polishd.model.events import DaemonFailed, PassStarted
 from tests.unit.said import Polishd
 
 SUMMARY = {
     "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",
-    **standing("in_tolerance", "", ()).data,
+    **safety_of("in_tolerance", "", ()).data,
 }  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def test_the_last_lines_of_a_run_that_failed(
     polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One device did not confirm: which one, what may be, what to do about it, and how to go on."""
-    facts = standing("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).data
+    facts = safety_of("failed", "SafetyStop: force", ("actuator: no answer", "spindle: dead")).data
     notes = ["09:00 ended: SafetyStop: force", "09:30 ended: LinkError: cut"]
     asked: list[bool] = []
 
@@ -74,7 +74,7 @@ def test_the_last_lines_of_a_run_that_failed(
 
 CODES = {
     "ConfigError": 3, "PluginError": 3, "PlanRefused": 4, "LinkError": 5, "DeviceFault": 5, "DeviceRefused": 5,
-    "ProtocolError": 5, "SafetyStop": 7, "BadMap": 8, "WrongPart": 8, "StaleMap": 8, "ProgramError": 9,
+    "ProtocolError": 5, "SafetyStop": 7, "MapError": 8, "WrongPart": 8, "StaleMap": 8, "ProgramError": 9,
     "ComputeError": 10, "PolishdError": 1,
 }  # fmt: skip
 
@@ -116,12 +116,12 @@ def two(files: DemoFiles) -> list[str]:
 def test_each_cell_is_named_and_the_worst_code_counts(
     polishd: Polishd, two: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    facts = standing("failed", "SafetyStop: force", ("actuator: no answer",)).data
+    facts = safety_of("failed", "SafetyStop: force", ("actuator: no answer",)).data
 
     async def run_cells(cells: Sequence[CellRun], *, holds: bool) -> list[dict[str, Any] | Exception]:
         for cell in cells:
-            cell.show(PassBegun(cycle=0, blocks=3, dwell_s=60.0))
-            cell.show(Failed(error="force", kind="SafetyStop"))
+            cell.show(PassStarted(cycle=0, blocks=3, dwell_s=60.0))
+            cell.show(DaemonFailed(error="force", kind="SafetyStop"))
         return [SUMMARY | facts | {"outcome": "failed", "exit_code": 7, "notes": ["why"]}, errors.ComputeError("slow")]
 
     monkeypatch.setattr(running, "run_cells", run_cells)

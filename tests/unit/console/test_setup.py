@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from polishd.cli import app
 from polishd.config.profile import load_profile, write_commissioned
-from polishd.model.instrument import Commissioned
+from polishd.model.instrument import CommissioningRecord
 from tests.unit.workbench.setup.test_init import LENS, init
 
 
@@ -63,7 +63,7 @@ def test_steps_are_done_as_their_files_appear_and_undone_as_they_go(cell: Path) 
     (cell.parent / "another" / "summary.json").write_text('{"outcome": "planned", "job": "MIRROR-8"}')
     profile = cell.parent / "instrument.toml"
     at = datetime(2026, 11, 1, tzinfo=UTC)
-    record = Commissioned(
+    record = CommissioningRecord(
         at=at,
         artefact="bumps",
         map_sha256="0" * 64,

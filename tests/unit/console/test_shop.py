@@ -15,7 +15,7 @@ from polishd.model.errors import ConfigError
 from polishd.shop import feed, parts
 from polishd.shop.app import cells_of, people_of
 from polishd.shop.database import Database
-from polishd.shop.feed import Report
+from polishd.shop.feed import CellReport
 
 
 class Office:
@@ -82,7 +82,7 @@ def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office)
 
 
 def test_what_cells_do_did_and_have_learned_is_shown(office: Office) -> None:
-    report = Report(
+    report = CellReport(
         journal="J", first=1, last=1, before="", tail="h", now={"state": "polishing", "job": "lens", "reason": ""},
         events=[[1, 1, 5.0, None, "state", "{}"]],
         jobs=[[1, "lens", "P-1", 5.0, 9.0, "in_tolerance", None]],

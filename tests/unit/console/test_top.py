@@ -12,7 +12,7 @@ from rich.console import Console
 from polishd.config.cell import load_config
 from polishd.console import happened, top
 from polishd.console.demo_files import write_demo
-from polishd.console.top import Watched, picture
+from polishd.console.top import CellView, picture
 from polishd.daemon import client
 from polishd.daemon.journal import Journal
 from polishd.model import events
@@ -50,15 +50,15 @@ def cell(tmp_path: Path) -> Path:
     return write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
 
 
-def shown(*seen: Watched, now_s: float = 100.0) -> str:
+def shown(*seen: CellView, now_s: float = 100.0) -> str:
     console = Console(width=120, color_system=None, record=True)
     with console.capture() as captured:
         console.print(picture(seen, now_s))
     return captured.get()
 
 
-def watched(cell: Path, **known: Any) -> Watched:
-    return Watched(load_config(cell), cell, **{"live": LIVE, "heard_s": 99.9, "cycles": CYCLES, **known})
+def watched(cell: Path, **known: Any) -> CellView:
+    return CellView(load_config(cell), cell, **{"live": LIVE, "heard_s": 99.9, "cycles": CYCLES, **known})
 
 
 def test_it_says_what_goes_on_and_how_old_that_is(cell: Path) -> None:
@@ -108,7 +108,7 @@ def test_measurements_are_asked_for_seldom(cell: Path, monkeypatch: pytest.Monke
         return {"cycles": CYCLES} if verb == "status" else LIVE
 
     monkeypatch.setattr(client, "request", request)
-    one = Watched(load_config(cell), cell)
+    one = CellView(load_config(cell), cell)
     for _ in range(3):
         one.look()
     assert asked == ["live", "status", "live", "live"]
@@ -119,9 +119,9 @@ def test_events_are_the_journals_own_the_newest_last(polishd: Polishd, cell: Pat
     state = load_config(cell).state_dir
     state.mkdir(parents=True)
     with Journal.open(state, job="demo", part_id="P") as journal:
-        journal.record_event(events.Held(error="the spindle\nis silent", kind="LinkError"))
-        journal.record_event(events.Progress(cycle=0, block=50))
-        journal.record_event(events.Ordered(order="resume", reason="mended", by="anna (web)"))
+        journal.record_event(events.CellHeld(error="the spindle\nis silent", kind="LinkError"))
+        journal.record_event(events.PassProgressed(cycle=0, block=50))
+        journal.record_event(events.CommandReceived(order="resume", reason="mended", by="anna (web)"))
         journal.flush()
     said = polishd("events", cell)
     held, ordered = said.out.splitlines()

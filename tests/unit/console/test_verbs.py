@@ -20,8 +20,8 @@ from polishd.console import demo, verbs
 from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
 from polishd.console.who import at_the_terminal
 from polishd.daemon import client
-from polishd.daemon.endings import gone, keep_ending, standing
-from polishd.daemon.last_word import RECORD_NAME, Cause
+from polishd.daemon.endings import killed_safety, record_exit, safety_of
+from polishd.daemon.last_word import RECORD_NAME, EndCause
 from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
@@ -254,15 +254,15 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
         ("cycles_used", (), "yes", "begins a new one"),
         ("failed", None, "not asked", "when that is mended: polishd run"),
         ("held", (), "yes", "look at the cell, then: polishd run"),
-        ("polishing", gone(["actuator", "robot"]), "not confirmed", "look at the cell, then: polishd run"),
+        ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "look at the cell, then: polishd run"),
     ],
 )
 def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     polishd: Polishd, files: DemoFiles, state: str, unsafe: tuple[str, ...] | None, tool: str, says: str
 ) -> None:
     files.state_dir.mkdir(exist_ok=True)
-    cause = asdict(Cause("09:00", "SafetyStop", "force", ended=True))
-    keep_ending(files.state_dir, {**standing(state, "why", unsafe).data, "run_dir": "runs/demo", "causes": [cause]})
+    cause = asdict(EndCause("09:00", "SafetyStop", "force", ended=True))
+    record_exit(files.state_dir, {**safety_of(state, "why", unsafe).data, "run_dir": "runs/demo", "causes": [cause]})
     said = polishd("status", files.cell, "--json")
     told = json.loads(said.out)
     killed = state in ("held", "polishing")

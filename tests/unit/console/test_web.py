@@ -13,7 +13,7 @@ from polishd.console import web
 from polishd.console.demo_files import write_demo
 from polishd.console.who import account, at_the_terminal
 from polishd.daemon import client
-from polishd.door.users import Role, User, Users, users_path
+from polishd.door.users import Role, User, UserFile, users_path
 from tests.unit.said import Polishd
 
 
@@ -24,7 +24,7 @@ def cell(tmp_path: Path) -> Path:
 
 def test_a_token_is_shown_once_and_taken_away_again(polishd: Polishd, cell: Path) -> None:
     said = polishd("web", cell, "--add-user", "anna", "--role", "operate")
-    users, token = Users(users_path(load_config(cell))), said.out.strip()
+    users, token = UserFile(users_path(load_config(cell))), said.out.strip()
     assert users.of_token(token) == User("anna", Role.OPERATE)
     assert token not in said.err
     assert token not in users.path.read_text()

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.model.errors import BadMap, PolishdError
+from polishd.model.errors import MapError, PolishdError
 
 
 def double(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -76,7 +76,7 @@ def be_killed() -> None:
 
 
 def bad_map() -> None:
-    error = BadMap("a hole")
+    error = MapError("a hole")
     error.add_note("at 3, 4")
     raise error
 

@@ -19,11 +19,11 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import PassRecord
 from polishd.daemon.safety import ContactLimits
-from polishd.daemon.turns import Tools, ToolTurn
+from polishd.daemon.turns import ToolSequence, ToolStepState
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
-from polishd.model.beliefs import Belief, Beliefs
+from polishd.model.beliefs import Estimate, Estimates
 from polishd.model.cycle import Outcome
-from polishd.model.dwell import Certificate
+from polishd.model.dwell import OptimalityCertificate
 from polishd.model.events import Event
 from polishd.model.limits import Envelope
 from polishd.model.outline import Circle
@@ -39,13 +39,13 @@ from polishd.process.paths.raster import raster
 from polishd.recipe import steps
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed
+from polishd.recipe.records import EstimatesInUse
 from tests.fakes.devices import FakeCell
 from tests.rs274 import RS274
 from tests.unit.process.gaussian import envelope, rough, spot_effect
 
 APERTURE_MM = 24.0
-CERTIFICATE = Certificate(
+CERTIFICATE = OptimalityCertificate(
     "newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 60.0, 50.0, at_lower=1, at_upper=0, iterations=9, seconds=0.1, stopped="x"
 )
 MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
@@ -60,9 +60,9 @@ def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
     return RemovalAnswer(effect, np.full(program.n, 1.3), np.full(program.n, 0.9), ("a spot for tests",))
 
 
-def at_rate(rate: float) -> Believed:
+def at_rate(rate: float) -> EstimatesInUse:
     """What is believed where the tool removes so much of what its model says."""
-    return Believed(Beliefs(Belief(rate)))
+    return EstimatesInUse(Estimates(Estimate(rate)))
 
 
 def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
@@ -167,8 +167,8 @@ def small_job(
         "lookahead_s": 8.0,
     }
     contact = changes.pop("contact", LIMITS)
-    one = (ToolTurn(recipe or small_recipe(), program or small_program(), contact),)
-    job = Job(Tools(changes.pop("turns", one), journal), **(values | changes))
+    one = (ToolStepState(recipe or small_recipe(), program or small_program(), contact),)
+    job = Job(ToolSequence(changes.pop("turns", one), journal), **(values | changes))
     job.told = told  # type: ignore[attr-defined]
     return job
 

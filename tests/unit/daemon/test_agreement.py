@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.devices import Executed
+from polishd.model.devices import ExecutedBlock
 from tests.system.agreement import disagreements
 from tests.unit.daemon.small import open_journal
 
@@ -20,7 +20,7 @@ def kept(state_dir: Path, touched: list[bool | None], tail: tuple[int, int] = (0
     with open_journal(state_dir) as journal:
         journal.begin_pass(0, "sha", "boot", 10)
         records = [
-            BlockRecord(Executed(seq, seq * RUN_S, (seq + 1) * RUN_S), known) for seq, known in enumerate(touched)
+            BlockRecord(ExecutedBlock(seq, seq * RUN_S, (seq + 1) * RUN_S), known) for seq, known in enumerate(touched)
         ]
         journal.record_executed(0, records)
         journal.mark_uncertain(0, *tail)
@@ -83,7 +83,7 @@ def test_what_one_report_tells_of_is_shared_out_by_the_motion_model(
             0,
             [
                 BlockRecord(
-                    Executed(seq, seq * RUN_S, (seq + 1) * RUN_S), touched=known if seq > 1 else True, told_s=at_s
+                    ExecutedBlock(seq, seq * RUN_S, (seq + 1) * RUN_S), touched=known if seq > 1 else True, told_s=at_s
                 )
                 for seq, at_s in enumerate(told_s)
             ],

@@ -22,18 +22,18 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.making import run_folder
 from polishd.model.cycle import Outcome
-from polishd.model.devices import Executed
+from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import (
-    BadMap,
     ConfigError,
     DeviceBusy,
     DeviceFault,
     DeviceRefused,
     LinkError,
+    MapError,
     PolishdError,
     SafetyStop,
 )
-from polishd.model.events import Event, Ordered
+from polishd.model.events import CommandReceived, Event
 from polishd.model.program import Program
 from tests.unit.daemon.small import (
     LIMITS,
@@ -101,7 +101,7 @@ def begin_earlier(tmp_path: Path, *, interrupted: bool) -> None:
     with open_journal(tmp_path) as journal:
         if interrupted:
             journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
-            journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
+            journal.record_executed(0, [BlockRecord(ExecutedBlock(4, 0.0, 1.0), True)])
 
 
 # its end
@@ -335,7 +335,7 @@ async def test_the_reason_of_an_order_is_kept_and_shown(bench: Bench) -> None:
         assert await running.outcome() is Outcome.STOPPED
         stop.cancel()
         assert running.daemon.last_words(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
-    given = [(event.order, event.reason) for event in running.told if isinstance(event, Ordered)]
+    given = [(event.order, event.reason) for event in running.told if isinstance(event, CommandReceived)]
     assert given == [("hold", "a scratch at 3 o'clock"), ("hold", "ask Ada"), ("stop", "Ada said so")]
 
 
@@ -344,7 +344,7 @@ async def test_an_order_is_obeyed_though_it_cannot_be_written_down(bench: Bench)
         await running.in_contact()
 
         def lost(event: Event) -> None:
-            if isinstance(event, Ordered):
+            if isinstance(event, CommandReceived):
                 raise SafetyStop("journal lost")
 
         running.daemon.bus._sinks = (lost,)
@@ -479,7 +479,7 @@ class Site:
 
         monkeypatch.setattr(app, "require_commissioned", lambda config, instrument: None)
         monkeypatch.setattr(app, "require_fit", lambda config, recipe, program: "")
-        monkeypatch.setattr(app, "require_taken", lambda config, hooks, program: None)
+        monkeypatch.setattr(app, "require_accepted_by_robot", lambda config, hooks, program: None)
         monkeypatch.setattr(app, "read_recipes", lambda config, hooks: (self.recipe,))
         monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
         monkeypatch.setattr(app, "build_cell", self.build)
@@ -555,7 +555,7 @@ async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
 
 async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> None:
     def refuse() -> None:
-        raise BadMap("all holes")
+        raise MapError("all holes")
 
     site.measure = refuse
     told = await run_cell(site.config, site.hooks, holds=False)
@@ -563,11 +563,11 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
     assert summary == json.loads(json.dumps(told))
     assert (summary["outcome"], summary["exit_code"]) == ("failed", 8)
     assert [(cause["kind"], cause["error"], cause["ended"]) for cause in summary["causes"]] == [
-        ("BadMap", "all holes", True)
+        ("MapError", "all holes", True)
     ]
-    assert summary["notes"][0].endswith(" ended: BadMap: all holes")
+    assert summary["notes"][0].endswith(" ended: MapError: all holes")
     failed = next(event for event in site.told if event.name == "failed")
-    assert (failed.data["error"], failed.data["kind"], failed.data["tool_off"]) == ("all holes", "BadMap", "yes")
+    assert (failed.data["error"], failed.data["kind"], failed.data["tool_off"]) == ("all holes", "MapError", "yes")
     assert failed.data["next"] == summary["next"]
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert journal.resumed, "it may be gone on with"

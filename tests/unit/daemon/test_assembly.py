@@ -20,7 +20,7 @@ from polishd.daemon.lock import locked
 from polishd.daemon.priority import host
 from polishd.hooks.loader import Hooks, load_own, load_plugins
 from polishd.hookspecs import DeviceContext, DeviceType
-from polishd.model.beliefs import Beliefs, MachineBeliefs
+from polishd.model.beliefs import Estimates, MachineEstimates
 from polishd.model.errors import ConfigError, LinkError, ProgramError
 from polishd.model.surface import SurfaceMap
 from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
@@ -126,7 +126,7 @@ def test_what_no_plugin_serves_is_named(
     assert "cell.toml" in message
 
 
-@pytest.mark.parametrize(("learns", "believes"), [("rate", Beliefs), ("machine", MachineBeliefs)])
+@pytest.mark.parametrize(("learns", "believes"), [("rate", Estimates), ("machine", MachineEstimates)])
 def test_a_cell_says_how_its_model_learns(configured: Any, hooks: Hooks, learns: str, believes: type) -> None:
     model = make_recipe(configured(process={"learns": learns}), hooks).model
     assert type(model.beliefs) is believes

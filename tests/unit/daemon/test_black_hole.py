@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon import cell, listening, safety
-from polishd.daemon.listening import within
+from polishd.daemon.listening import with_deadline
 from polishd.model.errors import DeviceFault, LinkError
 from tests.unit.daemon.small import Bench, open_journal
 from tests.unit.daemon.test_app import CLOSED, Running
@@ -65,15 +65,15 @@ async def test_what_takes_longer_is_cancelled_and_may_tidy_up() -> None:
             tidied.append(True)
 
     with pytest.raises(TimeoutError):
-        await within(SOON_S, work())
+        await with_deadline(SOON_S, work())
     assert tidied
 
 
 async def test_what_does_not_let_go_is_left_behind(bench: Bench, hole: Hole, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(TimeoutError):
-        await within(SOON_S, hole())
+        await with_deadline(SOON_S, hole())
     assert "is left behind" in caplog.text
-    caller = asyncio.ensure_future(within(3600.0, hole()))
+    caller = asyncio.ensure_future(with_deadline(3600.0, hole()))
     await asyncio.sleep(0)
     caller.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -86,7 +86,7 @@ async def test_what_it_raises_is_told() -> None:
         raise DeviceFault("no")
 
     with pytest.raises(DeviceFault, match="no"):
-        await within(3600.0, work())
+        await with_deadline(3600.0, work())
 
 
 @pytest.mark.one_of_each

@@ -17,7 +17,7 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.queue import NewJob, Queue
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
-from polishd.model.events import RateOffered
+from polishd.model.events import ShopRateReceived
 from tests.unit.daemon.test_queue_daemon import End, Hall
 
 OFFER = {
@@ -165,7 +165,7 @@ async def test_what_is_offered_is_an_event_of_the_journal(hall: Callable[..., Ha
     cell = hall()
     await cell.start()
     assert await cell.daemon.handlers["shop_offer"](offers=[OFFER]) == {"offers": 1}
-    assert cell.told[-1] == RateOffered(**OFFER)  # type: ignore[arg-type]
+    assert cell.told[-1] == ShopRateReceived(**OFFER)  # type: ignore[arg-type]
     rows = cell.journal.store.read("SELECT data FROM event WHERE name = 'rate_offered'")
     assert [json.loads(data) for (data,) in rows] == [OFFER]
     wrong: list[Any] = [{}, {**OFFER, "rate": "1"}, {**OFFER, "more": 1}, "x"]

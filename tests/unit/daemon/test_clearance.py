@@ -12,13 +12,13 @@ from polishd.config.signals import BoundsSection, SignalSection
 from polishd.daemon import clearance, signal_watch
 from polishd.daemon.clearance import approve, require_clear
 from polishd.model.errors import ConfigError, DeviceRefused, SignalFault
-from polishd.model.events import Acknowledged, Approved, Ordered, PlanWaits
-from polishd.model.signal_limits import Bounds, SignalLimits
+from polishd.model.events import AlarmAcknowledged, CommandReceived, PlanApproved, PlanAwaitingApproval
+from polishd.model.signal_limits import SignalLimits, SignalRange
 from tests.unit.daemon.small import Bench, open_journal, small_recipe
 from tests.unit.daemon.test_app import Running
 from tests.unit.daemon.test_health import at_once
 
-CLEAR = SignalLimits("clear", "monitor", "clear", "", None, 0.0, None, 0.0, "hold", Bounds(state=True))
+CLEAR = SignalLimits("clear", "monitor", "clear", "", None, 0.0, None, 0.0, "hold", SignalRange(state=True))
 MINE = "anna (web)"
 
 
@@ -31,12 +31,12 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
         yield Bench(tmp_path, journal)
 
 
-async def waits(running: Running) -> PlanWaits:
+async def waits(running: Running) -> PlanAwaitingApproval:
     """What the plan that waits says of itself."""
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)
-    (told,) = (one for one in running.daemon.job.told if isinstance(one, PlanWaits))  # type: ignore[union-attr]
+    (told,) = (one for one in running.daemon.job.told if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
     return told
 
 
@@ -52,7 +52,7 @@ async def test_nothing_moves_before_the_plan_that_waits_is_approved(bench: Bench
         assert "robot.resume" not in " ".join(bench.fake.events)
         await handlers["approve"](program_sha256=told.program_sha256, by=MINE)
         await running.in_contact()
-        assert [one.by for one in running.told if isinstance(one, Approved)] == [MINE]
+        assert [one.by for one in running.told if isinstance(one, PlanApproved)] == [MINE]
         assert bench.fake.cell.approval.wanted == ""
 
 
@@ -63,7 +63,7 @@ async def test_a_hold_ends_the_wait_for_approval(bench: Bench) -> None:
         assert running.daemon.state == "held"
         with pytest.raises(DeviceRefused, match="no plan waits"):
             await running.daemon.handlers["approve"](program_sha256="ff" * 32)
-        (ordered,) = (one for one in running.told if isinstance(one, Ordered))
+        (ordered,) = (one for one in running.told if isinstance(one, CommandReceived))
         assert (ordered.order, ordered.reason, ordered.by) == ("hold", "later", MINE)
 
 
@@ -111,7 +111,7 @@ async def test_who_watches_sees_readings_with_their_ages(bench: Bench) -> None:
 async def test_alarms_are_acknowledged_by_name(bench: Bench) -> None:
     async with Running(bench) as running:
         await running.daemon.handlers["acknowledge"](alarms=[3, 4], by=MINE)
-        (seen,) = (one for one in running.told if isinstance(one, Acknowledged))
+        (seen,) = (one for one in running.told if isinstance(one, AlarmAcknowledged))
         assert (list(seen.alarms), seen.by) == ([3, 4], MINE)
         for wrong in ([0], ["1"], [True], [1] * 1001):
             with pytest.raises(ConfigError, match="numbers of events"):
@@ -120,7 +120,7 @@ async def test_alarms_are_acknowledged_by_name(bench: Bench) -> None:
 
 def test_a_signal_may_be_asked_for_orders_alone() -> None:
     section = SignalSection(on_order=BoundsSection(state=True))
-    assert section.limits("clear").on_order == Bounds(state=True)
+    assert section.limits("clear").on_order == SignalRange(state=True)
     assert str(section.limits("clear")).endswith("when motion is ordered on")
     with pytest.raises(ValueError, match="nothing is asked of it"):
         SignalSection()

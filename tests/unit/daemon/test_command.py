@@ -13,7 +13,7 @@ import pytest
 
 from polishd.daemon.command import run_command
 from polishd.model.errors import HandlingError
-from polishd.model.handling import Step
+from polishd.model.handling import HandlingStep
 from tests.patience import SOON_S
 
 HANGS = """
@@ -24,8 +24,8 @@ time.sleep(600)
 """
 
 
-def python(code: str, folder: Path, within_s: float = SOON_S) -> Step:
-    return Step(command=(sys.executable, "-c", code), folder=folder, within_s=within_s)
+def python(code: str, folder: Path, within_s: float = SOON_S) -> HandlingStep:
+    return HandlingStep(command=(sys.executable, "-c", code), folder=folder, within_s=within_s)
 
 
 def gone(pid: int) -> bool:
@@ -64,7 +64,7 @@ async def test_a_failure_says_its_last_line(tmp_path: Path, code: str, said: str
 
 async def test_a_command_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(HandlingError, match=r"\./wash: cannot be run: .*mend between\.clean\.command"):
-        await run_command("clean", Step(command=("./wash",), folder=tmp_path), {})
+        await run_command("clean", HandlingStep(command=("./wash",), folder=tmp_path), {})
 
 
 async def test_one_that_takes_too_long_is_killed_with_all_that_it_started(tmp_path: Path) -> None:

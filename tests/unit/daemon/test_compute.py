@@ -20,9 +20,9 @@ import pytest
 from polishd.daemon.compute import Compute
 from polishd.daemon.compute_limit import process_cpu_s
 from polishd.daemon.priority import BEHIND
-from polishd.model.errors import BadMap, ComputeError
+from polishd.model.errors import ComputeError, MapError
 from polishd.recipe import dwell_step, steps
-from polishd.recipe.limit import Limit
+from polishd.recipe.limit import CpuLimit
 from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
@@ -117,9 +117,9 @@ async def test_numerical_threads_are_limited() -> None:
 
 @pytest.mark.full
 async def test_our_errors_come_back_as_themselves(compute: Compute) -> None:
-    with pytest.raises(BadMap, match="a hole") as caught:
+    with pytest.raises(MapError, match="a hole") as caught:
         await compute(jobs.bad_map)
-    assert type(caught.value) is BadMap
+    assert type(caught.value) is MapError
     assert caught.value.args == ("a hole",)
     assert caught.value.__notes__ == ["at 3, 4"]
 
@@ -154,7 +154,7 @@ async def test_killed_when_its_cpu_time_is_used_and_restarted(compute: Compute, 
     before = compute.pid
     assert before is not None
     with pytest.raises(ComputeError, match=rf"{job.__name__} was ended: it used \d\.\d s of CPU time in") as caught:
-        await compute(job, within_s=Limit(0.2, "dwell.within_s"))
+        await compute(job, within_s=CpuLimit(0.2, "dwell.within_s"))
     assert "at most 0.2 s in 62 s are allowed; dwell.within_s gives it more" in str(caught.value)
     assert not alive(before)
     assert compute.pid not in {None, before}

@@ -15,7 +15,7 @@ import pytest
 
 from polishd.daemon import listening, safety
 from polishd.daemon.safety import STILL_RPM, ContactLimits
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.model.devices import ForceSample, SpeedSample
 from polishd.model.errors import DeviceFault, LinkError, SafetyStop, WrongSeat
 from tests.fakes.devices import FakeCell
@@ -33,7 +33,7 @@ def speed(at_s: float, rpm: float = 1000.0, *, fault: int = 0) -> SpeedSample:
     return SpeedSample(at_s, rpm, 1000.0, fault)
 
 
-class Heard(Touch):
+class Heard(ContactRecord):
     """Of which the test can ask what it was told."""
 
     def __init__(self) -> None:
@@ -192,7 +192,7 @@ async def test_who_hears_all_the_time_is_not_silent_however_long() -> None:
             await asyncio.sleep(0)
 
     with pytest.raises(LinkError, match=r"^it: its samples ended while in contact"):
-        await listening.heard(samples(), heard.append, "it", 0.01)
+        await listening.read_samples(samples(), heard.append, "it", 0.01)
     assert len(heard) > 1
 
 
@@ -211,7 +211,7 @@ async def looks_until_silent(monkeypatch: pytest.MonkeyPatch, silence_s: float) 
 
     monkeypatch.setattr(asyncio, "timeout", timeout)
     with pytest.raises(LinkError, match=f"^it: no sample for {silence_s:g} s while in contact"):
-        await listening.heard(samples(), lambda sample: None, "it", silence_s)
+        await listening.read_samples(samples(), lambda sample: None, "it", silence_s)
     return looks
 
 

@@ -17,16 +17,16 @@ from polishd.model.cycle import Outcome
 from polishd.model.devices import ForceSample
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import (
-    BadMap,
     ComputeError,
     DeviceFault,
-    GateStop,
     LinkError,
+    MapError,
     PlanRefused,
+    RemovalCheckStop,
     SafetyStop,
     ToolStop,
 )
-from polishd.model.events import Found, PassBegun
+from polishd.model.events import FindingReported, PassStarted
 from polishd.model.finding import Finding
 from polishd.model.times import ActuatorTimes
 from polishd.process.dwell import newton_cg
@@ -94,7 +94,7 @@ async def test_no_figure_is_believed_of_a_map_that_the_gate_stops(bench: Bench) 
     measure = bench.measure  # of an instrument whose maps are half as high: after a pass the part seems good enough
     bench.fake.metrology.measure = lambda: as_map(0.5 * measure().height_nm)
     seems_nm = 0.4 * steps.condition(small_recipe(), small_map(), None).stats.rms_nm
-    with pytest.raises(GateStop, match="times the predicted one"):
+    with pytest.raises(RemovalCheckStop, match="times the predicted one"):
         await bench.polish(bench.job(recipe=small_recipe(tolerance_nm=seems_nm)))
     assert bench.journal.history[1].stats["rms_nm"] < seems_nm < bench.journal.history[0].stats["rms_nm"]
 
@@ -130,7 +130,7 @@ async def test_a_pass_that_will_hardly_gain_is_not_made(bench: Bench) -> None:
     assert await bench.polish(job) is Outcome.STALLED
     assert not bench.journal.passes
     assert not bench.fake.of("robot.resume", "actuator.set_force")
-    (found,) = [event for event in job.told if isinstance(event, Found)]
+    (found,) = [event for event in job.told if isinstance(event, FindingReported)]
     assert found.what.startswith("the next pass would leave ")
     assert found.what.endswith("it is not made. Take another tool, or tolerance, or a quieter map")
     assert (job.folder.cycle(0).path / "certificate.json").exists(), "for people, what was solved and not used"
@@ -147,7 +147,7 @@ async def test_a_pass_that_is_to_teach_is_made_whatever_the_map_says(bench: Benc
 async def test_what_a_pass_is_expected_to_leave_is_told_and_kept(bench: Bench) -> None:
     job = bench.job(max_cycles=1)
     await bench.polish(job)
-    (begun,) = [event for event in job.told if isinstance(event, PassBegun)]
+    (begun,) = [event for event in job.told if isinstance(event, PassStarted)]
     (record,) = bench.journal.passes
     assert begun.forecast == record.facts["forecast"]
     low, high = (record.facts["forecast"][key] for key in ("low_nm", "high_nm"))
@@ -235,8 +235,8 @@ async def test_a_veto_moves_nothing(bench: Bench) -> None:
 
 
 async def test_a_map_that_is_refused_moves_nothing(bench: Bench) -> None:
-    bench.fake.metrology.acts.fails["next_map"] = BadMap("all holes")
-    with pytest.raises(BadMap):
+    bench.fake.metrology.acts.fails["next_map"] = MapError("all holes")
+    with pytest.raises(MapError):
         await bench.polish()
     assert bench.phases() == ["0 measure failed"]
     assert bench.moved() == []
@@ -244,7 +244,7 @@ async def test_a_map_that_is_refused_moves_nothing(bench: Bench) -> None:
 
 async def test_a_rate_that_nobody_believes_stops_before_the_next_pass(bench: Bench) -> None:
     bench.rate = 0.8
-    with pytest.raises(GateStop, match="max_rate_change"):
+    with pytest.raises(RemovalCheckStop, match="max_rate_change"):
         await bench.polish(bench.job(recipe=small_recipe(max_rate_change=0.1)))
     assert bench.phases() == [*whole(0), "1 measure done", "1 learn failed"]
 
@@ -253,7 +253,7 @@ async def test_a_map_that_is_turned_over_stops_at_the_gate_and_leaves_what_it_co
     measure = bench.measure
     bench.fake.metrology.measure = lambda: as_map(measure().height_nm[:, ::-1])
     job = bench.job()
-    with pytest.raises(GateStop, match=r"flipped left-right.*gate\.png"):
+    with pytest.raises(RemovalCheckStop, match=r"flipped left-right.*gate\.png"):
         await bench.polish(job)
     assert bench.phases() == [*whole(0), "1 measure done", "1 learn failed"]
     folder = bench.tmp_path / "run" / "cycle-01"
@@ -447,7 +447,7 @@ async def test_garbage_is_searched_for_in_little_while_the_tool_presses(bench: B
 async def test_passes_that_bring_nothing_end_the_job(bench: Bench) -> None:
     job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=9)
     assert await bench.polish(job) is Outcome.STALLED
-    assert [event.kind for event in job.told if isinstance(event, Found)] == ["stall"]
+    assert [event.kind for event in job.told if isinstance(event, FindingReported)] == ["stall"]
     assert len(bench.journal.passes) < 9
 
 
@@ -462,7 +462,7 @@ async def test_a_worn_tool_waits_for_a_person_who_may_go_on_with_it(
     with pytest.raises(ToolStop, match="the rate fell"):
         await bench.polish(job)
     assert len(bench.journal.passes) == 1
-    assert [event.stops for event in job.told if isinstance(event, Found)] == ["cell"]
+    assert [event.stops for event in job.told if isinstance(event, FindingReported)] == ["cell"]
     bench.fake.metrology.measure = lambda: as_map(bench.measure().height_nm + 1e-6)
     monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: ())
     assert await bench.polish(job) is Outcome.CYCLES_USED

@@ -26,10 +26,10 @@ from polishd.model.errors import (
     ComputeError,
     DeviceFault,
     DeviceRefused,
-    GateStop,
     LinkError,
     PlanRefused,
     PolishdError,
+    RemovalCheckStop,
     SafetyStop,
     StaleMap,
     SurfaceError,
@@ -77,7 +77,13 @@ def force_that_fails(bench: Bench, after: int = 120) -> None:
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "error",
-    [SurfaceError("no map came"), StaleMap("an old one"), LinkError("cut"), DeviceFault("hot"), GateStop("flipped")],
+    [
+        SurfaceError("no map came"),
+        StaleMap("an old one"),
+        LinkError("cut"),
+        DeviceFault("hot"),
+        RemovalCheckStop("flipped"),
+    ],
 )
 async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, error: PolishdError) -> None:
     bench.fake.metrology.measure = failing(bench, error)
@@ -200,7 +206,9 @@ async def test_a_device_that_will_not_close_does_not_hide_what_ended_it(bench: B
 
 
 @pytest.mark.one_of_each
-@pytest.mark.parametrize(("error", "code"), [(StaleMap("late"), 8), (LinkError("cut"), 5), (GateStop("turned"), 10)])
+@pytest.mark.parametrize(
+    ("error", "code"), [(StaleMap("late"), 8), (LinkError("cut"), 5), (RemovalCheckStop("turned"), 10)]
+)
 async def test_no_hold_ends_with_the_causes_own_code(site: Site, error: PolishdError, code: int) -> None:
     def refuse() -> SurfaceMap:
         raise error

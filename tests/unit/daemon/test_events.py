@@ -15,14 +15,14 @@ from polishd.daemon import events
 from polishd.daemon.events import EventBus
 from polishd.daemon.log import logging_to
 from polishd.model.errors import SafetyStop
-from polishd.model.events import Event, PlanWritten, Progress
+from polishd.model.events import Event, PassProgressed, PlanWritten
 
 
 async def test_all_are_told_in_order() -> None:
     plugins: list[Event] = []
     sink: list[Event] = []
     bus = EventBus(plugins.append, sinks=(sink.append,))
-    happened = [Progress(cycle=1, block=n) for n in range(20)]
+    happened = [PassProgressed(cycle=1, block=n) for n in range(20)]
     with bus.subscription() as one, bus.subscription() as two:
         for event in happened:
             bus.publish(event)
@@ -43,9 +43,9 @@ async def test_a_busy_plugin_holds_up_nothing() -> None:
         told.append(event.facts()["data"]["block"])
 
     bus = EventBus(busy)
-    bus.publish(Progress(block=1))
+    bus.publish(PassProgressed(block=1))
     assert entered.wait(30)
-    bus.publish(Progress(block=2))  # returns although the plugin is busy
+    bus.publish(PassProgressed(block=2))  # returns although the plugin is busy
     assert told == []
     release.set()
     await bus.close()
@@ -59,7 +59,7 @@ async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture)
         assert release.wait(30)
 
     bus = EventBus(hangs)
-    bus.publish(Progress(block=1))
+    bus.publish(PassProgressed(block=1))
     await bus.close(within_s=0.05)
     assert "still busy" in caplog.text
     release.set()
@@ -74,8 +74,8 @@ async def test_a_raising_listener_is_logged_and_told_again(caplog: pytest.LogCap
         raise RuntimeError("oh")
 
     bus = EventBus(raises)
-    bus.publish(Progress(block=1))
-    bus.publish(Progress(block=2))
+    bus.publish(PassProgressed(block=1))
+    bus.publish(PassProgressed(block=2))
     await bus.close()
     assert told == [1, 2]
     assert caplog.text.count("RuntimeError: oh") == 2
@@ -88,9 +88,9 @@ async def test_a_lost_journal_is_heard_after_all_were_told() -> None:
     plugins: list[Event] = []
     bus = EventBus(plugins.append, sinks=(lost,))
     with pytest.raises(SafetyStop):
-        bus.publish(Progress(block=1))
+        bus.publish(PassProgressed(block=1))
     await bus.close()
-    assert plugins == [Progress(block=1)]
+    assert plugins == [PassProgressed(block=1)]
 
 
 async def test_a_subscriber_far_behind_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,8 +98,8 @@ async def test_a_subscriber_far_behind_is_dropped(monkeypatch: pytest.MonkeyPatc
     bus = EventBus()
     with bus.subscription() as slow:
         for n in range(8):
-            bus.publish(Progress(block=n))
-        assert [event async for event in slow] == [Progress(block=n) for n in (1, 2, 3, 4)]
+            bus.publish(PassProgressed(block=n))
+        assert [event async for event in slow] == [PassProgressed(block=n) for n in (1, 2, 3, 4)]
     assert not bus._subscribers
 
 
@@ -109,7 +109,7 @@ async def test_closed_bus_ends_subscriptions_at_once() -> None:
     await bus.close()
     with bus.subscription() as late:
         assert [event async for event in late] == []
-    bus.publish(Progress(block=1))
+    bus.publish(PassProgressed(block=1))
 
 
 async def test_subscription_waits_for_what_comes() -> None:
@@ -117,8 +117,8 @@ async def test_subscription_waits_for_what_comes() -> None:
     with bus.subscription() as waiting:
         task = asyncio.ensure_future(anext(waiting))
         await asyncio.sleep(0)
-        bus.publish(Progress(block=1))
-        assert await task == Progress(block=1)
+        bus.publish(PassProgressed(block=1))
+        assert await task == PassProgressed(block=1)
     await bus.close()
 
 
@@ -133,7 +133,7 @@ async def test_a_line_of_one_cell_is_in_no_others_log(tmp_path: Path) -> None:
         with logging_to(folder):
             await ready.wait()
             bus = EventBus(lambda event: logger.info("%s plugin", name))
-            bus.publish(Progress(block=1))
+            bus.publish(PassProgressed(block=1))
             logger.info("%s task", name)
             await asyncio.to_thread(logger.info, "%s thread", name)
             await bus.close()

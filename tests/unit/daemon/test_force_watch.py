@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from polishd.daemon.safety import contact
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.model.devices import ForceSample, SensedForce
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
 from polishd.model.times import SensorTimes
@@ -148,7 +148,7 @@ async def test_its_readings_are_recorded(fake: FakeCell, sensor: FakeForceSensor
     async with contact(fake.cell, LIMITS, touch):
         pass
     assert 12.0 in heard
-    assert isinstance(touch, Touch)
+    assert isinstance(touch, ContactRecord)
 
 
 # the zero

@@ -18,16 +18,16 @@ from polishd.model.devices import ForceSample, SensedForce
 from polishd.model.errors import (
     DeviceFault,
     DeviceRefused,
-    GateStop,
     HandlingError,
     LinkError,
-    NotSettled,
+    PartNotSettled,
     PlanRefused,
+    RemovalCheckStop,
     SafetyStop,
     SeatNotLeft,
     WrongSeat,
 )
-from polishd.model.handling import Between, Settle, Step, TouchOff
+from polishd.model.handling import BetweenPasses, HandlingStep, SettleRule, TouchOff
 from polishd.model.surface import SurfaceMap
 from polishd.recipe import steps
 from tests.unit.daemon.small import Bench, as_map, open_journal, small_map, small_recipe
@@ -292,7 +292,7 @@ async def test_the_place_of_the_actuator_may_be_said(bench: Bench) -> None:
 # between passes
 
 
-def between(bench: Bench, what: Between, **job: Any) -> Any:
+def between(bench: Bench, what: BetweenPasses, **job: Any) -> Any:
     bench.rate = 0.9
     return bench.job(recipe=small_recipe(between=what, tolerance_nm=1e-6), **{"max_cycles": 2, **job})
 
@@ -305,8 +305,8 @@ def said(path: Path, code: str = "") -> tuple[str, ...]:
 
 @pytest.mark.full
 async def test_commands_run_between_passes_in_their_order(bench: Bench, tmp_path: Path) -> None:
-    step = Step(command=said(tmp_path / "said"), folder=tmp_path)
-    await bench.polish(between(bench, Between(clean=step, condition=step)))
+    step = HandlingStep(command=said(tmp_path / "said"), folder=tmp_path)
+    await bench.polish(between(bench, BetweenPasses(clean=step, condition=step)))
     told = (tmp_path / "said").read_text().splitlines()
     assert told == ["clean 1 P-1 small", "condition 1 P-1 small", "clean 2 P-1 small"]
     order = [line.split()[1] for line in bench.phases() if line.startswith("1 ")]
@@ -314,7 +314,7 @@ async def test_commands_run_between_passes_in_their_order(bench: Bench, tmp_path
 
 
 async def test_a_step_of_a_person_is_asked_for_once(bench: Bench) -> None:
-    job = between(bench, Between(clean=Step(person="wipe the part")), max_cycles=1)
+    job = between(bench, BetweenPasses(clean=HandlingStep(person="wipe the part")), max_cycles=1)
     with pytest.raises(HandlingError, match="clean: wipe the part; that done: polishd resume"):
         await bench.polish(job)
     assert bench.journal.unfinished() is None, "nothing is under way while the person is at it"
@@ -325,8 +325,8 @@ async def test_a_step_of_a_person_is_asked_for_once(bench: Bench) -> None:
 @pytest.mark.full
 async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) -> None:
     code = f"sys.exit(len(open({str(tmp_path / 'said')!r}).readlines()) == 1 and 'no water')"
-    step = Step(command=said(tmp_path / "said", code), folder=tmp_path)
-    job = between(bench, Between(clean=step), max_cycles=1)
+    step = HandlingStep(command=said(tmp_path / "said", code), folder=tmp_path)
+    job = between(bench, BetweenPasses(clean=step), max_cycles=1)
     with pytest.raises(HandlingError, match=r"clean: .* ended with 1: no water; see to it"):
         await bench.polish(job)
     assert await bench.polish(job) is Outcome.CYCLES_USED
@@ -354,7 +354,7 @@ def warming(bench: Bench, *swellings_nm: float) -> Callable[[], SurfaceMap]:
 async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 0.0, 0.0, 9.0, 3.0, 1.0, 0.9)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
-    job = between(bench, Between(settle=Settle(limit_nm=0.2, maps=6, wait_s=60.0)), max_cycles=1)
+    job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, maps=6, wait_s=60.0)), max_cycles=1)
     assert await bench.polish(job) is Outcome.CYCLES_USED
     told = [(event.cycle, event.maps) for event in job.told if event.name == "repeated"]
     assert told == [(0, 2), (1, 2), (1, 3), (1, 4)]
@@ -374,9 +374,9 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
 async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 9.0, 8.0, 7.0, 6.0)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
-    job = between(bench, Between(settle=Settle(limit_nm=0.2, maps=3, wait_s=60.0)))
+    job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, maps=3, wait_s=60.0)))
     with pytest.raises(
-        NotSettled, match=r"does not settle: from map to map it changed by 0\.\d\d, 0\.\d\d nm; 0\.20 nm"
+        PartNotSettled, match=r"does not settle: from map to map it changed by 0\.\d\d, 0\.\d\d nm; 0\.20 nm"
     ):
         await bench.polish(job)
     assert len(bench.fake.of("metrology.next_map")) == 3
@@ -414,14 +414,14 @@ class WarmPart:
 
 @pytest.mark.full
 @pytest.mark.one_of_each
-@pytest.mark.parametrize("settle", [Settle(limit_nm=0.2, maps=9, wait_s=60.0), None])
-async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, settle: Settle | None) -> None:
+@pytest.mark.parametrize("settle", [SettleRule(limit_nm=0.2, maps=9, wait_s=60.0), None])
+async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, settle: SettleRule | None) -> None:
     """Its first map after a pass shows a swelling that is no figure: by that the good part would be polished on.
 
     Where nobody asks for settling, the power that no removal explains is named, and waited for.
     """
     part = WarmPart(bench, swells_nm=12.0)
-    recipe = small_recipe(tolerance_nm=1.5, between=Between(settle=settle))
+    recipe = small_recipe(tolerance_nm=1.5, between=BetweenPasses(settle=settle))
     job = bench.job(recipe=recipe, max_cycles=1)
     assert await bench.polish(job) is Outcome.IN_TOLERANCE
     assert part.true_nm < 1.0
@@ -444,7 +444,7 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     bench.fake.metrology.measure = seen
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = bench.job(max_cycles=1)
-    with pytest.raises(GateStop, match=r"a trefoil changed by .* nm: three points of the mount"):
+    with pytest.raises(RemovalCheckStop, match=r"a trefoil changed by .* nm: three points of the mount"):
         await bench.polish(job)
     assert bench.phases()[-1] == "1 settle failed"
     told = [event for event in job.told if event.name == "repeated"]
@@ -466,7 +466,7 @@ async def test_a_part_that_goes_on_changing_holds_the_cell_where_the_tolerance_d
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = bench.job(recipe=small_recipe(tolerance_nm=tolerance_nm), max_cycles=1)
     if held:
-        with pytest.raises(NotSettled, match=r"power changed by .* a part that is warm still"):
+        with pytest.raises(PartNotSettled, match=r"power changed by .* a part that is warm still"):
             await bench.polish(job)
         assert bench.phases()[-1] == "1 settle failed"
     else:

@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 
 from polishd.daemon import health
-from polishd.daemon.health import Figure, Health
+from polishd.daemon.health import Health, HealthFigure
 from polishd.model.cycle import Outcome
 from polishd.model.errors import DeviceRefused, HostFault, LinkError
-from polishd.model.events import Held
-from polishd.recipe.disk import SPARE_FILES, SPARE_MB, Writes
+from polishd.model.events import CellHeld
+from polishd.recipe.disk import SPARE_FILES, SPARE_MB, SpaceNeeded
 from tests.unit.daemon.small import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
 
@@ -74,7 +74,7 @@ async def test_a_disk_that_fills_up_in_contact_is_left_before_it_is_full(bench: 
         assert reason.startswith("HostFault: state_disk_mb 100, at least 128")
         assert "make room on the disk of" in reason
         assert "pass 0 was interrupted" in reason
-        (held,) = (event for event in running.told if isinstance(event, Held))
+        (held,) = (event for event in running.told if isinstance(event, CellHeld))
         assert held.kind == "HostFault"
         with pytest.raises(DeviceRefused, match="the cell stays held: HostFault: state_disk_mb 100"):
             await running.daemon.handlers["resume"]()
@@ -210,15 +210,15 @@ async def test_while_it_is_held_every_device_is_asked_now_and_then(bench: Bench)
 
 
 def test_a_figure_says_its_limit() -> None:
-    assert str(Figure("loop_lag_s", 0.25, 0.5, "")) == "loop_lag_s 0.25, at most 0.5"
-    assert Figure("memory_mb", 1.0, 1.0, "", least=True).fits
+    assert str(HealthFigure("loop_lag_s", 0.25, 0.5, "")) == "loop_lag_s 0.25, at most 0.5"
+    assert HealthFigure("memory_mb", 1.0, 1.0, "", least=True).fits
 
 
 def test_what_must_be_left_falls_as_blocks_are_done(tmp_path: Path) -> None:
     run = tmp_path / "not" / "there"
     begun, ended, none = (
         health._left(tmp_path, run, writes)["state_disk_mb"].limit
-        for writes in (Writes.of(1_000_000), Writes.of(1_000_000, done=1_000_000), Writes.of(0))
+        for writes in (SpaceNeeded.of(1_000_000), SpaceNeeded.of(1_000_000, done=1_000_000), SpaceNeeded.of(0))
     )
     assert none == pytest.approx(2 * SPARE_MB)
     assert begun - ended == pytest.approx(100.0), "the journal's rows are there; table and copy are written at the end"
@@ -228,7 +228,7 @@ def test_what_must_be_left_falls_as_blocks_are_done(tmp_path: Path) -> None:
 def test_memory_is_not_judged_where_the_kernel_does_not_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "_memory_mb", lambda: None)
     figures = {f"{disk}_disk_{unit}" for disk in ("state", "run") for unit in ("mb", "files")}
-    assert set(health._left(tmp_path, tmp_path, Writes.of(0))) <= figures
+    assert set(health._left(tmp_path, tmp_path, SpaceNeeded.of(0))) <= figures
 
 
 @pytest.mark.parametrize("version", [1, 2])

@@ -10,14 +10,14 @@ import pytest
 from polishd.daemon.history import read_history
 from polishd.daemon.journal import Journal
 from polishd.daemon.watching import watch
-from polishd.model.beliefs import Belief
+from polishd.model.beliefs import Estimate
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
-from polishd.model.events import Failed, Found, Held, Learned
-from polishd.model.finding import FindingLimits, Shown
+from polishd.model.events import CellHeld, DaemonFailed, EstimatesUpdated, FindingReported
+from polishd.model.finding import FindingLimits, PassIndicators
 from polishd.model.tolerance import Judged
 
-SHOWN = Shown(10.0, 1.0, 1.5, 1.0, 600.0, Belief(0.9, 0.02), None, None, (1.0, 1.6), 1.5)
+SHOWN = PassIndicators(10.0, 1.0, 1.5, 1.0, 600.0, Estimate(0.9, 0.02), None, None, (1.0, 1.6), 1.5)
 
 
 def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | None = Outcome.IN_TOLERANCE) -> None:
@@ -29,11 +29,11 @@ def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | 
             journal.begin_pass(cycle, "sha", "boot", 3, facts={"predicted_rms_nm": 1.0})
             journal.end_pass(cycle, how)
         watch(journal, 0, SHOWN, FindingLimits())
-        journal.record_event(Learned(beliefs={}, notes=[]))
-        journal.record_event(Held(error="the wire is dead", kind="LinkError"))
-        journal.record_event(Failed(error="the wire is dead", kind="LinkError"))
-        journal.record_event(Found(kind="wear", what="the rate fell", stops="cell"))
-        journal.record_event(Held(error="the rate fell", kind="ToolStop"))
+        journal.record_event(EstimatesUpdated(beliefs={}, notes=[]))
+        journal.record_event(CellHeld(error="the wire is dead", kind="LinkError"))
+        journal.record_event(DaemonFailed(error="the wire is dead", kind="LinkError"))
+        journal.record_event(FindingReported(kind="wear", what="the rate fell", stops="cell"))
+        journal.record_event(CellHeld(error="the rate fell", kind="ToolStop"))
         journal.record_map(2, f"{job}2", "x", {"rms_nm": rms_nm})
         if outcome is not None:
             journal.record_outcome(outcome)

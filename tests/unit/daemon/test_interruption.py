@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from polishd.daemon import interruption
-from polishd.daemon.interruption import mark, settle
+from polishd.daemon.interruption import mark_interrupted, settle_interrupted_pass
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.touch import Touch
-from polishd.model.devices import Executed, RobotProgress
+from polishd.daemon.touch import ContactRecord
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import LinkError
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
@@ -54,7 +54,7 @@ def interrupted(
     plan = journal.arrays.put(PLAN)
     journal.begin_pass(2, "sha", boot_id, BLOCKS, contact=CONTACT, plan=plan, reach_s=reach_s)
     for seq in range(CONTACT[0], until):
-        block = Executed(seq, float(seq), seq + 1.0)
+        block = ExecutedBlock(seq, float(seq), seq + 1.0)
         journal.record_executed(2, [BlockRecord(block, seq < off_from, 12.0, 1000.0, 50.0 + seq * wall_s)])
 
 
@@ -66,10 +66,10 @@ def touched(journal: Journal) -> dict[int, str]:
 
 
 async def test_nothing_to_settle(fake: FakeCell, journal: Journal) -> None:
-    assert await settle(fake.cell, journal) == ""
+    assert await settle_interrupted_pass(fake.cell, journal) == ""
     journal.begin_pass(0, "sha", "boot-1", BLOCKS)
     journal.end_pass(0, "done")
-    assert await settle(fake.cell, journal) == ""
+    assert await settle_interrupted_pass(fake.cell, journal) == ""
 
 
 # the robot remembers
@@ -77,7 +77,7 @@ async def test_nothing_to_settle(fake: FakeCell, journal: Journal) -> None:
 
 async def test_the_same_robot_run_tells_the_rest(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal)
-    said = await settle(fake.cell, journal)
+    said = await settle_interrupted_pass(fake.cell, journal)
     assert "pass 2 was interrupted: 16 of 40 blocks are recorded as executed; uncertain: blocks 18 to 21." in said
     blocks = journal.executed(2)
     assert list(blocks.seq) == list(range(5, 21)), "each once"
@@ -93,7 +93,7 @@ async def test_what_ran_after_the_actuator_must_have_let_go_was_not_touched(fake
     """The tool can have stayed on the part for six seconds more, which are as many blocks, and a little."""
     interrupted(journal)
     fake.robot.done = fake.robot.until = 33
-    said = await settle(fake.cell, journal)
+    said = await settle_interrupted_pass(fake.cell, journal)
     found = touched(journal)
     # 12 s of the robot's in 12 s of ours, less what its words may be late: at most 1.14 s of its in one of ours
     assert [seq for seq in range(18, 33) if found[seq] == "-"] == list(range(25, 33))
@@ -104,14 +104,14 @@ async def test_what_ran_after_the_actuator_must_have_let_go_was_not_touched(fake
 async def test_how_fast_the_robots_clock_went_counts(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, wall_s=0.5)
     fake.robot.done = fake.robot.until = 34
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 35),), "twice as fast, and a little more: 16 s"
 
 
 async def test_a_pass_that_has_just_begun_does_not_tell_how_fast(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, 7)
     fake.robot.done = fake.robot.until = 33
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((7, 34),)
 
 
@@ -119,32 +119,32 @@ async def test_blocks_off_the_part_are_recovered_as_such(fake: FakeCell, journal
     """The daemon died on the way out: the tool was lifted by then."""
     interrupted(journal, 35)
     fake.robot.done = 38
-    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert "no block is uncertain" in await settle_interrupted_pass(fake.cell, journal)
     assert [touched(journal)[seq] for seq in (34, 35, 37)] == ["+", "-", "-"]
 
 
 async def test_what_follows_a_block_that_the_tool_was_off_in_is_not_touched(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, off_from=16)
-    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert "no block is uncertain" in await settle_interrupted_pass(fake.cell, journal)
     assert touched(journal) == {seq: "+" if seq < 16 else "-" for seq in range(5, 21)}
 
 
 async def test_nothing_recorded_yet(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, CONTACT[0])
-    assert "21 of 40 blocks" in await settle(fake.cell, journal)
+    assert "21 of 40 blocks" in await settle_interrupted_pass(fake.cell, journal)
     assert touched(journal) == {seq: "-" if seq < CONTACT[0] else "?" for seq in range(21)}
 
 
 async def test_the_block_under_way_is_uncertain_although_all_others_are_known(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, 21)
-    assert "uncertain: blocks 21 to 21." in await settle(fake.cell, journal)
+    assert "uncertain: blocks 21 to 21." in await settle_interrupted_pass(fake.cell, journal)
     assert not journal.executed(2).recovered.any()
 
 
 async def test_the_way_in_is_not_touched(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, CONTACT[0])
     fake.robot.done = fake.robot.until = 3
-    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert "no block is uncertain" in await settle_interrupted_pass(fake.cell, journal)
     assert touched(journal) == dict.fromkeys(range(3), "-")
 
 
@@ -152,7 +152,7 @@ async def test_what_was_marked_when_contact_was_left_is_the_bound(fake: FakeCell
     """The link was lost then; now the robot tells what ran, and the lift had been confirmed."""
     interrupted(journal)
     journal.mark_uncertain(2, 18, 20)
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert [touched(journal)[seq] for seq in (18, 19, 20)] == ["?", "?", "-"]
     assert journal.uncertain(2) == ((18, 20),)
 
@@ -160,7 +160,7 @@ async def test_what_was_marked_when_contact_was_left_is_the_bound(fake: FakeCell
 async def test_a_robot_that_still_runs_is_not_taken_to_stand(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal)
     fake.robot.until = 30
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 25),), "as far as it can come within the time"
 
 
@@ -176,7 +176,7 @@ async def test_what_a_robot_without_a_boot_id_does_not_tell_may_be_executed(
     fake.robot.boot_id, fake.robot.done, fake.robot.until = "", 18, 18
     if marked:
         journal.mark_uncertain(2, *marked)
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == (marked or (18, 25),), "as far as the tool can have come, not where it was last seen"
 
 
@@ -185,7 +185,7 @@ async def test_a_robot_that_has_forgotten(fake: FakeCell, journal: Journal, fiel
     """What the tool can have reached within the time is marked, by the time that is written, and no more."""
     setattr(fake.robot, field, value)
     interrupted(journal)
-    said = await settle(fake.cell, journal)
+    said = await settle_interrupted_pass(fake.cell, journal)
     assert "uncertain: blocks 18 to 24 (as far as the tool can have come: the robot does not remember)" in said
     assert list(journal.executed(2).seq) == list(range(5, 18)), "what another run says is not believed"
     assert journal.passes[0].how == "interrupted"
@@ -207,7 +207,7 @@ async def test_how_far_the_tool_can_have_come(
 ) -> None:
     fake.robot.boot_id = "boot-2"
     interrupted(journal, recorded, wall_s=wall_s, reach_s=reach_s)
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((recorded, end),)
 
 
@@ -215,20 +215,20 @@ async def test_what_was_marked_stands_where_the_robot_has_forgotten(fake: FakeCe
     interrupted(journal)
     journal.mark_uncertain(2, 18, 19)
     fake.robot.boot_id = "boot-2"
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 19),)
 
 
 async def test_a_tool_that_was_off_stays_off(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, off_from=16)
     fake.robot.boot_id = "boot-2"
-    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert "no block is uncertain" in await settle_interrupted_pass(fake.cell, journal)
 
 
 async def test_a_robot_whose_link_is_down(fake: FakeCell, journal: Journal) -> None:
     fake.robot.acts.fails["progress"] = LinkError("gone")
     interrupted(journal)
-    assert "18 to 24" in await settle(fake.cell, journal)
+    assert "18 to 24" in await settle_interrupted_pass(fake.cell, journal)
     assert journal.passes[0].how == "interrupted"
 
 
@@ -236,7 +236,7 @@ async def test_a_robot_that_does_not_answer(fake: FakeCell, journal: Journal, mo
     monkeypatch.setattr(interruption, "ASK_S", 0.02)
     fake.robot.acts.hangs.add("progress")
     interrupted(journal)
-    assert "18 to 24" in await settle(fake.cell, journal)
+    assert "18 to 24" in await settle_interrupted_pass(fake.cell, journal)
 
 
 async def test_a_robot_that_stops_amid_its_account(
@@ -252,24 +252,24 @@ async def test_a_robot_that_stops_amid_its_account(
         return type(told)(told.state, told.program_sha256, 40, 30, 0.0, told.boot_id)
 
     fake.robot.progress = boasts  # type: ignore[method-assign, assignment]
-    assert "18 to 24" in await settle(fake.cell, journal)
+    assert "18 to 24" in await settle_interrupted_pass(fake.cell, journal)
 
 
 async def test_settling_twice_says_nothing_the_second_time(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal)
-    assert await settle(fake.cell, journal)
-    assert await settle(fake.cell, journal) == ""
+    assert await settle_interrupted_pass(fake.cell, journal)
+    assert await settle_interrupted_pass(fake.cell, journal) == ""
 
 
 # when contact is left
 
 
-def left(journal: Journal, *, off_s: float, told_s: float, seq: int = 17) -> Touch:
+def left(journal: Journal, *, off_s: float, told_s: float, seq: int = 17) -> ContactRecord:
     """A contact that was left: when the robot told of a block last, and from when on the tool is off."""
-    touch = Touch(lambda records: journal.record_executed(2, records), 1.5)
+    touch = ContactRecord(lambda records: journal.record_executed(2, records), 1.5)
     touch.begin(0.0)
     touch.leave()
-    touch.told(Executed(seq, float(seq), seq + 1.0), told_s)
+    touch.told(ExecutedBlock(seq, float(seq), seq + 1.0), told_s)
     touch.off(off_s)
     return touch
 
@@ -288,14 +288,14 @@ async def test_what_can_be_touched_after_the_last_word(
     fake: FakeCell, journal: Journal, robot: RobotProgress | None, off_s: float, marked: tuple[int, int]
 ) -> None:
     interrupted(journal, 17)
-    await mark(fake.cell, journal, 2, left(journal, off_s=off_s, told_s=100.0), robot)
+    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=off_s, told_s=100.0), robot)
     assert journal.passes[0].uncertain == marked
     assert journal.passes[0].ended_s is None, "the robot may still tell"
 
 
 async def test_a_tool_that_never_left_its_landing_point_has_touched_nothing(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, CONTACT[0])
-    await mark(fake.cell, journal, 2, Touch(lambda records: None, 1.5), None)
+    await mark_interrupted(fake.cell, journal, 2, ContactRecord(lambda records: None, 1.5), None)
     assert journal.uncertain(2) == ()
 
 
@@ -304,11 +304,11 @@ async def test_a_robot_that_took_the_tool_off_its_landing_point_moved_in_the_fir
     fake: FakeCell, journal: Journal, robot: RobotProgress | None
 ) -> None:
     interrupted(journal, CONTACT[0])
-    touch = Touch(lambda records: None, 1.5)
+    touch = ContactRecord(lambda records: None, 1.5)
     touch.leave()
     touch.lifts(3.0)
     touch.off(3.5)
-    await mark(fake.cell, journal, 2, touch, robot)
+    await mark_interrupted(fake.cell, journal, 2, touch, robot)
     assert journal.passes[0].uncertain == (CONTACT[0], CONTACT[0] + 1)
 
 
@@ -320,8 +320,8 @@ async def test_a_robot_that_took_the_tool_off_at_the_end_moved_in_the_block_afte
     interrupted(journal, CONTACT[1] - 1)
     touch = left(journal, seq=CONTACT[1] - 1, off_s=103.0, told_s=100.0)
     touch.lifts(lifts_s)
-    await mark(fake.cell, journal, 2, touch, None)
+    await mark_interrupted(fake.cell, journal, 2, touch, None)
     assert journal.passes[0].uncertain == marked
     fake.robot.done = fake.robot.until = CONTACT[1]
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.passes[0].uncertain == marked

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.interruption import mark, settle
+from polishd.daemon.interruption import mark_interrupted, settle_interrupted_pass
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.devices import Executed, RobotProgress
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
 from tests.unit.daemon.small import open_journal
@@ -44,7 +44,7 @@ async def test_how_fast_it_ran_counts_from_the_first_word_to_the_last(
 ) -> None:
     fake.robot.boot_id = "boot-2"
     interrupted(journal, reach_s=reach_s)
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, end),)
 
 
@@ -57,7 +57,7 @@ async def test_what_began_within_the_time_is_uncertain_and_later_it_was_off(
     """With a robot that runs as slowly as that, its own clock counts as it is."""
     interrupted(journal, wall_s=wall_s, reach_s=reach_s)
     fake.robot.done = fake.robot.until = 33
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert [seq for seq, word in touched(journal).items() if word == "?"] == list(range(18, last + 1))
     assert journal.uncertain(2) == ((18, last + 1),)
 
@@ -67,7 +67,7 @@ async def test_the_block_in_which_it_stands_may_begin_later_than_the_tool_can_ha
 ) -> None:
     interrupted(journal, wall_s=5.0, reach_s=6.0)
     fake.robot.done = fake.robot.until = 25
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 25),)
     assert journal.passes[0].uncertain == (25, 25)
 
@@ -76,16 +76,16 @@ async def test_the_way_in_says_nothing_of_the_tool_in_contact(fake: FakeCell, jo
     """It was off there, and lands after it."""
     interrupted(journal, CONTACT[0])
     for seq in range(CONTACT[0]):
-        journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), False)])
+        journal.record_executed(2, [BlockRecord(ExecutedBlock(seq, float(seq), seq + 1.0), False)])
     fake.robot.boot_id = "boot-2"
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == (CONTACT,)
 
 
 async def test_a_tool_that_was_off_in_the_first_block_of_contact_stays_off(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, CONTACT[0] + 1, off_from=CONTACT[0])
     fake.robot.boot_id = "boot-2"
-    assert "no block is uncertain" in await settle(fake.cell, journal)
+    assert "no block is uncertain" in await settle_interrupted_pass(fake.cell, journal)
 
 
 async def test_nothing_recorded_and_nothing_remembered_leaves_all_of_the_contact(
@@ -93,7 +93,7 @@ async def test_nothing_recorded_and_nothing_remembered_leaves_all_of_the_contact
 ) -> None:
     interrupted(journal, CONTACT[0])
     fake.robot.done = fake.robot.until = 0
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == (), "it stands before its first block, on the way in"
     assert touched(journal) == {}
 
@@ -101,7 +101,7 @@ async def test_nothing_recorded_and_nothing_remembered_leaves_all_of_the_contact
 async def test_the_first_and_the_last_block_of_contact_are_in_it(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, CONTACT[0], reach_s=None)
     fake.robot.done = fake.robot.until = BLOCKS
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert [seq for seq, word in touched(journal).items() if word == "?"] == list(range(*CONTACT))
 
 
@@ -111,7 +111,7 @@ async def test_what_was_marked_then_is_the_bound_also_for_a_robot_that_runs_on(
     interrupted(journal)
     journal.mark_uncertain(2, 18, 23)
     fake.robot.until = 30
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 23),)
 
 
@@ -119,7 +119,7 @@ async def test_the_pass_that_is_marked_is_the_one_that_was_left(fake: FakeCell, 
     journal.begin_pass(1, "other", "boot-1", 3)
     journal.end_pass(1, "done")
     interrupted(journal, 17)
-    await mark(fake.cell, journal, 2, left(journal, off_s=103.0, told_s=100.0), None)
+    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=103.0, told_s=100.0), None)
     assert [(one.cycle, one.uncertain) for one in journal.passes] == [(1, None), (2, (18, 23))]
 
 
@@ -129,15 +129,17 @@ async def test_a_robot_that_stands_farther_on_than_it_told_may_have_touched_all_
 ) -> None:
     interrupted(journal, 17)
     robot = RobotProgress("held", "sha", BLOCKS, executed, 0.0)
-    await mark(fake.cell, journal, 2, left(journal, off_s=103.0, told_s=100.0), robot)
+    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=103.0, told_s=100.0), robot)
     assert journal.passes[0].uncertain == (18, 23)
 
 
 async def test_a_pass_of_which_no_plan_is_kept_leaves_all_of_its_contact(fake: FakeCell, journal: Journal) -> None:
     journal.begin_pass(2, "sha", "boot-2", BLOCKS, contact=CONTACT, reach_s=1.0)
     for seq in range(5, 18):
-        journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), True, None, None, 50.0 + seq)])
-    await settle(fake.cell, journal)
+        journal.record_executed(
+            2, [BlockRecord(ExecutedBlock(seq, float(seq), seq + 1.0), True, None, None, 50.0 + seq)]
+        )
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, CONTACT[1]),)
 
 
@@ -146,15 +148,19 @@ async def test_where_nobody_said_how_long_the_tool_can_have_stayed_all_that_ran_
 ) -> None:
     interrupted(journal, reach_s=None)
     fake.robot.done = fake.robot.until = 33
-    await settle(fake.cell, journal)
+    await settle_interrupted_pass(fake.cell, journal)
     assert journal.uncertain(2) == ((18, 34),)
 
 
 async def test_all_that_is_uncertain_is_said(fake: FakeCell, journal: Journal) -> None:
     interrupted(journal, 10)
     for seq in (10, 11):
-        journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), None, 12.0, 1000.0, 50.0 + seq)])
+        journal.record_executed(
+            2, [BlockRecord(ExecutedBlock(seq, float(seq), seq + 1.0), None, 12.0, 1000.0, 50.0 + seq)]
+        )
     for seq in range(12, 18):
-        journal.record_executed(2, [BlockRecord(Executed(seq, float(seq), seq + 1.0), True, 12.0, 1000.0, 50.0 + seq)])
-    said = await settle(fake.cell, journal)
+        journal.record_executed(
+            2, [BlockRecord(ExecutedBlock(seq, float(seq), seq + 1.0), True, 12.0, 1000.0, 50.0 + seq)]
+        )
+    said = await settle_interrupted_pass(fake.cell, journal)
     assert "; uncertain: blocks 10 to 11, 18 to 21. None of them is run again" in said

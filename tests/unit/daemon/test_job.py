@@ -14,16 +14,16 @@ from polishd.daemon.installed import installed_at_start
 from polishd.daemon.job import PROGRESS_BLOCKS, Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.devices import Executed, RobotProgress
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import ComputeError, HostFault, PlanRefused
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
-from polishd.model.tolerance import Line
+from polishd.model.tolerance import ToleranceLine
 from polishd.process.findings import DIVERGED_RATIO
 from polishd.recipe import steps
 from polishd.recipe.decisions import Accept, AnotherPass, Diverge
 from polishd.recipe.dwell_step import require_certificate
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     CERTIFICATE,
@@ -54,11 +54,11 @@ def scaled(surface: SurfaceMap, factor: float) -> SurfaceMap:
     return as_map(surface.height_nm * factor)
 
 
-async def measure(job: Job, cycle: int, rms_nm: float) -> Measured:
+async def measure(job: Job, cycle: int, rms_nm: float) -> MeasureResult:
     return await job.measured(cycle, scaled(small_map(), rms_nm / 20.0))
 
 
-async def planned(job: Job, cycle: int, surface: Measured) -> Plan:
+async def planned(job: Job, cycle: int, surface: MeasureResult) -> Plan:
     return await job.plan(cycle, surface, await job.solve(cycle, surface))
 
 
@@ -77,7 +77,7 @@ async def run(
     await job.begin_pass(cycle, plan, ROBOT, 9.5)
     at_s = 100.0
     for seq, time_s in list(zip(plan.program.block, plan.expected_time_s, strict=True))[:blocks]:
-        block = Executed(int(seq), at_s, at_s + float(time_s) + late_s)
+        block = ExecutedBlock(int(seq), at_s, at_s + float(time_s) + late_s)
         job.executed(cycle, [BlockRecord(block, True, force_n, 1000.0, None, sensed_n)])
         at_s += float(time_s) + late_s
     if end:
@@ -185,7 +185,7 @@ async def test_blocks_that_were_not_run_have_no_time(job: Job) -> None:
 async def test_time_out_of_contact_does_not_count(job: Job, journal: Journal) -> None:
     plan = await planned(job, 0, await job.measured(0, small_map()))
     await job.begin_pass(0, plan, ROBOT, 9.5)
-    journal.record_executed(0, [BlockRecord(Executed(int(plan.program.block[0]), 0.0, 5.0), False)])
+    journal.record_executed(0, [BlockRecord(ExecutedBlock(int(plan.program.block[0]), 0.0, 5.0), False)])
     journal.flush()
     assert not job.executed_s(0).any()
 
@@ -196,7 +196,7 @@ async def test_the_move_to_a_dwell_counts_for_its_point(tmp_path: Path, journal:
     job = small_job(tmp_path, journal, program=program)
     journal.begin_pass(0, "sha", "boot", 8, contact=(3, 7))
     for seq, start_s, end_s in [(2, 0, 9), (3, 10, 11.5), (5, 11.5, 11.75), (6, 11.75, 14)]:
-        journal.record_executed(0, [BlockRecord(Executed(seq, start_s, end_s), seq >= 3)])
+        journal.record_executed(0, [BlockRecord(ExecutedBlock(seq, start_s, end_s), seq >= 3)])
     assert job.executed_s(0) == pytest.approx([1.5, 2.5])
 
 
@@ -217,7 +217,7 @@ async def test_the_tolerance_may_be_for_a_band(tmp_path: Path, journal: Journal)
 
 
 async def test_a_part_is_accepted_when_all_lines_hold(tmp_path: Path, journal: Journal) -> None:
-    lines = (Line("rms", 15.0, above_mm=18.0), Line("pv", 60.0))
+    lines = (ToleranceLine("rms", 15.0, above_mm=18.0), ToleranceLine("pv", 60.0))
     job = small_job(tmp_path, journal, recipe=small_recipe(tolerance_nm=None, tolerance=lines))
     measured = await job.measured(0, small_map())
     assert [one.holds for one in measured.judged] == [True, False]
@@ -312,7 +312,7 @@ async def test_a_pass_that_was_cut_off_is_kept_for_people_with_what_nobody_knows
 ) -> None:
     plan = await planned(job, 0, await job.measured(0, small_map()))
     await run(job, 0, plan, end=False, blocks=5)
-    journal.record_executed(0, [BlockRecord(Executed(plan.approach_blocks + 5, 300.0, 301.0), None)])
+    journal.record_executed(0, [BlockRecord(ExecutedBlock(plan.approach_blocks + 5, 300.0, 301.0), None)])
     last = plan.approach_blocks + 5
     journal.mark_uncertain(0, last + 1, last + 3)
     await job.cut_off(0)

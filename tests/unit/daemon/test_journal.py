@@ -15,8 +15,8 @@ from polishd.daemon import journal_schema, journal_store
 from polishd.daemon.journal import NO_JOB, Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.journal_schema import OF_A_JOB
-from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
+from polishd.model.cycle import CyclePhase, Outcome
+from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
 from polishd.model.events import PlanWritten
 from tests.unit.daemon.small import told_phases
@@ -26,8 +26,8 @@ def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
     return Journal.open(state_dir, job=job, part_id=part_id)
 
 
-def block(seq: int) -> Executed:
-    return Executed(seq, seq * 0.1, seq * 0.1 + 0.05)
+def block(seq: int) -> ExecutedBlock:
+    return ExecutedBlock(seq, seq * 0.1, seq * 0.1 + 0.05)
 
 
 def touched(seq: int, *what: float) -> list[BlockRecord]:
@@ -74,7 +74,7 @@ def test_full_sync_in_wal_mode(tmp_path: Path, journal: Journal) -> None:
 
 async def test_job_goes_on_where_it_was(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
-        async with journal.phase(0, Phase.MEASURE):
+        async with journal.phase(0, CyclePhase.MEASURE):
             journal.record_map(0, "aa", "maps/0.dat", {"rms_nm": 18.0})
         journal.begin_pass(0, "prog0", "boot", 10, facts={"predicted_rms_nm": 5.0})
         for seq in range(10):
@@ -141,10 +141,10 @@ async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest
     """In the order of a cycle, over all cycles and attempts; what has not ended counts for nothing yet."""
     times = iter([100.0, 104.0, 110.0, 111.0, 120.0, 123.5, 130.0])
     monkeypatch.setattr("polishd.daemon.journal.time.time", lambda: next(times))
-    for cycle, phase in ((0, Phase.RUN), (1, Phase.MEASURE), (1, Phase.RUN)):
+    for cycle, phase in ((0, CyclePhase.RUN), (1, CyclePhase.MEASURE), (1, CyclePhase.RUN)):
         async with journal.phase(cycle, phase):
             pass
-    running = journal.phase(2, Phase.SOLVE)
+    running = journal.phase(2, CyclePhase.SOLVE)
     await running.__aenter__()
     monkeypatch.undo()
     assert list(journal.phase_times_s().items()) == [("measure", 1.0), ("run", 7.5)]
@@ -152,13 +152,13 @@ async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest
 
 
 async def test_phases_tell_how_they_ended(journal: Journal) -> None:
-    async with journal.phase(0, Phase.MEASURE):
+    async with journal.phase(0, CyclePhase.MEASURE):
         assert told_phases(journal) == [(0, "measure", None, None)]
     with pytest.raises(LinkError, match="gone"):
-        async with journal.phase(0, Phase.SOLVE):
+        async with journal.phase(0, CyclePhase.SOLVE):
             raise LinkError("gone")
     with pytest.raises(asyncio.CancelledError):
-        async with journal.phase(0, Phase.RUN):
+        async with journal.phase(0, CyclePhase.RUN):
             raise asyncio.CancelledError
     assert told_phases(journal) == [
         (0, "measure", "done", None),
@@ -172,7 +172,7 @@ async def test_what_is_buffered_in_a_phase_is_durable_at_its_end(tmp_path: Path,
     journal.begin_pass(0, "prog", "boot", 3)
 
     async def interrupted() -> None:
-        async with journal.phase(0, Phase.RUN):
+        async with journal.phase(0, CyclePhase.RUN):
             journal.record_executed(0, touched(0))
             raise LinkError("gone")
 
@@ -199,7 +199,7 @@ def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
         2, [BlockRecord(block(0), False), *touched(1, 12.1, 998.0, 7.5, 11.8), *touched(2), *touched(4)]
     )
     journal.record_executed(2, [BlockRecord(block(5), None)])
-    again = BlockRecord(Executed(2, 99.0, 100.0), True)
+    again = BlockRecord(ExecutedBlock(2, 99.0, 100.0), True)
     journal.record_executed(2, [again])  # told again after a reconnect: the first word stands
     found = journal.executed(2)
     np.testing.assert_array_equal(found.seq, [0, 1, 2, 4, 5])

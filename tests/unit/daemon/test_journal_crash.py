@@ -16,8 +16,8 @@ import pytest
 
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.cycle import Phase
-from polishd.model.devices import Executed
+from polishd.model.cycle import CyclePhase
+from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import ConfigError, LinkError, SafetyStop
 
 
@@ -25,8 +25,8 @@ def opened(state_dir: Path) -> Journal:
     return Journal.open(state_dir, job="job", part_id="P1")
 
 
-def block(seq: int) -> Executed:
-    return Executed(seq, seq * 0.1, seq * 0.1 + 0.05)
+def block(seq: int) -> ExecutedBlock:
+    return ExecutedBlock(seq, seq * 0.1, seq * 0.1 + 0.05)
 
 
 WRITER = """
@@ -34,14 +34,14 @@ import sys
 from pathlib import Path
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.devices import Executed
+from polishd.model.devices import ExecutedBlock
 journal = Journal.open(Path(sys.argv[1]), job="job", part_id="P1")
 if not journal.passes:
     journal.begin_pass(0, "prog", "boot", 10**6)
 seq = journal.executed(0).seq.size
 while True:
     for _ in range(7):
-        journal.record_executed(0, [BlockRecord(Executed(seq, seq * 1.0, seq + 0.5), True)])
+        journal.record_executed(0, [BlockRecord(ExecutedBlock(seq, seq * 1.0, seq + 0.5), True)])
         seq += 1
     journal.flush()
     print(seq, flush=True)
@@ -103,13 +103,13 @@ async def test_full_disk_loses_the_journal_for_good(tmp_path: Path) -> None:
 async def test_lost_journal_ends_a_phase_but_never_hides_its_error(tmp_path: Path) -> None:
     journal = opened(tmp_path)
     with pytest.raises(SafetyStop, match="journal lost"):
-        async with journal.phase(0, Phase.RUN):
+        async with journal.phase(0, CyclePhase.RUN):
             journal._store._fail(sqlite3.OperationalError("disk I/O error"))
     journal.close()
     journal = opened(tmp_path)
 
     async def lose_both() -> None:
-        async with journal.phase(0, Phase.RUN):
+        async with journal.phase(0, CyclePhase.RUN):
             journal._store._fail(sqlite3.OperationalError("disk I/O error"))
             raise LinkError("gone")
 

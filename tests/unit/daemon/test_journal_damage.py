@@ -22,10 +22,10 @@ from polishd.daemon.journal_schema import connect
 from polishd.daemon.journal_store import Store
 from polishd.daemon.last_word import last_ending
 from polishd.daemon.queue import Queue
-from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
+from polishd.model.cycle import CyclePhase, Outcome
+from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import ConfigError, JournalDamage
-from polishd.model.events import Acknowledged
+from polishd.model.events import AlarmAcknowledged
 from tests.unit.daemon.test_app import Site, run_cell
 
 BLOCKS, GROUP = 40, 7
@@ -45,15 +45,15 @@ async def two_jobs(state: Path) -> Journal:
     for job in ("first", "second"):
         journal = Journal.open(state, job=job, part_id="P1", terms={"process.load_n": 20.0})
         for cycle in range(2):
-            async with journal.phase(cycle, Phase.MEASURE):
+            async with journal.phase(cycle, CyclePhase.MEASURE):
                 journal.record_map(cycle, f"{job} {cycle}" * 6, "map.dat", {"rms_nm": 1.5 - cycle, "what": "é"}, "x")
             journal.begin_pass(cycle, f"program {job} {cycle}", "boot", BLOCKS, contact=(2, 38), facts={"rate": 1.0})
             for seq in range(BLOCKS):
-                record = BlockRecord(Executed(seq, seq * 0.1, seq + 0.05), 2 <= seq < 38, 9.9 + seq / 7, 500.0)
+                record = BlockRecord(ExecutedBlock(seq, seq * 0.1, seq + 0.05), 2 <= seq < 38, 9.9 + seq / 7, 500.0)
                 journal.record_executed(cycle, [record])
                 if seq % GROUP == 0:
                     journal.flush()
-            journal.record_event(Acknowledged(alarms=[cycle], by="me"))
+            journal.record_event(AlarmAcknowledged(alarms=[cycle], by="me"))
             if cycle == 0 or job == "first":
                 journal.end_pass(cycle, "done")
         if job == "first":
@@ -75,7 +75,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     copied(work, found["killed"], kept[0])
     with closing(connect(work / JOURNAL_NAME)) as other:
         other.execute("PRAGMA wal_checkpoint(PASSIVE)")
-    journal.record_event(Acknowledged(alarms=[7], by="me"))
+    journal.record_event(AlarmAcknowledged(alarms=[7], by="me"))
     journal.flush()
     copied(work, found["moved"], kept[0])
     journal.close()

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.daemon.endings import standing
+from polishd.daemon.endings import safety_of
 from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import BlockRecord, Tally, joined
-from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
-from polishd.model.events import Failed, Held, JobEnded
+from polishd.daemon.journal_records import BlockCounts, BlockRecord, joined
+from polishd.model.cycle import CyclePhase, Outcome
+from polishd.model.devices import ExecutedBlock
+from polishd.model.events import CellHeld, DaemonFailed, QueueJobEnded
 from tests.unit.daemon.small import open_journal
 
 
@@ -25,11 +25,13 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 
 def state(name: str, reason: str = "") -> object:
-    return standing(name, reason, ())
+    return safety_of(name, reason, ())
 
 
-def ended(stops: str) -> JobEnded:
-    return JobEnded(job="a", part_id="P", verdict="rejected", reason="all its passes are used", stops=stops, run_dir="")
+def ended(stops: str) -> QueueJobEnded:
+    return QueueJobEnded(
+        job="a", part_id="P", verdict="rejected", reason="all its passes are used", stops=stops, run_dir=""
+    )
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,7 @@ def ended(stops: str) -> JobEnded:
         ([ended("worn")], "the queue stopped: worn; a was rejected: all its passes are used"),
         ([state("held", "x"), state("idle"), ended("worn"), state("finished")], "the queue stopped: worn"),
         ([ended("worn"), state("idle")], ""),
-        ([state("held", "x"), Held(error="y", kind="z")], "x"),
+        ([state("held", "x"), CellHeld(error="y", kind="z")], "x"),
     ],
 )
 def test_why_the_cell_was_held_when_its_last_daemon_ended(journal: Journal, events: list[object], why: str) -> None:
@@ -63,15 +65,15 @@ def test_an_earlier_jobs_hold_counts_too(tmp_path: Path, journal: Journal) -> No
 
 
 def test_errors_are_of_this_job_and_between_jobs_of_this_run(tmp_path: Path, journal: Journal) -> None:
-    journal.record_event(Held(error="hot", kind="DeviceFault"))
+    journal.record_event(CellHeld(error="hot", kind="DeviceFault"))
     journal.record_event(state("held", "no error"))  # type: ignore[arg-type]
-    journal.record_event(Failed(error="gone", kind="LinkError"))
+    journal.record_event(DaemonFailed(error="gone", kind="LinkError"))
     assert [(name, data["error"]) for _, name, data in journal.errors()] == [("held", "hot"), ("failed", "gone")]
     journal.record_outcome(Outcome.STALLED)
     for error in ("first", "second"):
         with Journal.of_cell(tmp_path) as cell:
             assert cell.errors() == []
-            cell.record_event(Held(error=error, kind="x"))
+            cell.record_event(CellHeld(error=error, kind="x"))
             assert [data["error"] for _, _, data in cell.errors()] == [error]
     assert len(journal.errors()) == 2
 
@@ -82,14 +84,14 @@ async def test_what_each_phase_took_is_of_this_job_and_of_what_ended(
     ticks = itertools.count(100)
     monkeypatch.setattr("polishd.daemon.journal.time.time", lambda: float(next(ticks)))
     with Journal.open(tmp_path, job="one", part_id="P") as journal:
-        async with journal.phase(0, Phase.RUN):
+        async with journal.phase(0, CyclePhase.RUN):
             pass
         journal.record_outcome(Outcome.STALLED)
     with Journal.open(tmp_path, job="two", part_id="P") as journal:
         for _ in range(2):
-            async with journal.phase(0, Phase.SOLVE):
+            async with journal.phase(0, CyclePhase.SOLVE):
                 pass
-        async with journal.phase(0, Phase.MEASURE):
+        async with journal.phase(0, CyclePhase.MEASURE):
             assert journal.phase_times_s() == {"solve": 2.0}
         assert list(journal.phase_times_s().items()) == [("measure", 1.0), ("solve", 2.0)], "in the order of a cycle"
 
@@ -100,9 +102,9 @@ def test_executed_blocks_are_of_one_pass_in_their_order(tmp_path: Path) -> None:
             for cycle in (0, 1):
                 journal.begin_pass(cycle, "prog", "boot", 9)
                 for seq in (3, 1, 2) if cycle else (7, 5):
-                    block = Executed(seq, seq + 0.25, seq + 1.0)
+                    block = ExecutedBlock(seq, seq + 0.25, seq + 1.0)
                     journal.record_executed(cycle, [BlockRecord(block, None if seq == 2 else seq != 3, 1.5, 2.5, 9.0)])
-            journal.reconcile(1, [BlockRecord(Executed(4, 4.0, 5.0), True)])
+            journal.reconcile(1, [BlockRecord(ExecutedBlock(4, 4.0, 5.0), True)])
             found = journal.executed(1)
             assert found.seq.tolist() == [1, 2, 3, 4]
             assert found.start_s.tolist() == [1.25, 2.25, 3.25, 4.0]
@@ -114,10 +116,10 @@ def test_executed_blocks_are_of_one_pass_in_their_order(tmp_path: Path) -> None:
             assert np.isnan(found.told_s[3])
             assert journal.executed(0).seq.tolist() == [5, 7]
             assert journal.executed(5).seq.size == 0
-            assert journal.tally(1) == Tally(4, 4, 1.75)
+            assert journal.tally(1) == BlockCounts(4, 4, 1.75)
             assert journal.uncertain(1) == ((2, 3),)
             assert journal.uncertain(0) == journal.uncertain(5) == ()
-            assert journal.tally(5) == Tally(0, -1, 0.0)
+            assert journal.tally(5) == BlockCounts(0, -1, 0.0)
             assert journal.contact_s(1) == 1.75
 
 

@@ -11,8 +11,8 @@ import pytest
 
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
+from polishd.model.cycle import CyclePhase, Outcome
+from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import PolishdError, WrongSeat
 from polishd.model.events import PlanWritten
 from tests.unit.daemon.small import told_phases
@@ -23,7 +23,7 @@ def opened(state_dir: Path, job: str = "job", **terms: Any) -> Journal:
 
 
 def block(seq: int, touched: bool | None) -> BlockRecord:
-    return BlockRecord(Executed(seq, seq * 1.0, seq + 0.5), touched, 12.0, 990.0, 70.0 + seq)
+    return BlockRecord(ExecutedBlock(seq, seq * 1.0, seq + 0.5), touched, 12.0, 990.0, 70.0 + seq)
 
 
 def known(journal: Journal) -> dict[str, Any]:
@@ -72,7 +72,7 @@ async def test_of_a_job_that_has_just_begun(tmp_path: Path, journal: Journal) ->
 async def test_of_each_thing_that_is_recorded(tmp_path: Path, journal: Journal) -> None:
     journal.record_run_dir(tmp_path / "run")
     assert agrees(tmp_path, journal)["run_dir"] == str(tmp_path / "run")
-    async with journal.phase(0, Phase.MEASURE):
+    async with journal.phase(0, CyclePhase.MEASURE):
         assert journal.phase_now == (0, "measure")
         journal.record_map(0, "aa", tmp_path / "a.dat", {"rms_nm": np.float64(2.5)}, "arrays")
     said = agrees(tmp_path, journal)
@@ -96,7 +96,7 @@ async def test_of_each_thing_that_is_recorded(tmp_path: Path, journal: Journal) 
     assert agrees(tmp_path, journal)["uncertain"][0] == ((1, 2), (3, 4), (5, 7))
     journal.add_facts(0, {"rate": np.float32(0.5)})
     assert agrees(tmp_path, journal)["passes"][0].facts == {"n": 3, "rate": 0.5}
-    async with journal.phase(0, Phase.RUN):
+    async with journal.phase(0, CyclePhase.RUN):
         assert agrees(tmp_path, journal)["phase"] == (0, "run")
     journal.end_pass(0, "interrupted")
     said = agrees(tmp_path, journal)
@@ -123,7 +123,7 @@ async def test_of_several_cycles_each_has_its_own(tmp_path: Path, journal: Journ
 async def test_a_job_knows_the_last_map_of_any_other_and_nothing_else_of_it(tmp_path: Path, journal: Journal) -> None:
     journal.record_run_dir(tmp_path)
     journal.record_map(0, "aa", "x", {})
-    async with journal.phase(0, Phase.RUN):
+    async with journal.phase(0, CyclePhase.RUN):
         journal.begin_pass(0, "prog", "boot", 9)
         journal.record_executed(0, [block(0, None)])
     journal.record_outcome(Outcome.CYCLES_USED)
@@ -168,8 +168,8 @@ async def test_a_run_folder_and_an_outcome_and_the_end_of_a_phase_are_of_their_o
         journal.record_outcome(Outcome.STALLED)
     with opened(tmp_path, "two") as journal:
         journal.record_run_dir(tmp_path / "two")
-        async with journal.phase(0, Phase.MEASURE):
-            async with journal.phase(0, Phase.SOLVE):
+        async with journal.phase(0, CyclePhase.MEASURE):
+            async with journal.phase(0, CyclePhase.SOLVE):
                 pass
             assert told_phases(journal) == [(0, "measure", None, None), (0, "solve", "done", None)]
         journal.record_outcome(Outcome.DIVERGED)
@@ -182,7 +182,7 @@ async def test_a_run_folder_and_an_outcome_and_the_end_of_a_phase_are_of_their_o
 
 async def test_a_phase_that_is_not_gone_on_with_was_cancelled(journal: Journal) -> None:
     async def work() -> AsyncIterator[int]:
-        async with journal.phase(1, Phase.SOLVE):
+        async with journal.phase(1, CyclePhase.SOLVE):
             yield 1
 
     working = work()
@@ -198,7 +198,7 @@ async def test_what_ended_a_phase_is_told_before_the_loss_of_the_journal(
         raise PolishdError("journal lost")
 
     async def work() -> None:
-        async with journal.phase(0, Phase.RUN):
+        async with journal.phase(0, CyclePhase.RUN):
             monkeypatch.setattr(journal, "_end_phase", lost)
             raise WrongSeat("crooked")
 
@@ -208,24 +208,24 @@ async def test_what_ended_a_phase_is_told_before_the_loss_of_the_journal(
 
 
 async def test_where_the_robot_stands_amid_a_pass_is_known_until_another_pass_was_whole(journal: Journal) -> None:
-    async def run(phase: Phase, error: BaseException | None = None) -> None:
+    async def run(phase: CyclePhase, error: BaseException | None = None) -> None:
         with pytest.raises(type(error)) if error else _nothing():
             async with journal.phase(0, phase):
                 if error:
                     raise error
 
     assert journal.cut_off() is None
-    await run(Phase.RUN)
+    await run(CyclePhase.RUN)
     assert journal.cut_off() is None
-    await run(Phase.TOUCH_OFF, PolishdError("the link"))
+    await run(CyclePhase.TOUCH_OFF, PolishdError("the link"))
     assert journal.cut_off() == 2
-    await run(Phase.MEASURE)
+    await run(CyclePhase.MEASURE)
     assert journal.cut_off() == 2, "nobody has moved it"
-    await run(Phase.TOUCH_OFF, WrongSeat("crooked"))
+    await run(CyclePhase.TOUCH_OFF, WrongSeat("crooked"))
     assert journal.cut_off() is None, "the robot left it"
-    await run(Phase.RUN, PolishdError("WrongSeat"))
+    await run(CyclePhase.RUN, PolishdError("WrongSeat"))
     assert journal.cut_off() == 5
-    async with journal.phase(0, Phase.RUN):
+    async with journal.phase(0, CyclePhase.RUN):
         assert journal.cut_off() == 6, "a daemon that is killed ends none"
 
 

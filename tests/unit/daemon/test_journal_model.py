@@ -14,14 +14,14 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.model.cycle import Outcome
-from polishd.model.devices import Executed
+from polishd.model.devices import ExecutedBlock
 
 CYCLES = 4
 BLOCKS = 12
 
 
 def record(seq: int, touched: bool | None) -> BlockRecord:
-    return BlockRecord(Executed(seq, float(seq), seq + 0.5), touched)
+    return BlockRecord(ExecutedBlock(seq, float(seq), seq + 0.5), touched)
 
 
 class JournalMachine(RuleBasedStateMachine):

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.endings import causes, gone, keep_ending, keeping, standing
+from polishd.daemon.endings import causes, killed_safety, record_exit, recording_exit, safety_of
 from polishd.daemon.journal import Journal
-from polishd.daemon.last_word import RECORD_NAME, for_cell, last_ending, to_do
+from polishd.daemon.last_word import RECORD_NAME, for_cell, last_ending, next_action
 from polishd.model.cycle import Outcome
 from polishd.model.errors import SafetyStop
-from polishd.model.events import Event, Failed, Held, PlanWritten, StateChanged
+from polishd.model.events import CellHeld, DaemonFailed, Event, PlanWritten, StateChanged
 from tests.unit.daemon.small import open_journal
 
 KILLED = "the daemon was killed, or its machine went down, while polishing"
@@ -23,7 +23,7 @@ NAMES = ("actuator", "robot")
 
 
 def polishing() -> StateChanged:
-    return standing("polishing", "", gone(NAMES))
+    return safety_of("polishing", "", killed_safety(NAMES))
 
 
 def test_where_no_daemon_ever_ran(tmp_path: Path) -> None:
@@ -46,24 +46,24 @@ def test_one_that_is_no_file_says_so(tmp_path: Path) -> None:
 
 
 def test_a_daemon_that_is_killed_while_it_polishes_left_word_of_it(tmp_path: Path) -> None:
-    keeping(tmp_path, lambda: tmp_path / "run", queue=True)(polishing())
+    recording_exit(tmp_path, lambda: tmp_path / "run", queue=True)(polishing())
     facts = last_ending(tmp_path)
     assert (facts["state"], facts["reason"], facts["run_dir"]) == ("killed", KILLED, str(tmp_path / "run"))
     assert (facts["tool_off"], facts["robot_at_rest"]) == ("not confirmed", "not confirmed")
     assert facts["unsafe"] == ["actuator: no daemon lived to ask it", "robot: no daemon lived to ask it"]
-    assert facts["next"] == to_do("killed", queue=True) != to_do("killed", queue=False)
+    assert facts["next"] == next_action("killed", queue=True) != next_action("killed", queue=False)
 
 
 def test_with_the_reason_why_it_was_held(tmp_path: Path) -> None:
-    keeping(tmp_path, lambda: None)(standing("held", "LinkError: gone", ()))
+    recording_exit(tmp_path, lambda: None)(safety_of("held", "LinkError: gone", ()))
     facts = last_ending(tmp_path)
     assert facts["reason"].endswith("while held: LinkError: gone")
     assert (facts["tool_off"], facts["run_dir"], facts["queue"]) == ("yes", "", False)
-    assert facts["next"] == to_do("killed", queue=False)
+    assert facts["next"] == next_action("killed", queue=False)
 
 
 def test_an_ending_is_told_as_it_was(tmp_path: Path) -> None:
-    keep_ending(tmp_path, {"state": "failed", "reason": "LinkError: gone", "exit": 5})
+    record_exit(tmp_path, {"state": "failed", "reason": "LinkError: gone", "exit": 5})
     facts = last_ending(tmp_path)
     assert (facts["state"], facts["reason"], facts["exit"]) == ("failed", "LinkError: gone", 5)
     assert facts["at"].endswith("+00:00")
@@ -71,10 +71,10 @@ def test_an_ending_is_told_as_it_was(tmp_path: Path) -> None:
 
 def test_the_end_itself_and_other_events_leave_it_as_it_is(tmp_path: Path) -> None:
     """The end is kept by whoever knows all of it."""
-    keep = keeping(tmp_path, lambda: None)
+    keep = recording_exit(tmp_path, lambda: None)
     keep(polishing())
     before = (tmp_path / RECORD_NAME).read_bytes()
-    keep(standing("finished", "", ()))
+    keep(safety_of("finished", "", ()))
     keep(PlanWritten(run_dir="x"))
     assert (tmp_path / RECORD_NAME).read_bytes() == before
 
@@ -82,16 +82,16 @@ def test_the_end_itself_and_other_events_leave_it_as_it_is(tmp_path: Path) -> No
 def test_a_disk_that_takes_no_more_keeps_nobody_from_the_end_and_no_older_word_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    keep_ending(tmp_path, {"state": "held", "reason": "", "unsafe": []})
+    record_exit(tmp_path, {"state": "held", "reason": "", "unsafe": []})
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("polishd.daemon.endings.write_atomic", full)
-    keep_ending(tmp_path, {"state": "failed", "reason": "x"})
+    record_exit(tmp_path, {"state": "failed", "reason": "x"})
     assert f"{tmp_path / RECORD_NAME} cannot be written" in caplog.text
     assert last_ending(tmp_path)["state"] == "unknown", "it would tell what is no longer so"
-    keep_ending(tmp_path, {"state": "failed", "reason": "x"})
+    record_exit(tmp_path, {"state": "failed", "reason": "x"})
 
 
 @pytest.mark.parametrize(
@@ -105,18 +105,18 @@ def test_a_disk_that_takes_no_more_keeps_nobody_from_the_end_and_no_older_word_s
     ],
 )
 def test_how_a_cell_stands(unsafe: tuple[str, ...] | None, tool_off: str, at_rest: str) -> None:
-    told: StateChanged = standing("held", "why", unsafe)
+    told: StateChanged = safety_of("held", "why", unsafe)
     assert told.standing is not None
     assert (told.state, told.reason) == ("held", "why")
     assert (told.standing.tool_off, told.standing.robot_at_rest) == (tool_off, at_rest)
     assert list(told.standing.unsafe) == list(unsafe or ())
-    assert told.standing.next == to_do("held", queue=False)
+    assert told.standing.next == next_action("held", queue=False)
     json.dumps(dict(told.data))
 
 
 # causes
 
-HOT, GONE = Held(error="hot", kind="DeviceFault"), Held(error="gone", kind="LinkError")
+HOT, GONE = CellHeld(error="hot", kind="DeviceFault"), CellHeld(error="gone", kind="LinkError")
 
 
 @pytest.fixture
@@ -144,20 +144,20 @@ def test_what_held_a_job_stands_in_the_order_of_time(journal: Journal) -> None:
 
 
 def test_held_over_it_and_then_stopped_is_one_cause_from_when_it_was_held(journal: Journal) -> None:
-    (cause,) = told(journal, HOT, Failed(error="hot", kind="DeviceFault"))
+    (cause,) = told(journal, HOT, DaemonFailed(error="hot", kind="DeviceFault"))
     assert cause == "2001-09-09T01:46:40+00:00 ended: DeviceFault: hot"
 
 
 @pytest.mark.parametrize(("error", "kind"), [("hot", "LinkError"), ("cold", "DeviceFault")])
 def test_another_end_is_another_cause(journal: Journal, error: str, kind: str) -> None:
-    assert told(journal, HOT, Failed(error=error, kind=kind)) == [
+    assert told(journal, HOT, DaemonFailed(error=error, kind=kind)) == [
         "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
         f"2001-09-09T01:46:41+00:00 ended: {kind}: {error}",
     ]
 
 
 def test_an_end_without_a_hold_is_a_cause_and_so_is_a_hold_after_it(journal: Journal) -> None:
-    failed = Failed(error="hot", kind="DeviceFault")
+    failed = DaemonFailed(error="hot", kind="DeviceFault")
     assert [cause.split()[1] for cause in told(journal, failed, HOT)] == ["ended:", "held:"]
 
 
@@ -174,15 +174,15 @@ def test_of_a_lost_journal_the_failure_is_all_that_is_known(journal: Journal, mo
 
 def test_words_for_people_name_their_own_cell() -> None:
     assert for_cell("polishd run CELL.toml", Path("/my cells/a.toml")) == "polishd run '/my cells/a.toml'"
-    assert "polishd run CELL.toml --queue;" in to_do("failed", queue=True)
-    assert to_do("no such state", queue=True) == ""
+    assert "polishd run CELL.toml --queue;" in next_action("failed", queue=True)
+    assert next_action("no such state", queue=True) == ""
 
 
 @pytest.mark.parametrize("state", ["idle", "changing", "held", "killed", "failed", "stopped", *Outcome])
 def test_whoever_finds_it_so_is_told_what_to_do(state: str) -> None:
-    assert to_do(state, queue=False)
+    assert next_action(state, queue=False)
 
 
 def test_its_word_lies_in_the_state_folder_under_a_name_that_stays(tmp_path: Path) -> None:
-    keep_ending(tmp_path, {"state": "failed", "reason": "x"})
+    record_exit(tmp_path, {"state": "failed", "reason": "x"})
     assert [path.name for path in tmp_path.iterdir()] == ["ending.json"]

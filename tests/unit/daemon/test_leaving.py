@@ -10,7 +10,7 @@ import pytest
 
 from polishd.daemon import time_limits
 from polishd.daemon.safety import ContactLimits, contact, make_safe
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.model.errors import DeviceFault, LinkError
 from polishd.model.times import ActuatorTimes, RobotTimes
 from tests.fakes.devices import FakeCell
@@ -23,7 +23,7 @@ class Cause(Exception):
     """What ends contact."""
 
 
-async def cut_off(fake: FakeCell, touch: Touch, limits: ContactLimits = LIMITS) -> float:
+async def cut_off(fake: FakeCell, touch: ContactRecord, limits: ContactLimits = LIMITS) -> float:
     """In contact, and then not; when it was left, by the fake clock, which goes on."""
     left_s: list[float] = []
 
@@ -44,8 +44,8 @@ async def cut_off(fake: FakeCell, touch: Touch, limits: ContactLimits = LIMITS) 
     return left_s[0]
 
 
-def untold() -> Touch:
-    return Touch(lambda records: None, 1.5)
+def untold() -> ContactRecord:
+    return ContactRecord(lambda records: None, 1.5)
 
 
 async def test_at_the_normal_end_the_tool_is_off_once_the_lift_is_confirmed() -> None:

@@ -30,11 +30,11 @@ from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.log import logging_to
 from polishd.daemon.service import serving
 from polishd.model.cycle import Outcome
-from polishd.model.devices import Executed, ForceSample, SpeedSample
+from polishd.model.devices import ExecutedBlock, ForceSample, SpeedSample
 from polishd.model.program import Plan, Segment
 from polishd.model.times import ActuatorTimes, SpindleTimes
 from polishd.recipe.decisions import AnotherPass, passes_used
-from polishd.recipe.records import Solved
+from polishd.recipe.records import SolveResult
 from tests.fakes.devices import FakeActuator, FakeCell, FakeMetrology, FakeRobot, FakeSpindle
 from tests.patience import waits
 from tests.unit.daemon.small import small_job, small_map
@@ -115,7 +115,7 @@ class LumpyRobot(FakeRobot):
         self._changed.set()
         await asyncio.sleep(0)
 
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         while True:
             while self._is_held() or self.done >= len(self.loaded):
                 self._changed.clear()
@@ -124,7 +124,7 @@ class LumpyRobot(FakeRobot):
             until = len(self.loaded) if self.until is None else min(len(self.loaded), self.until)
             for seq in range(self.done, min(self.done + LUMP, until)):
                 self.done = seq + 1
-                yield Executed(seq, seq * BLOCK_S, self.done * BLOCK_S)
+                yield ExecutedBlock(seq, seq * BLOCK_S, self.done * BLOCK_S)
 
 
 class PacedActuator(FakeActuator):
@@ -180,11 +180,11 @@ def long_history(journal: Journal) -> None:
     facts["certificate"] = {}
     journal.begin_pass(cycle, "sha", "boot-0", EARLIER_BLOCKS, facts=facts)
     for seq in range(EARLIER_BLOCKS):
-        journal.record_executed(cycle, [BlockRecord(Executed(seq, seq * 0.1, seq * 0.1 + 0.1), True)])
+        journal.record_executed(cycle, [BlockRecord(ExecutedBlock(seq, seq * 0.1, seq * 0.1 + 0.1), True)])
     journal.end_pass(cycle, "done")
 
 
-async def with_long_plan(plan_of: Any, cycle: int, surface: Any, solved: Solved) -> Plan:
+async def with_long_plan(plan_of: Any, cycle: int, surface: Any, solved: SolveResult) -> Plan:
     """The job's own plan with the blocks of a long one."""
     plan: Plan = await plan_of(cycle, surface, solved)
     segments = tuple(Segment(seq, b"G1 X0") for seq in range(BLOCKS))

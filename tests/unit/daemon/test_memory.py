@@ -11,7 +11,7 @@ import pytest
 
 from polishd.daemon import memory
 from polishd.daemon.journal_store import Store
-from polishd.daemon.listening import most_telling
+from polishd.daemon.listening import root_cause
 from polishd.model.errors import HostFault, LinkError, SafetyStop
 from polishd.threads import LoopThreads
 
@@ -25,7 +25,7 @@ def caused() -> LinkError:
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread"), caused()])
 def test_missing_memory_is_told_before_what_follows_from_it(error: Exception) -> None:
     memory.RESERVE.take()
-    told = most_telling(ExceptionGroup("", [SafetyStop("late"), ExceptionGroup("", [LinkError("gone"), error])]))
+    told = root_cause(ExceptionGroup("", [SafetyStop("late"), ExceptionGroup("", [LinkError("gone"), error])]))
     assert isinstance(told, HostFault)
     assert "run out of memory" in str(told)
     assert told.__cause__ is error
@@ -36,7 +36,7 @@ def test_other_errors_stay_what_they_are() -> None:
     error = RuntimeError("a bug")
     assert memory.named(error) is error
     stop = SafetyStop("a limit")
-    assert most_telling(ExceptionGroup("", [error, stop])) is stop
+    assert root_cause(ExceptionGroup("", [error, stop])) is stop
 
 
 def test_the_reserve_is_taken_once() -> None:

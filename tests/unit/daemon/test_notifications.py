@@ -13,11 +13,19 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app, courier, notifications, outbox
-from polishd.daemon.courier import Courier, Notifier, kept_in
+from polishd.daemon.courier import NotificationSender, Notifier, outbox_path
 from polishd.daemon.notifications import Notifications, try_out
-from polishd.model.concern import NOT_ASKED, Severity, Standing
+from polishd.model.concern import NOT_ASKED, CellSafety, Severity
 from polishd.model.errors import LinkError, StaleMap
-from polishd.model.events import Event, Failed, JobFinished, Measured, NotificationFailed, Progress, StateChanged
+from polishd.model.events import (
+    DaemonFailed,
+    Event,
+    MapMeasured,
+    NotificationFailed,
+    PassProgressed,
+    RunFolderCompleted,
+    StateChanged,
+)
 from polishd.model.notification import Notification
 from polishd.model.surface import SurfaceStats
 from polishd.plugins.notifications import polishd_notifiers
@@ -28,7 +36,7 @@ from tests.unit.daemon.test_app import Site
 
 SECRET = "hunter2-and-more"
 KINDS = {kind.name: kind for kind in polishd_notifiers()}
-SAFE = Standing(tool_off="yes", robot_at_rest="yes", unsafe=(), next="polishd resume CELL.toml goes on")
+SAFE = CellSafety(tool_off="yes", robot_at_rest="yes", unsafe=(), next="polishd resume CELL.toml goes on")
 KNOWN = {"job": "small", "part": "P-1", "run_dir": "before"}
 HELD = StateChanged(state="held", reason="LinkError: cut", standing=SAFE)
 
@@ -91,7 +99,7 @@ def journalled(site: Site, name: str) -> list[dict[str, Any]]:
 
 def waiting(site: Site, name: str) -> list[str]:
     """What is kept for the next start."""
-    kept = json.loads(kept_in(site.config.state_dir, name).read_text())
+    kept = json.loads(outbox_path(site.config.state_dir, name).read_text())
     return [one["what"] for one in kept["waiting"]]
 
 
@@ -242,9 +250,9 @@ def notification(tmp_path: Path, site: Site) -> Notification:
 
 
 @pytest.fixture
-def sending(tmp_path: Path, people: People) -> Iterator[Courier]:
+def sending(tmp_path: Path, people: People) -> Iterator[NotificationSender]:
     """A courier to those people."""
-    found = Courier(notifier(people.hear), tmp_path, people.fail)
+    found = NotificationSender(notifier(people.hear), tmp_path, people.fail)
     found.start()
     yield found
     found.end(time.monotonic())
@@ -252,7 +260,7 @@ def sending(tmp_path: Path, people: People) -> Iterator[Courier]:
 
 
 def test_one_that_fails_is_tried_again_and_told_once(
-    sending: Courier, people: People, notification: Notification, monkeypatch: pytest.MonkeyPatch
+    sending: NotificationSender, people: People, notification: Notification, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "FIRST_PAUSE_S", 0.01)
     sending.take(notification)
@@ -268,7 +276,7 @@ def test_what_is_less_severe_than_wanted_is_not_told(
     tmp_path: Path, people: People, notification: Notification
 ) -> None:
     people.deaf = False
-    sending = Courier(notifier(people.hear, least=Severity.ALARM), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.hear, least=Severity.ALARM), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     sending.end(time.monotonic() + SOON_S)
@@ -277,7 +285,11 @@ def test_what_is_less_severe_than_wanted_is_not_told(
 
 
 def test_the_end_is_one_more_chance_for_all_that_waits(
-    tmp_path: Path, sending: Courier, people: People, notification: Notification, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    sending: NotificationSender,
+    people: People,
+    notification: Notification,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whatever the pause after a failure."""
     monkeypatch.setattr(outbox, "FIRST_PAUSE_S", 1e6)
@@ -288,10 +300,10 @@ def test_the_end_is_one_more_chance_for_all_that_waits(
     sending.end(time.monotonic() + SOON_S)
     sending.join(SOON_S)
     assert people.told == [notification]
-    assert json.loads(kept_in(tmp_path, "pager").read_text())["waiting"] == []
+    assert json.loads(outbox_path(tmp_path, "pager").read_text())["waiting"] == []
 
 
-def test_the_end_is_no_second_chance(sending: Courier, people: People, notification: Notification) -> None:
+def test_the_end_is_no_second_chance(sending: NotificationSender, people: People, notification: Notification) -> None:
     """Where nobody answers, nobody waits for all the time that there is."""
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
@@ -314,7 +326,7 @@ def test_one_that_never_comes_back_is_told_and_not_called_again_until_it_does(
         people.hear(one)
 
     people.deaf = False
-    sending = Courier(notifier(hangs), tmp_path, people.fail)
+    sending = NotificationSender(notifier(hangs), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
@@ -331,7 +343,7 @@ def test_the_end_does_not_wait_for_one_that_hangs(
 ) -> None:
     monkeypatch.setattr(courier, "SEND_S", 0.05)
     back = threading.Event()
-    sending = Courier(notifier(lambda _: back.wait(SOON_S) and None), tmp_path, people.fail)
+    sending = NotificationSender(notifier(lambda _: back.wait(SOON_S) and None), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
@@ -339,17 +351,17 @@ def test_the_end_does_not_wait_for_one_that_hangs(
         sending.end(time.monotonic() + SOON_S)
         sending.join(SOON_S)
     back.set()
-    assert [one["id"] for one in json.loads(kept_in(tmp_path, "pager").read_text())["waiting"]] == [notification.id]
+    assert [one["id"] for one in json.loads(outbox_path(tmp_path, "pager").read_text())["waiting"]] == [notification.id]
 
 
 def test_what_cannot_be_read_is_logged_and_the_courier_works(
     tmp_path: Path, people: People, notification: Notification, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = kept_in(tmp_path, "pager")
+    path = outbox_path(tmp_path, "pager")
     path.parent.mkdir()
     path.write_text('{"waiting": [')
     people.deaf = False
-    sending = Courier(notifier(people.hear), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.hear), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.came.acquire(timeout=SOON_S)
@@ -361,9 +373,9 @@ def test_what_cannot_be_read_is_logged_and_the_courier_works(
 def test_a_folder_that_takes_nothing_is_logged_and_the_courier_works(
     tmp_path: Path, people: People, notification: Notification, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kept_in(tmp_path, "pager").parent.write_text("in the way")
+    outbox_path(tmp_path, "pager").parent.write_text("in the way")
     people.deaf = False
-    sending = Courier(notifier(people.hear), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.hear), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.came.acquire(timeout=SOON_S)
@@ -377,7 +389,7 @@ def test_what_is_given_up_is_in_the_log_with_all_its_words(
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(outbox, "KEPT_S", -1e6)
-    sending = Courier(notifier(people.hear), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.hear), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
@@ -417,29 +429,29 @@ def test_what_is_known_of_the_job_is_what_events_said_last(site: Site) -> None:
     teller = Notifications(site.config, KNOWN)
     teller._couriers = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
     teller.hear(HELD)
-    teller.hear(Measured(stats=SurfaceStats(rms_nm=1, pv_nm=2, lsf_rms_nm=1), spikes=0, notes=(), run_dir="after"))
+    teller.hear(MapMeasured(stats=SurfaceStats(rms_nm=1, pv_nm=2, lsf_rms_nm=1), spikes=0, notes=(), run_dir="after"))
     teller.hear(HELD)
     assert [one.run_dir for one in heard] == ["before", "after"]
     assert heard[0].todo == f"polishd resume {site.path} goes on"
 
 
-DEAF = Standing(tool_off="not confirmed", robot_at_rest="yes", unsafe=("actuator: deaf",), next="look")
+DEAF = CellSafety(tool_off="not confirmed", robot_at_rest="yes", unsafe=("actuator: deaf",), next="look")
 
 
 @pytest.mark.parametrize(
     ("event", "severity"),
     [
-        (Progress(block=1), None),
+        (PassProgressed(block=1), None),
         (StateChanged(state="polishing", reason="", standing=NOT_ASKED), None),
         (HELD, "warning"),
         (StateChanged(state="held", reason="cut", standing=DEAF), "alarm"),
-        (Failed(error="force", kind="SafetyStop", standing=SAFE), "alarm"),
-        (JobFinished(run_dir="r", outcome="in_tolerance", standing=SAFE), "info"),
-        (JobFinished(run_dir="r", outcome="stopped", standing=SAFE), "info"),
-        (JobFinished(run_dir="r", outcome="in_tolerance", standing=DEAF), "alarm"),
-        (JobFinished(run_dir="r", outcome="diverged", standing=SAFE), "warning"),
-        (JobFinished(run_dir="r", outcome="failed", standing=SAFE), None),
-        (JobFinished(run_dir="r", outcome="in_tolerance"), None),
+        (DaemonFailed(error="force", kind="SafetyStop", standing=SAFE), "alarm"),
+        (RunFolderCompleted(run_dir="r", outcome="in_tolerance", standing=SAFE), "info"),
+        (RunFolderCompleted(run_dir="r", outcome="stopped", standing=SAFE), "info"),
+        (RunFolderCompleted(run_dir="r", outcome="in_tolerance", standing=DEAF), "alarm"),
+        (RunFolderCompleted(run_dir="r", outcome="diverged", standing=SAFE), "warning"),
+        (RunFolderCompleted(run_dir="r", outcome="failed", standing=SAFE), None),
+        (RunFolderCompleted(run_dir="r", outcome="in_tolerance"), None),
         (NotificationFailed(notifier="mail", error="no", waiting=1), "warning"),
     ],
 )

@@ -10,17 +10,17 @@ from typing import Any
 import pytest
 
 from polishd.daemon.journal import Journal
-from polishd.daemon.offers import Offer, recipe_of
-from polishd.daemon.remembering import forget
-from polishd.model.events import RateOffered
+from polishd.daemon.offers import ShopRate, recipe_of
+from polishd.daemon.remembering import forget_estimates
+from polishd.model.events import ShopRateReceived
 from tests.unit.daemon.test_remembering import REMEMBERS, TERMS, begun, notes, taught
 
-OFFER = RateOffered(
+OFFER = ShopRateReceived(
     recipe=recipe_of(TERMS), cell="north", job="lens", of_cycle=1, at_s=time.time(), rate=0.9, sigma=0.01
 )
 
 
-def offer(state_dir: Path, event: RateOffered = OFFER) -> None:
+def offer(state_dir: Path, event: ShopRateReceived = OFFER) -> None:
     with Journal.of_cell(state_dir) as journal:
         journal.record_event(event)
 
@@ -60,7 +60,7 @@ async def test_it_is_of_that_process_and_tool_alone(tmp_path: Path, terms: dict[
 
 async def test_what_is_forgotten_is_not_begun_with_and_what_is_too_far_off_neither(tmp_path: Path) -> None:
     offer(tmp_path)
-    forget(tmp_path, "a new pad")
+    forget_estimates(tmp_path, "a new pad")
     assert (await begun(tmp_path)).tools.believed.rate == 1.0
     offer(tmp_path, replace(OFFER, rate=1 + 1.01 * REMEMBERS.max_rate_change))
     assert (await begun(tmp_path, "third")).tools.believed.rate == 1.0
@@ -78,5 +78,5 @@ def test_a_recipe_is_the_same_wherever_its_files_lie_and_whatever_the_machine() 
 
 
 def test_of_another_machine_no_rate_is_surer_than_of_none() -> None:
-    vague = Offer("north", "lens", 0, 0.0, 0.9, sigma=5.0)
+    vague = ShopRate("north", "lens", 0, 0.0, 0.9, sigma=5.0)
     assert vague.on_another_machine(0.3).sigma == pytest.approx(0.1)

@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
-from polishd.daemon.orders import Order, Orders, unless
-from polishd.daemon.states import Trigger
+from polishd.daemon.orders import OperatorCommand, OperatorCommandQueue, run_unless_commanded
+from polishd.daemon.states import StateEvent
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, PolishdError, SafetyStop
 
 
@@ -23,20 +23,20 @@ from polishd.model.errors import DeviceFault, ForcesApart, LinkError, PolishdErr
 def test_what_nobody_should_go_on_from_counts_more_than_what_can_be_mended(
     first: type[PolishdError], then: type[PolishdError], stands: type[PolishdError], reason: str
 ) -> None:
-    order = Order(Trigger.UNFIT, "the link", error=first)
+    order = OperatorCommand(StateEvent.UNFIT, "the link", error=first)
     order.worsen("the force", then)
     assert (order.error, order.reason) == (stands, reason)
 
 
 async def test_an_order_ends_the_work() -> None:
-    orders, stop = Orders(), Order(Trigger.STOP)
+    orders, stop = OperatorCommandQueue(), OperatorCommand(StateEvent.STOP)
     orders.give(stop)
-    assert await unless(orders.interrupting(), asyncio.Event().wait()) is stop  # type: ignore[arg-type]
+    assert await run_unless_commanded(orders.interrupting(), asyncio.Event().wait()) is stop  # type: ignore[arg-type]
 
 
 async def test_an_order_that_comes_as_the_work_ends_is_not_lost() -> None:
     """Both are done in one turn of the loop: the order is for what comes next."""
-    orders, done, stop = Orders(), asyncio.Event(), Order(Trigger.STOP)
+    orders, done, stop = OperatorCommandQueue(), asyncio.Event(), OperatorCommand(StateEvent.STOP)
 
     async def work() -> None:
         await done.wait()
@@ -46,13 +46,13 @@ async def test_an_order_that_comes_as_the_work_ends_is_not_lost() -> None:
         orders.give(stop)
 
     asyncio.get_running_loop().call_soon(both)
-    assert await unless(orders.interrupting(), work(), late=orders.give) is None
+    assert await run_unless_commanded(orders.interrupting(), work(), late=orders.give) is None
     async with asyncio.timeout(10):
         assert await orders.next() is stop
 
 
 async def test_an_order_over_which_the_work_fails_is_not_lost() -> None:
-    orders, stop = Orders(), Order(Trigger.STOP)
+    orders, stop = OperatorCommandQueue(), OperatorCommand(StateEvent.STOP)
 
     async def work() -> None:
         try:
@@ -62,12 +62,12 @@ async def test_an_order_over_which_the_work_fails_is_not_lost() -> None:
 
     orders.give(stop)
     with pytest.raises(LinkError, match="cut"):
-        await unless(orders.interrupting(), work(), late=orders.give)
+        await run_unless_commanded(orders.interrupting(), work(), late=orders.give)
     assert await orders.next() is stop
 
 
 async def test_what_the_computer_asks_for_is_nothing_to_one_who_waits_for_a_person() -> None:
-    orders, unfit, hold = Orders(), Order(Trigger.UNFIT), Order(Trigger.HOLD)
+    orders, unfit, hold = OperatorCommandQueue(), OperatorCommand(StateEvent.UNFIT), OperatorCommand(StateEvent.HOLD)
     orders.give(unfit)
     assert await orders.interrupting() is unfit
     for order in (unfit, hold):

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.daemon.outbox import KEPT_S, LONGEST_PAUSE_S, MOST_THINGS, MOST_WAITING, Outbox
+from polishd.daemon.outbox import KEPT_S, LONGEST_PAUSE_S, MOST_THINGS, MOST_WAITING, NotificationQueue
 from polishd.model.concern import Severity
 from polishd.model.notification import Notification
 
@@ -38,7 +38,7 @@ def notification(what: str = "held: LinkError: cut", at_s: float = NOON_S, **cha
     return replace(made, **changes)
 
 
-def flush(outbox: Outbox, now_s: float) -> list[Notification]:
+def flush(outbox: NotificationQueue, now_s: float) -> list[Notification]:
     """All that is due, sent."""
     found = []
     outbox.release(now_s)
@@ -50,7 +50,7 @@ def flush(outbox: Outbox, now_s: float) -> list[Notification]:
 
 def test_a_night_of_a_flapping_device_is_two_dozen_notifications_and_each_time_is_counted() -> None:
     """Every ten seconds for twelve hours, and each time with another figure in the text."""
-    outbox, sent = Outbox(HALF_HOUR_S), []
+    outbox, sent = NotificationQueue(HALF_HOUR_S), []
     for n in range(4320):
         now_s = NOON_S + 10.0 * n
         outbox.add(notification(f"held: LinkError: no answer for {n / 100:.2f} s", now_s), now_s)
@@ -63,7 +63,7 @@ def test_a_night_of_a_flapping_device_is_two_dozen_notifications_and_each_time_i
 
 
 def test_a_night_of_things_that_are_never_the_same_is_bounded_too() -> None:
-    outbox, sent = Outbox(HALF_HOUR_S), []
+    outbox, sent = NotificationQueue(HALF_HOUR_S), []
     for n in range(4320):
         now_s = NOON_S + 10.0 * n
         word = "".join(chr(ord("a") + int(digit)) for digit in str(n))
@@ -75,22 +75,22 @@ def test_a_night_of_things_that_are_never_the_same_is_bounded_too() -> None:
 
 
 def test_another_thing_or_a_worse_one_is_told_at_once() -> None:
-    outbox = Outbox(HALF_HOUR_S)
-    told = notification(), notification("held: BadMap: holes"), notification(severity=Severity.ALARM, id="worse")
+    outbox = NotificationQueue(HALF_HOUR_S)
+    told = notification(), notification("held: MapError: holes"), notification(severity=Severity.ALARM, id="worse")
     for one in (*told, notification(part="P-2", id="other part")):
         outbox.add(one, NOON_S)
     assert len(flush(outbox, NOON_S)) == 4
 
 
 def test_without_a_time_each_is_told() -> None:
-    outbox = Outbox(0.0)
+    outbox = NotificationQueue(0.0)
     for n in range(3):
         outbox.add(notification(id=str(n)), NOON_S)
     assert [one.id for one in flush(outbox, NOON_S)] == ["0", "1", "2"]
 
 
 def test_pauses_grow_and_end_with_a_success() -> None:
-    outbox, now_s, tries = Outbox(HALF_HOUR_S), NOON_S, []
+    outbox, now_s, tries = NotificationQueue(HALF_HOUR_S), NOON_S, []
     outbox.add(notification(), now_s)
     while now_s < NOON_S + 3 * LONGEST_PAUSE_S:
         if (due := outbox.due(now_s)) is not None:
@@ -109,7 +109,7 @@ def test_pauses_grow_and_end_with_a_success() -> None:
 
 
 def test_one_that_is_never_taken_does_not_hold_up_the_others() -> None:
-    outbox = Outbox(HALF_HOUR_S)
+    outbox = NotificationQueue(HALF_HOUR_S)
     poison, other = notification("held: poison"), notification("held: other", NOON_S + 1)
     outbox.add(poison, NOON_S)
     outbox.add(other, NOON_S)
@@ -119,7 +119,7 @@ def test_one_that_is_never_taken_does_not_hold_up_the_others() -> None:
 
 
 def test_an_alarm_goes_first() -> None:
-    outbox = Outbox(HALF_HOUR_S)
+    outbox = NotificationQueue(HALF_HOUR_S)
     outbox.add(notification(), NOON_S)
     alarm = notification("failed", NOON_S + 5, severity=Severity.ALARM)
     outbox.add(alarm, NOON_S + 5)
@@ -127,7 +127,7 @@ def test_an_alarm_goes_first() -> None:
 
 
 def test_what_waits_too_long_or_is_too_much_is_given_up_the_least_severe_first() -> None:
-    outbox = Outbox(0.0)
+    outbox = NotificationQueue(0.0)
     outbox.add(notification("alarm", severity=Severity.ALARM), NOON_S)
     for n in range(MOST_WAITING + 3):
         outbox.add(notification(id=str(n), at_s=NOON_S + n), NOON_S)
@@ -138,7 +138,7 @@ def test_what_waits_too_long_or_is_too_much_is_given_up_the_least_severe_first()
 
 
 def test_what_was_given_up_while_it_was_sent_is_over_all_the_same() -> None:
-    outbox = Outbox(HALF_HOUR_S)
+    outbox = NotificationQueue(HALF_HOUR_S)
     outbox.add(notification(), NOON_S)
     due = outbox.due(NOON_S)
     assert due is not None
@@ -150,7 +150,7 @@ def test_what_was_given_up_while_it_was_sent_is_over_all_the_same() -> None:
 
 @pytest.mark.parametrize("jump_s", [-365 * 86400.0, 365 * 86400.0])
 def test_a_clock_that_jumps_silences_nobody(jump_s: float) -> None:
-    outbox = Outbox(HALF_HOUR_S)
+    outbox = NotificationQueue(HALF_HOUR_S)
     outbox.add(notification(), NOON_S)
     due = outbox.due(NOON_S)
     assert due is not None
@@ -164,10 +164,10 @@ def test_a_clock_that_jumps_silences_nobody(jump_s: float) -> None:
 
 
 def test_a_daemon_that_is_started_again_each_minute_counts_as_well() -> None:
-    outbox, sent = Outbox(HALF_HOUR_S), 0
+    outbox, sent = NotificationQueue(HALF_HOUR_S), 0
     for minute in range(60):
         now_s = NOON_S + 60.0 * minute
-        outbox = Outbox.of(json.loads(json.dumps(outbox.facts())), HALF_HOUR_S)
+        outbox = NotificationQueue.of(json.loads(json.dumps(outbox.facts())), HALF_HOUR_S)
         outbox.add(notification(at_s=now_s), now_s)
         sent += len(flush(outbox, now_s))
     assert sent == 2
@@ -176,12 +176,12 @@ def test_a_daemon_that_is_started_again_each_minute_counts_as_well() -> None:
 @given(st.lists(st.tuples(st.integers(0, 5), st.booleans(), st.floats(0.0, 4000.0)), max_size=60))
 def test_each_event_is_sent_or_counted_once(steps: list[tuple[int, bool, float]]) -> None:
     """Whatever comes, fails, and passes in between; also over restarts."""
-    outbox, now_s, told, sent = Outbox(HALF_HOUR_S), NOON_S, 0, 0
+    outbox, now_s, told, sent = NotificationQueue(HALF_HOUR_S), NOON_S, 0, 0
     for word, works, pause_s in steps:
         now_s += pause_s
         outbox.add(notification(f"held: {'abcdef'[word]}", now_s, id=str(told)), now_s)
         told += 1
-        outbox = Outbox.of(json.loads(json.dumps(outbox.facts())), HALF_HOUR_S)
+        outbox = NotificationQueue.of(json.loads(json.dumps(outbox.facts())), HALF_HOUR_S)
         if works:
             sent += sum(one.times for one in flush(outbox, now_s))
         elif (due := outbox.due(now_s)) is not None:
@@ -192,4 +192,4 @@ def test_each_event_is_sent_or_counted_once(steps: list[tuple[int, bool, float]]
 @pytest.mark.parametrize("facts", [{}, {"waiting": [{}], "told": {}}, {"waiting": [], "told": {"a": {"began_s": "x"}}}])
 def test_what_is_no_outbox_is_refused(facts: dict[str, Any]) -> None:
     with pytest.raises((KeyError, TypeError, ValueError)):
-        Outbox.of(facts, 1.0)
+        NotificationQueue.of(facts, 1.0)

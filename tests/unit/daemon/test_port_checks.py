@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from polishd.config.cell import PORTS as MARKS
-from polishd.daemon.port_checks import lacking, members
+from polishd.daemon.port_checks import members, missing_members
 from polishd.model.devices import ForceSample
 from tests.fakes.devices import FakeActuator, FakeCell
 
@@ -25,7 +25,7 @@ def test_members_are_the_ports_and_those_of_every_device() -> None:
 
 @pytest.mark.parametrize("section", PORTS)
 def test_the_fakes_have_all_that_their_ports_ask(section: Any) -> None:
-    assert lacking(getattr(FakeCell(), section), PORTS[section]) == []
+    assert missing_members(getattr(FakeCell(), section), PORTS[section]) == []
 
 
 @pytest.mark.one_of_each
@@ -41,7 +41,7 @@ def test_whatever_is_missing_is_named(section: Any, name: str) -> None:
                 raise AttributeError(asked)
             return getattr(fake, asked)
 
-    assert lacking(Without(), PORTS[section]) == [f"it has no {name!r}"]
+    assert missing_members(Without(), PORTS[section]) == [f"it has no {name!r}"]
 
 
 class Wrong(FakeActuator):
@@ -67,7 +67,7 @@ class Wrong(FakeActuator):
 
 def test_what_is_there_in_another_shape_is_named() -> None:
     fake = FakeCell()
-    said = lacking(Wrong(fake.events, fake.clock), PORTS["actuator"])
+    said = missing_members(Wrong(fake.events, fake.clock), PORTS["actuator"])
     assert sorted(said) == [
         "its 'identify' is no method: str",
         "its 'make_safe' is no method: property",
@@ -81,7 +81,7 @@ def test_what_is_there_in_another_shape_is_named() -> None:
 def test_a_method_for_a_property_is_named() -> None:
     fake = FakeCell().robot
     fake.__class__ = type("Robot", (type(fake),), {"buffer_s": lambda self: 1.0})
-    assert lacking(fake, PORTS["robot"]) == ["its 'buffer_s' is a method; the port asks for a property"]
+    assert missing_members(fake, PORTS["robot"]) == ["its 'buffer_s' is a method; the port asks for a property"]
 
 
 def test_names_of_arguments_are_part_of_the_port() -> None:
@@ -90,7 +90,7 @@ def test_names_of_arguments_are_part_of_the_port() -> None:
             """Named otherwise."""
 
     fake = FakeCell()
-    (said,) = lacking(Other(fake.events, fake.clock), PORTS["actuator"])
+    (said,) = missing_members(Other(fake.events, fake.clock), PORTS["actuator"])
     assert said.startswith("its 'set_force' cannot be called as set_force(force_n=...): ")
 
 
@@ -114,12 +114,12 @@ def test_other_ways_to_keep_a_port_are_let_pass() -> None:
             """More than the port asks."""
 
     fake = FakeCell()
-    assert lacking(Other(fake.events, fake.clock), PORTS["actuator"]) == []
+    assert missing_members(Other(fake.events, fake.clock), PORTS["actuator"]) == []
 
     class Listed(FakeActuator):
         def samples(self) -> Iterator[ForceSample]:  # type: ignore[override]
             yield from ()
 
-    assert lacking(Listed(fake.events, fake.clock), PORTS["actuator"]) == [
+    assert missing_members(Listed(fake.events, fake.clock), PORTS["actuator"]) == [
         "its 'samples' is no async generator: write async def, with yield in it"
     ]

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon import priority
-from polishd.daemon.priority import BEHIND, LOOP_NICE, Granted, cores_to_compute, host, loop_first
+from polishd.daemon.priority import BEHIND, LOOP_NICE, PriorityResult, cores_to_compute, host, loop_first
 
 RAISED = """
 import json, os, subprocess, sys, threading
@@ -96,7 +96,9 @@ def test_where_nothing_is_allowed_it_runs_all_the_same_and_says_so(monkeypatch: 
     [(2, "2 cores: no core to keep free"), (8, "8 cores: one core kept free of computing")],
 )
 def test_in_words(cores: int, words: str) -> None:
-    assert str(Granted(first=True, locked=True, cores=cores)) == f"contact loop at nice -10, memory locked, {words}"
+    assert (
+        str(PriorityResult(first=True, locked=True, cores=cores)) == f"contact loop at nice -10, memory locked, {words}"
+    )
 
 
 @pytest.mark.parametrize(("allowed", "used"), [({0}, {0}), ({4, 5}, {4, 5}), ({2, 3, 7}, {3, 7})])

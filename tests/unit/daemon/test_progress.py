@@ -21,7 +21,7 @@ from polishd.daemon.progress import (
 )
 from polishd.daemon.stream import SLOW_LOOKS, WATCH_S, streaming
 from polishd.daemon.time_limits import late_s
-from polishd.model.devices import Executed, RobotProgress
+from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import DeviceRefused, SafetyStop
 from polishd.model.process import ToolProcess
 from polishd.model.program import Plan, Segment
@@ -70,7 +70,9 @@ class Run:
     def block(self, reported_s: float = BLOCK_S, took_s: float = BLOCK_S) -> None:
         """A block that took so long, and by the controller's clock so long."""
         self.passes(took_s)
-        self.progress.record(Executed(self.seq, self.clock_s, self.clock_s + reported_s), self.now_s, in_contact=True)
+        self.progress.record(
+            ExecutedBlock(self.seq, self.clock_s, self.clock_s + reported_s), self.now_s, in_contact=True
+        )
         self.clock_s, self.seq = self.clock_s + reported_s, self.seq + 1
         self.progress.look(self.now_s, in_contact=True)
 

@@ -9,11 +9,11 @@ import pytest
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.job_file import JobFile
-from polishd.daemon.desk import Desk, new_job, require_unchanged
+from polishd.daemon.desk import QueueRequests, new_job, require_unchanged
 from polishd.daemon.journal import JOURNAL_NAME, Journal, over_row
 from polishd.daemon.journal_store import Store
 from polishd.daemon.queue import NewJob, Queue
-from polishd.daemon.verdicts import Verdict
+from polishd.daemon.verdicts import JobResult
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
 
@@ -132,10 +132,10 @@ def test_a_job_that_is_done_is_not_done_again_but_one_put_aside_may(tmp_path: Pa
         (entry,) = queue.to_do()
         journal = cell.of_job("a", "P-1", {})
         queue.begin(entry, journal.number)
-        queue.end(entry, Verdict(how, "why", "BadMap"), over_row(journal.number, how, "why"))  # type: ignore[arg-type]
+        queue.end(entry, JobResult(how, "why", "MapError"), over_row(journal.number, how, "why"))  # type: ignore[arg-type]
         assert (queue.under_way(), names(queue)) == (None, [])
         assert (found := queue.last_ended()) is not None
-        assert (found.state, found.reason, found.fault) == (how, "why", "BadMap")
+        assert (found.state, found.reason, found.fault) == (how, "why", "MapError")
         if again:
             queue.add([job("a")])
         else:
@@ -186,7 +186,7 @@ JOB = '[job]\nid = "a"\n[part]\nid = "P-7"\n[program]\npath = "lens.rnc"\n'
 async def test_a_job_comes_over_the_desk(cell: CellConfig, tmp_path: Path, queue: Queue) -> None:
     (tmp_path / "lens.rnc").write_text("M30\n")
     came: list[None] = []
-    desk = Desk(cell, queue, lambda: came.append(None))
+    desk = QueueRequests(cell, queue, lambda: came.append(None))
     file = {"path": str(tmp_path / "a.toml"), "content": JOB}
     answer = await desk.add([file])
     assert (answer, len(came)) == ({"added": ["a"], "waiting": 1}, 1)

@@ -17,28 +17,28 @@ import pytest
 from polishd.config.job_file import JobFile
 from polishd.daemon import daemon as daemon_module
 from polishd.daemon.cycle import short_collections
-from polishd.daemon.desk import Desk
+from polishd.daemon.desk import QueueRequests
 from polishd.daemon.events import EventBus
 from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.queue import Entry, NewJob, Queue
+from polishd.daemon.queue import NewJob, Queue, QueueEntry
 from polishd.daemon.queue_app import _serve
 from polishd.daemon.queue_daemon import IN_THE_WAY, QueueDaemon
-from polishd.daemon.shift import Shift, taken_up
-from polishd.daemon.states import State
+from polishd.daemon.shift import QueueRunner, resume_open_job
+from polishd.daemon.states import DaemonState
 from polishd.model.concern import Severity
-from polishd.model.cycle import Outcome, Phase
-from polishd.model.devices import Executed
+from polishd.model.cycle import CyclePhase, Outcome
+from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import (
-    BadMap,
     ConfigError,
     DeviceFault,
     DeviceRefused,
-    GateStop,
     LinkError,
+    MapError,
     PlanRefused,
     PolishdError,
+    RemovalCheckStop,
     SafetyStop,
     SeatNotLeft,
     ToolStop,
@@ -75,7 +75,7 @@ class Hall:
         self.queue.add([NewJob(name, f"P-{name}", JobFile(Path(f"/{name}.toml"), ""), {}) for name in names])
         return self
 
-    async def make(self, entry: Entry, queue: Queue, journal: Journal, publish: Any) -> tuple[Job, RunFolder]:
+    async def make(self, entry: QueueEntry, queue: Queue, journal: Journal, publish: Any) -> tuple[Job, RunFolder]:
         if entry.name in self.refused:
             raise self.refused[entry.name]
         if entry.name in self.taken_out:
@@ -106,10 +106,10 @@ class Hall:
         self.task = asyncio.ensure_future(self.daemon.run())
 
     async def build(self, **options: Any) -> None:
-        self.shift = Shift(self.journal, self.make)
+        self.shift = QueueRunner(self.journal, self.make)
         self.bus = self.shift.bus = EventBus(sinks=(self.shift.record, self.told.append))
-        await taken_up(self.shift)
-        desk = Desk(None, self.shift.queue, self.shift.added)  # type: ignore[arg-type]
+        await resume_open_job(self.shift)
+        desk = QueueRequests(None, self.shift.queue, self.shift.added)  # type: ignore[arg-type]
         self.queue = self.shift.queue
         self.daemon = QueueDaemon(self.fake.cell, self.shift, desk, self.bus, **options)
 
@@ -188,9 +188,9 @@ def torn(error: PolishdError | None = None) -> Callable[[Job], Any]:
     """An end that cuts off a pass; without an error it waits there for an order."""
 
     async def end(job: Job) -> Outcome:
-        async with job.journal.phase(0, Phase.RUN):
+        async with job.journal.phase(0, CyclePhase.RUN):
             job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
-            job.journal.record_executed(0, [BlockRecord(Executed(4, 0.0, 1.0), True)])
+            job.journal.record_executed(0, [BlockRecord(ExecutedBlock(4, 0.0, 1.0), True)])
             if error is None:
                 await asyncio.Event().wait()
             raise error or RuntimeError
@@ -202,7 +202,7 @@ def touching(error: PolishdError) -> Callable[[Job], Any]:
     """An end in a touch-off."""
 
     async def end(job: Job) -> Outcome:
-        async with job.journal.phase(0, Phase.TOUCH_OFF):
+        async with job.journal.phase(0, CyclePhase.TOUCH_OFF):
             raise error
 
     return end
@@ -292,7 +292,7 @@ async def test_status_tells_the_job_and_what_comes_next(hall: Hall) -> None:
 # what endings lead to
 
 
-@pytest.mark.parametrize("error", [BadMap("x"), PlanRefused("x"), WrongPart("x")])
+@pytest.mark.parametrize("error", [MapError("x"), PlanRefused("x"), WrongPart("x")])
 async def test_what_is_the_parts_own_fault_puts_it_aside_and_the_queue_goes_on(hall: Hall, error: PolishdError) -> None:
     hall.add("a", "b").fake.with_loader()
     hall.ends["a"] = [error]
@@ -320,11 +320,11 @@ async def test_a_job_that_is_taken_out_while_it_is_made_ready_does_not_begin(hal
 
 async def test_two_parts_in_a_row_with_the_same_fault_stop_it_and_resume_goes_on_with_the_next(hall: Hall) -> None:
     hall.add("a", "b", "c").fake.with_loader()
-    hall.ends = {"a": [BadMap("x")], "b": [BadMap("y")]}
+    hall.ends = {"a": [MapError("x")], "b": [MapError("y")]}
     await hall.start(until_empty=True)
     await hall.until("held")
     assert hall.daemon.reason == (
-        "the queue stopped: two parts in a row ended with the same fault, BadMap; b was put aside: BadMap: y"
+        "the queue stopped: two parts in a row ended with the same fault, MapError; b was put aside: MapError: y"
     )
     await hall.order("resume")
     assert await hall.task is Outcome.IN_TOLERANCE
@@ -333,14 +333,14 @@ async def test_two_parts_in_a_row_with_the_same_fault_stop_it_and_resume_goes_on
 
 async def test_other_faults_in_a_row_do_not(hall: Hall) -> None:
     hall.add("a", "b", "c", "d").fake.with_loader()
-    hall.ends = {"a": [BadMap("x")], "b": [Outcome.CYCLES_USED], "c": [BadMap("y")]}
+    hall.ends = {"a": [MapError("x")], "b": [Outcome.CYCLES_USED], "c": [MapError("y")]}
     await hall.run()
     assert list(hall.verdicts().values()) == ["put aside", "rejected", "put aside", "accepted"]
 
 
 async def test_the_gate_stops_it_at_once(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
-    hall.ends["a"] = [GateStop("turned by 90 degrees")]
+    hall.ends["a"] = [RemovalCheckStop("turned by 90 degrees")]
     await hall.start()
     await hall.until("held")
     assert "the queue stopped: instrument or alignment is wrong" in hall.daemon.reason
@@ -444,7 +444,7 @@ async def test_a_lost_journal_ends_the_daemon_and_nothing_goes_on(hall: Hall) ->
 
     def end(_job: Job) -> PolishdError:
         hall.journal.store._fail(sqlite3.OperationalError("disk I/O error"))
-        return BadMap("x")
+        return MapError("x")
 
     hall.ends["a"] = [end]
     with pytest.raises(SafetyStop, match="journal lost"):
@@ -455,8 +455,8 @@ async def test_a_lost_journal_ends_the_daemon_and_nothing_goes_on(hall: Hall) ->
 
 async def test_without_a_person_it_ends_where_it_would_stop(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
-    hall.ends["a"] = [GateStop("turned")]
-    with pytest.raises(GateStop):
+    hall.ends["a"] = [RemovalCheckStop("turned")]
+    with pytest.raises(RemovalCheckStop):
         await hall.run(holds=False)
     assert hall.verdicts() == {"a": "put aside", "b": "waiting"}
 
@@ -475,7 +475,7 @@ async def test_a_tool_that_stops_the_queue_ends_it_with_an_error_where_nobody_is
 
 async def test_an_error_that_ends_a_job_is_one_of_its_causes(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
-    hall.ends = {"a": [BadMap("unreadable")], "b": [GateStop("turned")]}
+    hall.ends = {"a": [MapError("unreadable")], "b": [RemovalCheckStop("turned")]}
     await hall.start()
     await hall.until("held")
     assert [event["error"] for event in hall.events("held")] == ["unreadable", "turned"]
@@ -632,7 +632,7 @@ async def test_a_job_is_not_taken_out_while_it_is_made_ready(hall: Hall, monkeyp
     hall.add("a").fake.with_loader()
     make = hall.make
 
-    async def slow(entry: Entry, *rest: Any) -> tuple[Job, RunFolder]:
+    async def slow(entry: QueueEntry, *rest: Any) -> tuple[Job, RunFolder]:
         found = await make(entry, *rest)
         with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is idle: hold the cell first"):
             await hall.order("job_remove", job="a")
@@ -647,7 +647,7 @@ async def test_one_whose_device_cannot_be_asked_can_be_put_aside(hall: Hall, mon
     hall.add("a", "b").fake.with_loader()
     make = hall.make
 
-    async def no_instrument(entry: Entry, *rest: Any) -> tuple[Job, RunFolder]:
+    async def no_instrument(entry: QueueEntry, *rest: Any) -> tuple[Job, RunFolder]:
         found = await make(entry, *rest)
         if entry.name == "a":
             raise LinkError("no instrument")
@@ -707,12 +707,12 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
 @pytest.mark.parametrize("why", ["gate", "gate, and nobody is there", "order"])
 async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None:
     hall.add(*"ab" if why != "order" else "").fake.with_loader()
-    hall.ends["a"] = [GateStop("turned")]
+    hall.ends["a"] = [RemovalCheckStop("turned")]
     if "nobody" in why:
-        with pytest.raises(GateStop):
+        with pytest.raises(RemovalCheckStop):
             await hall.run(holds=False)
         reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
-        reason += "a was put aside: GateStop: turned"
+        reason += "a was put aside: RemovalCheckStop: turned"
     else:
         await hall.start()
         if why == "order":
@@ -776,4 +776,4 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
 def test_states_of_a_queue_are_told_to_whoever_finds_the_daemon_gone() -> None:
     from polishd.daemon.last_word import NEXT
 
-    assert {State.IDLE, State.CHANGING} <= set(NEXT)
+    assert {DaemonState.IDLE, DaemonState.CHANGING} <= set(NEXT)

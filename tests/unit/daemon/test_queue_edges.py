@@ -10,13 +10,13 @@ import pytest
 from polishd.config.job_file import JobFile
 from polishd.daemon.journal import Journal
 from polishd.daemon.queue import BY_A_PERSON, NewJob, Queue
-from polishd.daemon.verdicts import Verdict, judge
+from polishd.daemon.verdicts import JobResult, judge
 from polishd.model.cycle import Outcome
-from polishd.model.errors import ConfigError, GateStop, LinkError
+from polishd.model.errors import ConfigError, LinkError, RemovalCheckStop
 from tests.unit.daemon.test_queue import job
 from tests.unit.daemon.test_verdicts import ACCEPTED
 
-REJECTED = Verdict("rejected", "all its passes are used", "cycles_used")
+REJECTED = JobResult("rejected", "all its passes are used", "cycles_used")
 
 
 class Worked:
@@ -33,7 +33,7 @@ class Worked:
         self.queue.begin(entry, number)
         return number
 
-    def end(self, verdict: Verdict = ACCEPTED) -> None:
+    def end(self, verdict: JobResult = ACCEPTED) -> None:
         entry = self.queue.under_way()
         assert entry is not None
         self.queue.end(entry, verdict)
@@ -124,7 +124,7 @@ def test_the_job_that_ended_last_counts_and_not_the_one_that_was_added_last(work
 def test_one_that_could_not_begin_has_begun_and_ended_at_once_and_counts_as_worked(worked: Worked) -> None:
     worked.queue.add([job("a"), job("b")])
     (entry, _) = worked.queue.to_do()
-    worked.queue.end(entry, Verdict("put aside", "GateStop: x", "GateStop"))
+    worked.queue.end(entry, JobResult("put aside", "RemovalCheckStop: x", "RemovalCheckStop"))
     assert (last := worked.queue.last_ended()) is not None
     assert (last.name, last.state) == ("a", "put aside")
     assert last.begun_s is not None
@@ -180,23 +180,23 @@ def test_two_of_the_same_fault_stop_the_queue_and_two_different_do_not() -> None
         assert (verdict.how, verdict.fault, verdict.reason) == ("rejected", "cycles_used", "all its passes are used")
         return verdict.stops
 
-    assert stops("") == stops("GateStop") == ""
+    assert stops("") == stops("RemovalCheckStop") == ""
     assert stops("cycles_used") == "two parts in a row ended with the same fault, cycles_used"
     assert stops("", "its rate drifts") == stops("cycles_used", "its rate drifts") == "its rate drifts"
 
 
 def test_an_accepted_part_is_no_fault_whatever_was_before_but_a_worn_tool_stops_all_the_same() -> None:
     verdict = judge(Outcome.IN_TOLERANCE, torn=False, previous="")
-    assert verdict == Verdict("accepted", "the part is in tolerance", "", "")
+    assert verdict == JobResult("accepted", "the part is in tolerance", "", "")
     worn = judge(Outcome.IN_TOLERANCE, torn=False, previous="", tool="worn")
     assert worn is not None
     assert (worn.how, worn.stops) == ("accepted", "worn")
 
 
 def test_an_error_is_told_with_its_name_and_what_stops_by_its_row_says_that() -> None:
-    verdict = judge(GateStop("flipped"), torn=False, previous="GateStop", tool="worn")
+    verdict = judge(RemovalCheckStop("flipped"), torn=False, previous="RemovalCheckStop", tool="worn")
     assert verdict is not None
-    assert (verdict.reason, verdict.fault) == ("GateStop: flipped", "GateStop")
+    assert (verdict.reason, verdict.fault) == ("RemovalCheckStop: flipped", "RemovalCheckStop")
     assert verdict.stops.startswith("instrument or alignment is wrong")
     torn = judge(LinkError("gone"), torn=True, previous="")
     assert torn is not None

@@ -12,7 +12,7 @@ from polishd.daemon import cell
 from polishd.model.cycle import Outcome
 from polishd.model.devices import DeviceStatus
 from polishd.model.errors import DeviceFault, LinkError
-from polishd.model.handling import Between, Step
+from polishd.model.handling import BetweenPasses, HandlingStep
 from polishd.model.times import ActuatorTimes, SpindleTimes
 from tests.unit.daemon.small import Bench, open_journal, small_recipe
 from tests.unit.daemon.test_app import Running
@@ -89,8 +89,8 @@ async def test_no_touch_off_and_no_conditioning_with_a_device_that_is_not_ready(
     assert bench.moved() == []
     bench.fake.actuator.tells = READY
     dressed = tmp_path / "dressed"
-    step = Step(command=("touch", str(dressed)), folder=tmp_path)
-    recipe = small_recipe(between=Between(condition=step), tolerance_nm=1e-6)
+    step = HandlingStep(command=("touch", str(dressed)), folder=tmp_path)
+    recipe = small_recipe(between=BetweenPasses(condition=step), tolerance_nm=1e-6)
     bench.fake.actuator.acts.before["retract"] = lambda: setattr(bench.fake.actuator, "tells", DISABLED)
     with pytest.raises(DeviceFault, match="drive disabled"):
         await bench.polish(bench.job(recipe=recipe))

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from polishd.daemon import journal_store, recording
-from polishd.daemon.interruption import settle
+from polishd.daemon.interruption import settle_interrupted_pass
 from polishd.daemon.journal import Journal
 from polishd.daemon.recording import TURN_BLOCKS, Recorder
-from polishd.daemon.touch import Touch
-from polishd.model.devices import Executed, ForceSample
+from polishd.daemon.touch import ContactRecord
+from polishd.model.devices import ExecutedBlock, ForceSample
 from polishd.model.errors import LinkError, SafetyStop
 from tests.fakes.devices import FakeCell
 from tests.unit.daemon.small import open_journal
@@ -28,12 +28,12 @@ class Robot:
     """In the place of a stream: tells of blocks when the test says so."""
 
     def __init__(self) -> None:
-        self.words: asyncio.Queue[Executed | BaseException | None] = asyncio.Queue()
+        self.words: asyncio.Queue[ExecutedBlock | BaseException | None] = asyncio.Queue()
         self.left = False
 
     def tells(self, *seqs: int) -> None:
         for seq in seqs:
-            self.words.put_nowait(Executed(seq, float(seq), seq + 1.0))
+            self.words.put_nowait(ExecutedBlock(seq, float(seq), seq + 1.0))
 
     def fails(self, error: BaseException) -> None:
         self.words.put_nowait(error)
@@ -41,7 +41,7 @@ class Robot:
     def stands(self) -> None:
         self.words.put_nowait(None)
 
-    async def polish(self) -> AsyncIterator[Executed]:
+    async def polish(self) -> AsyncIterator[ExecutedBlock]:
         while (word := await self.words.get()) is not None:
             if isinstance(word, BaseException):
                 raise word
@@ -56,7 +56,7 @@ class Pass:
 
     def __init__(self, journal: Journal) -> None:
         self.fake, self.robot, self.journal = FakeCell(), Robot(), journal
-        self.touch = Touch(lambda records: journal.record_executed(0, records), LATE_S)
+        self.touch = ContactRecord(lambda records: journal.record_executed(0, records), LATE_S)
         journal.begin_pass(0, "sha", "boot-1", BLOCKS, contact=CONTACT, reach_s=6.0)
         self.fake.robot.plan_sha256 = "sha"
         self.presses()
@@ -149,7 +149,7 @@ async def test_a_robot_that_is_lost_while_contact_is_left_does_not_take_the_plac
 async def test_what_the_robot_tells_while_contact_is_left_is_recorded_up_to_its_last_word(contact: Pass) -> None:
     contact.fake.robot.done = contact.fake.robot.until = 9
     with pytest.raises(SafetyStop, match="force"):
-        await cut_short(contact, *(Executed(seq, float(seq), seq + 1.0) for seq in (6, 7, 8)))
+        await cut_short(contact, *(ExecutedBlock(seq, float(seq), seq + 1.0) for seq in (6, 7, 8)))
     assert contact.done() == [5, 6, 7, 8]
     assert contact.journal.uncertain(0) == ((5, 10),), "and it stands in the next one"
 
@@ -180,7 +180,7 @@ async def test_a_lost_journal_is_logged_while_contact_is_left_and_does_not_take_
     assert "is not recorded (journal lost): the next start asks the robot" in caplog.text
     monkeypatch.undo()
     assert contact.journal.passes[0].uncertain is None
-    await settle(contact.fake.cell, contact.journal)
+    await settle_interrupted_pass(contact.fake.cell, contact.journal)
     assert contact.journal.uncertain(0) != (), "as it says"
 
 

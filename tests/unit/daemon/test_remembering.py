@@ -16,10 +16,10 @@ from polishd.daemon import remembering
 from polishd.daemon.job import Job
 from polishd.daemon.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal_store import Store
-from polishd.model.beliefs import Belief, Beliefs
+from polishd.model.beliefs import Estimate, Estimates
 from polishd.model.errors import ComputeError
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed
+from polishd.recipe.records import EstimatesInUse
 from tests.unit.daemon.small import small_job, small_map, small_recipe
 from tests.unit.daemon.test_job import whole_cycle
 
@@ -141,10 +141,10 @@ def test_what_is_learned_over_the_part_belongs_to_its_form() -> None:
 async def test_the_time_of_a_block_goes_with_the_machine(tmp_path: Path) -> None:
     with journal_of(tmp_path, "first") as journal:
         await whole_cycle(small_job(tmp_path / "first", journal), 0, small_map())
-        journal.add_facts(0, remembering.facts(TERMS, Believed(Beliefs(Belief(0.9)), 0.007)))
-    assert (await begun(tmp_path)).tools.believed == Believed(Beliefs(Belief(0.9)), 0.007)
+        journal.add_facts(0, remembering.facts(TERMS, EstimatesInUse(Estimates(Estimate(0.9)), 0.007)))
+    assert (await begun(tmp_path)).tools.believed == EstimatesInUse(Estimates(Estimate(0.9)), 0.007)
     other = await begun(tmp_path, "third", {**TERMS, "machine.accel_mm_s2": 900.0})
-    assert other.tools.believed == Believed(Beliefs(Belief(0.9)), REMEMBERS.envelope.block_overhead_s)
+    assert other.tools.believed == EstimatesInUse(Estimates(Estimate(0.9)), REMEMBERS.envelope.block_overhead_s)
 
 
 @pytest.mark.one_of_each
@@ -161,10 +161,10 @@ async def test_nothing_is_remembered(tmp_path: Path, why: str, caplog: pytest.Lo
             with Journal.open(tmp_path, job="first", part_id="P-1", terms=TERMS) as journal:
                 journal.add_facts(0, {"findings": [{"kind": "drift", "what": "x", "stops": "cell"}]})
         case "forgotten":
-            remembering.forget(tmp_path, "another pad")
+            remembering.forget_estimates(tmp_path, "another pad")
         case _:
 
-            def later(beliefs: Beliefs, days: float) -> Beliefs:
+            def later(beliefs: Estimates, days: float) -> Estimates:
                 raise ComputeError("other parameters")
 
             recipe = replace(REMEMBERS, model=replace(REMEMBERS.model, later=later))
@@ -177,15 +177,15 @@ async def test_nothing_is_remembered(tmp_path: Path, why: str, caplog: pytest.Lo
 @pytest.mark.full
 async def test_what_is_learned_after_forgetting_is_remembered(tmp_path: Path) -> None:
     await taught(tmp_path)
-    remembering.forget(tmp_path, "")
+    remembering.forget_estimates(tmp_path, "")
     last = await taught(tmp_path, "next", 0.95)
     assert (await begun(tmp_path, "third")).tools.believed.rate == last
 
 
 def test_forgetting_in_a_cell_that_has_done_nothing(tmp_path: Path) -> None:
-    remembering.forget(tmp_path, "")
+    remembering.forget_estimates(tmp_path, "")
     with closing(Store.open(tmp_path / JOURNAL_NAME)) as store:
-        assert list(remembering.lessons(store.read)) == []
+        assert list(remembering.journalled_estimates(store.read)) == []
 
 
 async def test_a_job_under_way_goes_on_with_its_own(tmp_path: Path) -> None:
@@ -209,7 +209,7 @@ async def test_it_is_less_certain_after_a_rest(tmp_path: Path) -> None:
     await taught(tmp_path)
     with closing(Store.open(tmp_path / JOURNAL_NAME)) as store:
         store.write(("UPDATE pass SET ended = ended - 4 * 86400", ()))
-        (lesson,) = remembering.lessons(store.read)
+        (lesson,) = remembering.journalled_estimates(store.read)
     sigma = lesson.believed["removal"]["rate"]["sigma"]
     job = await begun(tmp_path)
     after = job.tools.believed.removal.rate.sigma

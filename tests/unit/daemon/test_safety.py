@@ -17,15 +17,15 @@ import pytest
 from polishd.config.cell import PORTS
 from polishd.daemon import time_limits
 from polishd.daemon.cell import Cell
-from polishd.daemon.listening import heard, most_telling
+from polishd.daemon.listening import read_samples, root_cause
 from polishd.daemon.safety import LOOK_S, ContactLimits, contact, make_safe
 from polishd.daemon.signals import Signals
-from polishd.daemon.touch import Touch
+from polishd.daemon.touch import ContactRecord
 from polishd.model.devices import ForceSample, Signal
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.model.signal_limits import SignalLimits
 from polishd.model.times import ActuatorTimes, RobotTimes, SpindleTimes
-from polishd.ports.tap import heard_by, tap
+from polishd.ports.tap import record_received, tap
 from tests.fakes.devices import FakeCell, FakeDevice, blank
 from tests.patience import SOON_S
 
@@ -36,9 +36,9 @@ LIFTED = ["actuator.set_force 0", "actuator.retract", "lifted"]
 UNTOUCHED = [step for step in SAFE if step != "lifted"]
 
 
-def untold() -> Touch:
+def untold() -> ContactRecord:
     """Of no robot."""
-    return Touch(lambda records: None, 1.5)
+    return ContactRecord(lambda records: None, 1.5)
 
 
 @pytest.fixture
@@ -520,7 +520,7 @@ async def test_each_sample_is_judged() -> None:
 
     judged: list[int] = []
     with pytest.raises(LinkError, match="scale: its samples ended"):
-        await heard(two(), judged.append, "scale", 1.0)
+        await read_samples(two(), judged.append, "scale", 1.0)
     assert judged == [1, 2]
 
 
@@ -541,7 +541,7 @@ async def test_a_link_that_is_opened_to_make_a_device_safe_is_recorded_as_its_ow
     names = ("actuator", "robot", "spindle")
     for name in names:
         fake.devices[name].acts.before["make_safe"] = partial(tap, f"tcp://{name}:1")
-    with heard_by(lambda passed: heard.append((passed.role, passed.link))):
+    with record_received(lambda passed: heard.append((passed.role, passed.link))):
         await make_safe(fake.cell)
     assert sorted(heard) == [(name, f"tcp://{name}:1") for name in names]
 
@@ -729,7 +729,7 @@ async def test_a_robot_that_runs_waits_for_a_tool_that_this_process_could_not_op
     ],
 )
 def test_most_telling(errors: list[BaseException], told: type[BaseException]) -> None:
-    assert type(most_telling(BaseExceptionGroup("group", errors))) is told
+    assert type(root_cause(BaseExceptionGroup("group", errors))) is told
 
 
 async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from polishd.daemon import time_limits
-from polishd.daemon.safety import contact, to_its_end
+from polishd.daemon.safety import contact, run_to_completion
 from polishd.model.errors import DeviceFault, LinkError
 from polishd.model.times import ActuatorTimes, RobotTimes
 from tests.fakes.devices import FakeCell
@@ -40,7 +40,7 @@ async def test_what_is_cancelled_from_within_is_told_at_once() -> None:
         raise asyncio.CancelledError("from within")
 
     with pytest.raises(asyncio.CancelledError):
-        await to_its_end(ends_itself())
+        await run_to_completion(ends_itself())
 
 
 async def test_an_error_of_what_must_not_be_cut_short_counts_more_than_an_order_that_came_meanwhile() -> None:
@@ -50,7 +50,7 @@ async def test_an_error_of_what_must_not_be_cut_short_counts_more_than_an_order_
         await go_on.wait()
         raise LinkError("gone")
 
-    task = asyncio.ensure_future(to_its_end(fails()))
+    task = asyncio.ensure_future(run_to_completion(fails()))
     await asyncio.sleep(0)
     task.cancel()
     await asyncio.sleep(0)
@@ -67,7 +67,7 @@ async def test_an_error_that_comes_in_the_same_moment_as_an_order_counts_more() 
         await go_on.wait()
         raise LinkError("gone")
 
-    task = asyncio.ensure_future(to_its_end(fails()))
+    task = asyncio.ensure_future(run_to_completion(fails()))
     for _ in range(3):
         await asyncio.sleep(0)
     go_on.set()

@@ -19,7 +19,7 @@ from polishd.daemon.events import EventBus
 from polishd.daemon.service import serving
 from polishd.daemon.sockets import LINE_BYTES
 from polishd.model.errors import ConfigError, DeviceRefused, LinkError, ProtocolError
-from polishd.model.events import Failed, Held, PassEnded, Progress
+from polishd.model.events import CellHeld, DaemonFailed, PassEnded, PassProgressed
 from tests.patience import SOON_S
 
 
@@ -163,7 +163,7 @@ async def test_a_subscriber_that_sends_lines_is_answered_and_goes_on_to_hear(dae
         writer.write(line + b"\n")
         refused = json.loads(await reader.readline())
         assert refused == {"ok": False, "error": "this connection is for events: ask on another one"}
-        bus.publish(Held(error="a scratch", kind="LinkError"))
+        bus.publish(CellHeld(error="a scratch", kind="LinkError"))
         assert json.loads(await reader.readline())["event"]["name"] == "held"
     writer.close()
 
@@ -196,7 +196,7 @@ async def test_subscribers_hear_events(daemon: Path, bus: EventBus) -> None:
     heard = [asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon)))) for _ in range(2)]
     await until_subscribed(bus, 2)
     bus.publish(PassEnded(cycle=1, executed_s=2.5))
-    bus.publish(Held(error="cut", kind="LinkError"))
+    bus.publish(CellHeld(error="cut", kind="LinkError"))
     await bus.close()
     expected = [
         {"name": "pass_ended", "cycle": 1, "data": {"executed_s": 2.5}},
@@ -209,7 +209,7 @@ async def test_a_subscriber_that_hangs_up_is_forgotten(daemon: Path, bus: EventB
     events = subscribe(daemon)
     first = asyncio.create_task(asyncio.to_thread(next, events))
     await until_subscribed(bus)
-    bus.publish(Progress(block=1))
+    bus.publish(PassProgressed(block=1))
     assert (await first)["data"] == {"block": 1}
     events.close()  # type: ignore[attr-defined]
     await until_subscribed(bus, 0)
@@ -225,7 +225,7 @@ async def test_a_subscriber_that_never_reads_is_dropped(
         deaf.sendall(b'{"verb": "subscribe"}\n')
         await until_subscribed(bus)
         while bus._subscribers:
-            bus.publish(Failed(error="x" * 100_000, kind="much"))
+            bus.publish(DaemonFailed(error="x" * 100_000, kind="much"))
             await asyncio.sleep(0)
         assert (await ask(daemon, "status"))["ok"]
 

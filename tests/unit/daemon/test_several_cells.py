@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app
-from polishd.daemon.app import CellRun, Stopping, run_cells
+from polishd.daemon.app import CellRun, ShutdownRequest, run_cells
 from polishd.daemon.cycle import short_collections
 from polishd.daemon.journal import Journal
 from polishd.daemon.lock import locked
-from polishd.daemon.supervisor import Supervisor
+from polishd.daemon.supervisor import SystemdNotifier
 from polishd.model.errors import ConfigError, LinkError, SafetyStop
 from polishd.model.program import Program
 from tests.unit.daemon.test_app import CLOSED, SAFE, Site
@@ -188,7 +188,7 @@ def test_who_comes_after_the_signal_is_stopped_too() -> None:
         def stop(self) -> None:
             stopped.append(self.name)
 
-    stopping = Stopping(Supervisor())
+    stopping = ShutdownRequest(SystemdNotifier())
     with stopping.telling(Told("early")):  # type: ignore[arg-type]
         stopping.ask()
         with stopping.telling(Told("late")):  # type: ignore[arg-type]

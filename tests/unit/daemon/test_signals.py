@@ -8,16 +8,18 @@ from dataclasses import replace
 import pytest
 
 from polishd.daemon import signal_watch
-from polishd.daemon.signal_watch import tell_once, until_ready, watching
+from polishd.daemon.signal_watch import monitoring_signals, report_once, until_ready
 from polishd.daemon.signals import Signals
 from polishd.model.devices import Signal
 from polishd.model.errors import DeviceFault, LinkError, SignalFault
-from polishd.model.events import Event, SignalWrong
-from polishd.model.signal_limits import Bounds, SignalLimits
+from polishd.model.events import Event, SignalOutOfRange
+from polishd.model.signal_limits import SignalLimits, SignalRange
 from tests.fakes.devices import FakeCell
 
-FLOW = SignalLimits("flow", "monitor", "AI3", "l/min", Bounds(min=1.0), 5.0, Bounds(min=0.8), 2.0, "lift")
-GUARD = SignalLimits("guard", "monitor", "guard", "", Bounds(state=True), 0.0, Bounds(state=True), 0.0, "estop")
+FLOW = SignalLimits("flow", "monitor", "AI3", "l/min", SignalRange(min=1.0), 5.0, SignalRange(min=0.8), 2.0, "lift")
+GUARD = SignalLimits(
+    "guard", "monitor", "guard", "", SignalRange(state=True), 0.0, SignalRange(state=True), 0.0, "estop"
+)
 
 
 class Told:
@@ -134,7 +136,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: FakeCell) -> None:
     told: asyncio.Queue[tuple[SignalLimits, str]] = asyncio.Queue()
-    async with watching(fake.cell, lambda *what: told.put_nowait(what)):
+    async with monitoring_signals(fake.cell, lambda *what: told.put_nowait(what)):
         while fake.cell.signals.not_ready():  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         fake.cell.pressing = True
@@ -146,7 +148,7 @@ async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: Fake
 
 async def test_a_monitor_that_fails_is_heard_again(fake: FakeCell) -> None:
     monitor = fake.monitor
-    async with watching(fake.cell, lambda *_: None):
+    async with monitoring_signals(fake.cell, lambda *_: None):
         for failure in (LinkError("gone"), RuntimeError("a plugin's own")):
             while fake.cell.signals.not_ready():  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
@@ -160,7 +162,7 @@ async def test_a_monitor_that_fails_is_heard_again(fake: FakeCell) -> None:
 async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
     monitor, published = fake.monitor, list[Event]()
     monitor.values["AI3"] = 0.2
-    async with watching(fake.cell, lambda *_: None):
+    async with monitoring_signals(fake.cell, lambda *_: None):
         while len(fake.cell.signals.not_ready()) == 2:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         waiting = asyncio.ensure_future(until_ready(fake.cell, published.append, 3))
@@ -174,13 +176,13 @@ async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
             fake.clock.advance(0.01)
             await asyncio.sleep(0.01)
     what = "flow is 0.2 l/min, must be at least 1 l/min before contact; it is waited for, for up to 5 s"
-    assert published == [SignalWrong(cycle=3, signal="flow", what=what, leads_to="wait")], "told once"
+    assert published == [SignalOutOfRange(cycle=3, signal="flow", what=what, leads_to="wait")], "told once"
 
 
 async def test_what_is_waited_for_in_vain_holds_the_cell(fake: FakeCell) -> None:
     monitor = fake.monitor
     monitor.values["AI3"] = 0.2
-    async with watching(fake.cell, lambda *_: None):
+    async with monitoring_signals(fake.cell, lambda *_: None):
         while len(fake.cell.signals.not_ready()) == 2:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         waiting = asyncio.ensure_future(until_ready(fake.cell, lambda _: None, 0))
@@ -194,7 +196,7 @@ async def test_what_is_waited_for_in_vain_holds_the_cell(fake: FakeCell) -> None
 
 async def test_what_may_not_be_waited_for_holds_at_once(fake: FakeCell) -> None:
     fake.monitor.values["guard"] = False
-    async with watching(fake.cell, lambda *_: None):
+    async with monitoring_signals(fake.cell, lambda *_: None):
         while len(fake.cell.signals.not_ready()) == 2:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         with pytest.raises(SignalFault, match="guard is off"):
@@ -205,7 +207,7 @@ async def test_what_may_not_be_waited_for_holds_at_once(fake: FakeCell) -> None:
 
 
 async def test_probe_tells_each_watched_signal(fake: FakeCell) -> None:
-    await tell_once(fake.cell, "monitor")
+    await report_once(fake.cell, "monitor")
     assert {name: facts["text"] for name, facts in fake.cell.signals.facts().items()} == {
         "flow": "1.5 l/min",
         "guard": "on",
@@ -215,14 +217,14 @@ async def test_probe_tells_each_watched_signal(fake: FakeCell) -> None:
 async def test_probe_names_what_a_monitor_does_not_tell(fake: FakeCell) -> None:
     del fake.monitor.values["AI3"]
     with pytest.raises(DeviceFault, match="monitor: tells no signal 'AI3'; it tells 'guard', 'unused'"):
-        await tell_once(fake.cell, "monitor")
+        await report_once(fake.cell, "monitor")
 
 
 async def test_probe_does_not_wait_for_ever(fake: FakeCell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signal_watch, "OPEN_S", 0.02)
     fake.monitor.silent = True
     with pytest.raises(LinkError, match="told not all of its signals"):
-        await tell_once(fake.cell, "monitor")
+        await report_once(fake.cell, "monitor")
 
 
 async def test_a_monitor_whose_link_was_just_opened_again_is_waited_for(fake: FakeCell) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.daemon.states import TRANSITIONS, Transition, following
+from polishd.daemon.states import TRANSITIONS, StateTransition, following
 
 
 @pytest.mark.parametrize("row", TRANSITIONS)
-def test_each_way_leads_where_it_says(row: Transition) -> None:
+def test_each_way_leads_where_it_says(row: StateTransition) -> None:
     assert following(row.source, row.trigger) is row.target, "a person is there, where nobody says otherwise"
     assert following(row.source, row.trigger, unattended=True) is (row.unattended or row.target)

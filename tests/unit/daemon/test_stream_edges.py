@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon.stream import CHUNK, STANDS, WATCH_S, Stream, streaming
-from polishd.model.devices import Executed, RobotProgress, RobotState
+from polishd.model.devices import ExecutedBlock, RobotProgress, RobotState
 from polishd.model.errors import DeviceRefused, SafetyStop
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
@@ -39,10 +39,10 @@ class Scripted:
         state, executed = self.looks.pop(0)
         return RobotProgress(state, "sha", 0, executed, self.buffer_s, "boot", "why")
 
-    async def executed(self, from_seq: int = 0) -> AsyncIterator[Executed]:
+    async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         assert from_seq == 0
         for seq in range(100):
-            yield Executed(seq, float(seq), seq + 1.0)
+            yield ExecutedBlock(seq, float(seq), seq + 1.0)
 
     async def resume(self, until: int | None = None) -> None: ...
 

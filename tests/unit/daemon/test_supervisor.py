@@ -18,9 +18,9 @@ import pytest
 
 from polishd.daemon import app
 from polishd.daemon.journal import Journal
-from polishd.daemon.supervisor import Supervisor
+from polishd.daemon.supervisor import SystemdNotifier
 from polishd.model.concern import NOT_ASKED
-from polishd.model.events import Opened, StateChanged
+from polishd.model.events import CellOpened, StateChanged
 from tests.unit.daemon.small import run_cell
 from tests.unit.daemon.test_app import Site
 
@@ -58,9 +58,9 @@ def systemd(request: pytest.FixtureRequest) -> Iterator[Systemd]:
 
 
 def test_ready_is_said_once_when_the_last_cell_has_spoken(systemd: Systemd) -> None:
-    supervisor = Supervisor(2, systemd.environment)
+    supervisor = SystemdNotifier(2, systemd.environment)
     left, right = supervisor.hears("left"), supervisor.hears("right")
-    left(Opened(devices={}))
+    left(CellOpened(devices={}))
     left(StateChanged(state="starting", reason="", standing=NOT_ASKED))
     left(StateChanged(state="held", reason="late\nmap", standing=NOT_ASKED))
     assert systemd.heard() == ["STATUS=left: starting", "STATUS=left: held: late map"]
@@ -79,7 +79,7 @@ async def test_the_watchdog_is_fed_only_while_all_is_written(systemd: Systemd) -
             enough.set()
         return len(asked) <= 2
 
-    feeding = asyncio.create_task(Supervisor(1, systemd.environment).feed(lives))
+    feeding = asyncio.create_task(SystemdNotifier(1, systemd.environment).feed(lives))
     await enough.wait()
     feeding.cancel()
     assert asked == [0.02] * 4
@@ -88,11 +88,11 @@ async def test_the_watchdog_is_fed_only_while_all_is_written(systemd: Systemd) -
 
 @pytest.mark.parametrize("environment", [{}, {"WATCHDOG_USEC": "40000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "x"}])
 async def test_where_nobody_watches_nothing_is_fed(environment: dict[str, str]) -> None:
-    await Supervisor(1, environment).feed(lambda _: pytest.fail("nobody asked"))
+    await SystemdNotifier(1, environment).feed(lambda _: pytest.fail("nobody asked"))
 
 
 def test_a_supervisor_that_is_gone_is_logged_and_keeps_nobody(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    Supervisor(1, {"NOTIFY_SOCKET": str(tmp_path / "gone")}).stopping()
+    SystemdNotifier(1, {"NOTIFY_SOCKET": str(tmp_path / "gone")}).stopping()
     assert "the supervisor of this process cannot be told STOPPING=1" in caplog.text
 
 
@@ -140,7 +140,7 @@ def test_a_record_that_the_disk_has_not_has_an_age(tmp_path: Path) -> None:
         journal.flush()
         assert journal.unsaved_s == 0.0
         begun.set()
-        journal.record_event(Opened(devices={}))
+        journal.record_event(CellOpened(devices={}))
         young = journal.unsaved_s
         while journal.unsaved_s < young + 0.3:  # the thread is in its commit by then
             lets.wait(0.01)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from polishd.daemon.time_limits import Limit, TimeLimits, released_within_s, safe_within_s, too_short
+from polishd.daemon.time_limits import ActionTimeLimit, TimeLimits, released_within_s, safe_within_s, too_short
 from polishd.model.times import ActuatorTimes, LoaderTimes, RobotTimes, SpindleTimes
 
 COIL = ActuatorTimes(silence_s=0.4, watchdog_s=2.0, landing_s=9.0, release_s=0.5, retract_s=4.0, stroke_mm=12.0)
@@ -83,13 +83,13 @@ def test_how_long_a_device_is_waited_for(times: object, safe_s: float, released_
 )
 def test_exactly_so_long_is_long_enough(seconds: float, holds: bool) -> None:
     """Sums of times are not exact."""
-    assert Limit("key", "what", seconds, 0.2).holds is holds
+    assert ActionTimeLimit("key", "what", seconds, 0.2).holds is holds
 
 
 def test_a_row_is_json() -> None:
-    row = Limit("a.b", "it lasts", 1.5, 0.5, "of that").row()
+    row = ActionTimeLimit("a.b", "it lasts", 1.5, 0.5, "of that").row()
     assert row == {"key": "a.b", "what": "it lasts", "seconds": 1.5, "least_s": 0.5, "because": "of that"}
-    assert Limit("", "never", math.inf).row() == {
+    assert ActionTimeLimit("", "never", math.inf).row() == {
         "key": "",
         "what": "never",
         "seconds": None,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.touch import LUMP_S, Touch
-from polishd.model.devices import Executed, ForceSample, SensedForce, SpeedSample
+from polishd.daemon.touch import LUMP_S, ContactRecord
+from polishd.model.devices import ExecutedBlock, ForceSample, SensedForce, SpeedSample
 
 LATE_S = 1.5
 
@@ -16,7 +16,7 @@ class Contact:
 
     def __init__(self) -> None:
         self.records: list[BlockRecord] = []
-        self.touch = Touch(self.records.extend, LATE_S)
+        self.touch = ContactRecord(self.records.extend, LATE_S)
         self.force(0.0)
         self.touch.begin(0.02)
 
@@ -27,7 +27,7 @@ class Contact:
         self.touch.speed(SpeedSample(at_s, rpm, 1000.0))
 
     def told(self, seq: int, at_s: float) -> None:
-        self.touch.told(Executed(seq, float(seq), seq + 1.0), at_s)
+        self.touch.told(ExecutedBlock(seq, float(seq), seq + 1.0), at_s)
 
     @property
     def touched(self) -> dict[int, bool | None]:
@@ -131,12 +131,12 @@ def test_the_independent_sensor_has_a_mean_of_its_own(contact: Contact) -> None:
 
 def test_no_sample_is_no_knowledge() -> None:
     records: list[BlockRecord] = []
-    touch = Touch(records.extend, LATE_S)
+    touch = ContactRecord(records.extend, LATE_S)
     touch.begin(0.0)
-    touch.told(Executed(0, 0.0, 1.0), 1.0)
+    touch.told(ExecutedBlock(0, 0.0, 1.0), 1.0)
     touch.leave()
     touch.flush()
-    assert records == [BlockRecord(Executed(0, 0.0, 1.0), None, None, None, 1.0)]
+    assert records == [BlockRecord(ExecutedBlock(0, 0.0, 1.0), None, None, None, 1.0)]
 
 
 # leaving
@@ -173,7 +173,7 @@ def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Cont
 
 
 def test_a_robot_that_takes_the_tool_off_moves_while_it_presses() -> None:
-    touch = Touch(lambda records: None, LATE_S)
+    touch = ContactRecord(lambda records: None, LATE_S)
     touch.leave()
     assert not touch.taken_off, "nothing moves"
     touch.lifts(3.0)

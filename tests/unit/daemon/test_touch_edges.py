@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from polishd.daemon.touch import LUMP_S, Touch
+from polishd.daemon.touch import LUMP_S, ContactRecord
 from tests.unit.daemon.test_touch import LATE_S, Contact
 
 
 def test_a_sample_of_the_moment_in_which_the_robot_is_told_to_run_counts() -> None:
     contact = Contact()
-    contact.touch = Touch(contact.records.extend, LATE_S)
+    contact.touch = ContactRecord(contact.records.extend, LATE_S)
     contact.force(0.5)
     contact.touch.begin(0.5)
     contact.told(0, 0.6)

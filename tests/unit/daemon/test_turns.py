@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.interruption import settle
+from polishd.daemon.interruption import settle_interrupted_pass
 from polishd.daemon.journal_records import PassRecord
 from polishd.daemon.safety import ContactLimits
-from polishd.daemon.turns import ToolTurn, mounted
+from polishd.daemon.turns import ToolStepState, mounted
 from polishd.hookspecs import RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.cycle import Outcome
 from polishd.model.errors import HandlingError, SafetyStop
-from polishd.model.handling import Between, Step
+from polishd.model.handling import BetweenPasses, HandlingStep
 from polishd.model.process import ToolProcess
-from polishd.recipe.recipe import Recipe, Turn
+from polishd.recipe.recipe import Recipe, ToolStep
 from tests.unit.daemon.small import Bench, open_journal, small_program, small_recipe
 from tests.unit.process.gaussian import spot_effect
 
@@ -41,11 +41,11 @@ def wide_effect(request: RemovalRequest) -> RemovalAnswer:
 def wide(**changes: Any) -> Recipe:
     process = ToolProcess(dip_deg=0.0, force_n=WIDE_N)
     model = RemovalModel("wide", wide_effect)
-    return small_recipe(process=process, model=model, turn=Turn("wide", 1, 0.0), **changes)
+    return small_recipe(process=process, model=model, turn=ToolStep("wide", 1, 0.0), **changes)
 
 
 def narrow(passes: int = 1, **changes: Any) -> Recipe:
-    return small_recipe(turn=Turn("narrow", passes, 0.0), **changes)
+    return small_recipe(turn=ToolStep("narrow", passes, 0.0), **changes)
 
 
 class TwoTools(Bench):
@@ -56,15 +56,15 @@ class TwoTools(Bench):
             return narrow()
         return replace(wide(), model=RemovalModel("wide", lambda asked: wide_effect(replace(asked, rate=WIDE_TRUTH))))
 
-    def job(self, wide_passes: int = 1, change: Step | None = None, **changes: Any) -> Any:
-        between = Between(change=change) if change else Between()
+    def job(self, wide_passes: int = 1, change: HandlingStep | None = None, **changes: Any) -> Any:
+        between = BetweenPasses(change=change) if change else BetweenPasses()
         terms = {"between": between, "tolerance_nm": 1e-6}
-        first = replace(wide(**terms), turn=Turn("wide", wide_passes, 0.0))
+        first = replace(wide(**terms), turn=ToolStep("wide", wide_passes, 0.0))
         # The fake robot takes 1.5 mm for each block's length, and this tolerance would allow no time beyond the plan.
         contact = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, excess_nm=5.0)
         turns = (
-            ToolTurn(first, small_program(), replace(contact, force_n=WIDE_N)),
-            ToolTurn(narrow(**terms), small_program(), contact),
+            ToolStepState(first, small_program(), replace(contact, force_n=WIDE_N)),
+            ToolStepState(narrow(**terms), small_program(), contact),
         )
         job = super().job(**{"max_cycles": 2, "turns": turns, **changes})
         told = job.publish
@@ -155,7 +155,7 @@ async def test_a_pass_that_is_torn_off_is_made_again_with_its_tool(bench: TwoToo
     with pytest.raises(SafetyStop):
         await bench.polish(job)
     bench.fake.actuator.reads = lambda sample: sample
-    await settle(bench.fake.cell, bench.journal)
+    await settle_interrupted_pass(bench.fake.cell, bench.journal)
     await bench.polish_by_hand(job)
     done = [(record.facts["tool"], record.how) for record in bench.journal.passes]
     assert done[0] == ("wide", "interrupted")
@@ -173,7 +173,7 @@ async def test_a_command_changes_the_tool_and_is_run_again_where_it_failed(bench
     told, broken = tmp_path / "told", tmp_path / "broken"
     broken.touch()
     script = CHANGER.format(told=str(told), broken=str(broken))
-    job = bench.job(change=Step(command=(sys.executable, "-c", script), within_s=60.0))
+    job = bench.job(change=HandlingStep(command=(sys.executable, "-c", script), within_s=60.0))
     with pytest.raises(HandlingError, match="change"):
         await bench.polish(job)
     assert not bench.fake.of("actuator.set_force"), "nothing was pressed with a tool that nobody knows"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from polishd.daemon.verbs import VERBS, Verb
+from polishd.daemon.verbs import VERBS, SocketCommand
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
 
 
-def row(verb: Verb) -> str:
+def row(verb: SocketCommand) -> str:
     """As the table has it."""
     arguments = "; ".join(f"`{one.name}` ({one.kind.__name__}): {one.what}" for one in verb.arguments)
     return f"| `{verb.name}` | {verb.what} | {verb.changes} | {arguments} |"

@@ -8,20 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.verdicts import RULES, TORN, Rule, Verdict, judge, rule_of
+from polishd.daemon.verdicts import RULES, TORN, JobResult, ResultRule, judge, rule_of
 from polishd.model.cycle import Outcome
 from polishd.model.errors import (
-    BadMap,
     DeviceFault,
-    GateStop,
     LinkError,
+    MapError,
     PlanRefused,
     PolishdError,
+    RemovalCheckStop,
     SafetyStop,
     WrongPart,
 )
 
-ACCEPTED = Verdict("accepted", "the part is in tolerance", "")
+ACCEPTED = JobResult("accepted", "the part is in tolerance", "")
 
 
 @pytest.mark.parametrize(
@@ -30,10 +30,10 @@ ACCEPTED = Verdict("accepted", "the part is in tolerance", "")
         (Outcome.IN_TOLERANCE, False, "accepted", ""),
         (Outcome.CYCLES_USED, False, "rejected", ""),
         (Outcome.DIVERGED, False, "rejected", ""),
-        (BadMap("x"), False, "put aside", ""),
+        (MapError("x"), False, "put aside", ""),
         (WrongPart("x"), False, "put aside", ""),
         (PlanRefused("x"), False, "put aside", ""),
-        (GateStop("x"), False, "put aside", "instrument or alignment is wrong"),
+        (RemovalCheckStop("x"), False, "put aside", "instrument or alignment is wrong"),
         (SafetyStop("x"), True, "put aside", ""),
         (LinkError("x"), True, "put aside", ""),
         (SafetyStop("x"), False, "put aside", "a person's to judge"),
@@ -56,7 +56,7 @@ def test_a_job_is_not_over_where_a_device_is_at_fault_between_passes(end: Polish
 
 def test_the_same_fault_twice_in_a_row_stops_the_queue() -> None:
     for end, previous in itertools.product(
-        (BadMap("x"), Outcome.CYCLES_USED), ("BadMap", "cycles_used", "", "WrongPart")
+        (MapError("x"), Outcome.CYCLES_USED), ("MapError", "cycles_used", "", "WrongPart")
     ):
         found = judge(end, torn=False, previous=previous)
         assert found is not None
@@ -76,7 +76,7 @@ def test_every_error_and_outcome_has_a_row() -> None:
         assert rule_of(outcome) in RULES
 
 
-def row(rule: Rule, *, torn: bool = False) -> str:
+def row(rule: ResultRule, *, torn: bool = False) -> str:
     """As the table has it."""
     ends = ", ".join(f"`{end.value if isinstance(end, Outcome) else end.__name__}`" for end in rule.ends)
     part = rule.how or "its job is not over"

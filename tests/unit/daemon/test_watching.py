@@ -8,14 +8,14 @@ from typing import Any
 
 from polishd.daemon.journal import Journal
 from polishd.daemon.watching import watch
-from polishd.model.beliefs import Belief
-from polishd.model.finding import Finding, FindingLimits, Shown
+from polishd.model.beliefs import Estimate
+from polishd.model.finding import Finding, FindingLimits, PassIndicators
 
 TERMS: Mapping[str, Any] = {"process.force_n": 12.0, "job.id": "x"}
 
 
-def shown(rate: float = 1.0, *, after_nm: float = 1.0) -> Shown:
-    return Shown(10.0, 1.0, after_nm, 1.0, 600.0, Belief(rate, 0.01), Belief(0.0, 0.02), None)
+def shown(rate: float = 1.0, *, after_nm: float = 1.0) -> PassIndicators:
+    return PassIndicators(10.0, 1.0, after_nm, 1.0, 600.0, Estimate(rate, 0.01), Estimate(0.0, 0.02), None)
 
 
 def passed(folder: Path, job: str, *rates: float, terms: Mapping[str, Any] = TERMS, ends: bool = True) -> list[str]:

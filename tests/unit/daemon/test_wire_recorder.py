@@ -16,7 +16,7 @@ from polishd.config.cell import CellConfig
 from polishd.daemon import wire_recorder
 from polishd.daemon.wire_recorder import place, recording_to
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Tap, talking_to, tap
+from polishd.ports.tap import Tap, record_sent, tap
 from polishd.ports.wire_file import read_recording
 
 CELL = cast(
@@ -56,9 +56,9 @@ async def test_a_link_is_of_the_device_that_the_cell_talks_to(tmp_path: Path) ->
         tapped("tcp://h:1")("out", b"again")
 
     with recording_to(path, CELL):
-        with talking_to("robot"):
+        with record_sent("robot"):
             task = asyncio.create_task(reconnects())
-        with talking_to("spindle"):
+        with record_sent("spindle"):
             tapped("slcan:x")("in", b"\x05", 0x705)
             again.set()
             await task

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polishd.api import ConfigError
-from polishd.drivers.transport.address import Address, SerialLine, Slcan, Socketcand, Tcp, parse_address
+from polishd.drivers.transport.address import Address, SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
 
 HERE = Path("/etc/cell")
 
@@ -21,9 +21,9 @@ HERE = Path("/etc/cell")
         ("serial:sim/actuator?baud=9600", SerialLine(HERE / "sim/actuator", 9600)),
         ("serial:/dev/ttyUSB0", SerialLine(Path("/dev/ttyUSB0"), 115_200)),
         ("serial:x?baud=19200&parity=even&stop_bits=2", SerialLine(HERE / "x", 19_200, "even", 2)),
-        ("slcan:sim/spindle?bitrate=250000&baud=57600", Slcan(HERE / "sim/spindle", 250_000, 57_600)),
-        ("slcan:/dev/ttyACM0", Slcan(Path("/dev/ttyACM0"), 500_000, 115_200)),
-        ("socketcand://localhost:29536/can0", Socketcand("localhost", 29536, "can0")),
+        ("slcan:sim/spindle?bitrate=250000&baud=57600", SlcanAddress(HERE / "sim/spindle", 250_000, 57_600)),
+        ("slcan:/dev/ttyACM0", SlcanAddress(Path("/dev/ttyACM0"), 500_000, 115_200)),
+        ("socketcand://localhost:29536/can0", SocketcandAddress("localhost", 29536, "can0")),
     ],
 )
 def test_addresses_are_read(text: str, address: Address) -> None:

@@ -20,9 +20,9 @@ from polishd.drivers.cia402 import link as links
 from polishd.drivers.cia402 import objects
 from polishd.drivers.cia402.codec import Address
 from polishd.drivers.cia402.dictionary import read_dictionary
-from polishd.drivers.cia402.link import DriveLink
+from polishd.drivers.cia402.link import CanopenConnection
 from polishd.drivers.transport import background
-from polishd.drivers.transport.address import Slcan
+from polishd.drivers.transport.address import SlcanAddress
 from polishd.drivers.transport.can_bus import CanFrame, OnFrame
 from tests.campaigns.codecs.virtual import VirtualLoop
 from tests.fakes.cia402 import EDS, NODE, Frame, cia402_spindle, sim_motor
@@ -102,7 +102,7 @@ async def ask_for_ever(drive: NastyDrive, replies: int) -> Counter[str]:
     dictionary, outcomes = read_dictionary(EDS, NODE), Counter[str]()
     kinds = itertools.cycle(ASKED)
     while sum(drive.replies.values()) < replies:
-        link = DriveLink(Slcan(Path("bus")), NODE, 0x45, dictionary, SILENCE_S)
+        link = CanopenConnection(SlcanAddress(Path("bus")), NODE, 0x45, dictionary, SILENCE_S)
         try:
             await link.open()
             while sum(drive.replies.values()) < replies:
@@ -116,7 +116,7 @@ async def ask_for_ever(drive: NastyDrive, replies: int) -> Counter[str]:
     return outcomes
 
 
-async def _ask(link: DriveLink, address: Address, drive: NastyDrive, outcomes: Counter[str]) -> None:
+async def _ask(link: CanopenConnection, address: Address, drive: NastyDrive, outcomes: Counter[str]) -> None:
     try:
         value = await link.read(address)
     except ProtocolError:
@@ -196,7 +196,7 @@ def nasty() -> Iterator[Callable[[Frame], list[Frame]]]:
 async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Callable[[Frame], list[Frame]]) -> None:
     drive, _motor = sim_motor()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_spindle(Slcan(wire.path), SpindleTimes(silence_s=5.0, watchdog_s=5.0))
+    device = cia402_spindle(SlcanAddress(wire.path), SpindleTimes(silence_s=5.0, watchdog_s=5.0))
     told = 0
 
     def broken(frame: Frame) -> list[Frame]:
@@ -230,7 +230,7 @@ async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Call
 async def test_links_that_break_leave_nothing_behind(tmp_path: Path) -> None:
     drive, _motor = sim_motor()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_spindle(Slcan(wire.path), SpindleTimes(silence_s=1.0, watchdog_s=5.0))
+    device = cia402_spindle(SlcanAddress(wire.path), SpindleTimes(silence_s=1.0, watchdog_s=5.0))
     tasks, opened = len(asyncio.all_tasks()), 0
     for _ in range(6):
         drive.treat = lambda frame: [frame]

@@ -7,7 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.drivers.cia402 import codec, objects
-from polishd.drivers.cia402.codec import Aborted, Address, Emergency, Heartbeat, NodeState, Read, Request, Written
+from polishd.drivers.cia402.codec import (
+    Address,
+    EmergencyMessage,
+    NodeHeartbeat,
+    NodeState,
+    Request,
+    SdoAborted,
+    SdoValue,
+    SdoWritten,
+)
 from polishd.drivers.transport.can_bus import CanFrame
 from tests.vectors import vectors
 
@@ -31,13 +40,13 @@ def test_what_we_send_is_the_vectors() -> None:
 
 def test_what_we_hear_is_the_vectors() -> None:
     heard = {
-        "heartbeat": Heartbeat(NodeState.OPERATIONAL),
-        "boot": Heartbeat(NodeState.BOOT),
-        "status_word_enabled": Read(STATUS, b"\x37\x06", sized=True),
-        "written_target_velocity": Written(TARGET),
-        "refused_mode": Aborted(MODE, 0x06090030),
-        "emergency_heartbeat": Emergency(0x8130, 0x11),
-        "emergency_over": Emergency(0, 0),
+        "heartbeat": NodeHeartbeat(NodeState.OPERATIONAL),
+        "boot": NodeHeartbeat(NodeState.BOOT),
+        "status_word_enabled": SdoValue(STATUS, b"\x37\x06", sized=True),
+        "written_target_velocity": SdoWritten(TARGET),
+        "refused_mode": SdoAborted(MODE, 0x06090030),
+        "emergency_heartbeat": EmergencyMessage(0x8130, 0x11),
+        "emergency_over": EmergencyMessage(0, 0),
     }
     for name, message in heard.items():
         assert codec.decode(5, frame(name)) == message
@@ -66,7 +75,9 @@ def test_what_canopen_does_not_have_is_none(identifier: int, data: str) -> None:
 
 
 def test_only_silence_and_the_bus_are_of_the_connection() -> None:
-    assert [code for code in (0x1000, 0x2310, 0x8110, 0x8130, 0x8140, 0x8210) if Emergency(code, 0).of_connection] == [
+    assert [
+        code for code in (0x1000, 0x2310, 0x8110, 0x8130, 0x8140, 0x8210) if EmergencyMessage(code, 0).of_connection
+    ] == [
         0x8110,
         0x8130,
         0x8140,
@@ -87,9 +98,9 @@ def test_an_answer_is_about_the_object_and_of_the_kind_that_was_asked_for(
 ) -> None:
     request = Request(asked, b"\x01" if write else None)
     same = asked == about
-    assert request.answered_by(Read(about, b"\x01", sized=True)) == (same and not write)
-    assert request.answered_by(Written(about)) == (same and write)
-    assert request.answered_by(Aborted(about, 1)) == same
+    assert request.answered_by(SdoValue(about, b"\x01", sized=True)) == (same and not write)
+    assert request.answered_by(SdoWritten(about)) == (same and write)
+    assert request.answered_by(SdoAborted(about, 1)) == same
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from polishd.drivers.cia402.contact import WINDOW_S, Contact
+from polishd.drivers.cia402.contact import WINDOW_S, ContactDetector
 
 
 def told(positions: Iterable[tuple[float, float]]) -> list[bool]:
-    contact = Contact(rest_mm=0.1, end_mm=9.9, travel_mm_s=1.0)
+    contact = ContactDetector(rest_mm=0.1, end_mm=9.9, travel_mm_s=1.0)
     return [contact.feed(at_s, position_mm) for at_s, position_mm in positions]
 
 
@@ -46,7 +46,7 @@ def test_a_pause_between_readings_is_no_contact_by_itself() -> None:
 
 
 def test_what_was_before_a_lift_is_forgotten() -> None:
-    contact = Contact(rest_mm=0.1, end_mm=9.9, travel_mm_s=1.0)
+    contact = ContactDetector(rest_mm=0.1, end_mm=9.9, travel_mm_s=1.0)
     assert [contact.feed(t, 5.0) for t in (0.0, 0.1)] == [False, True]
     contact.reset()
     assert not contact.feed(0.2, 5.0)
@@ -54,7 +54,7 @@ def test_what_was_before_a_lift_is_forgotten() -> None:
 
 def test_a_tool_that_lands_slower_than_was_told_of_its_travel_has_not_landed_in_the_air() -> None:
     """``travel_mm_s`` above the speed of landing is a slip of the config: the full force would slam it down."""
-    contact = Contact(rest_mm=0.1, end_mm=9.9, travel_mm_s=20.0)
+    contact = ContactDetector(rest_mm=0.1, end_mm=9.9, travel_mm_s=20.0)
     positions = way(speed_mm_s=5.0, touch_mm=5.0)
     landed = []
     for at_s, position_mm in positions:

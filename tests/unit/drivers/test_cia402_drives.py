@@ -12,7 +12,7 @@ import pytest
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
 from polishd.drivers.cia402.actuator import Cia402Actuator
 from polishd.drivers.cia402.spindle import Cia402Spindle
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.motor import Motor
 from tests.conformance.conftest import seen
@@ -46,7 +46,7 @@ async def spin(tmp_path: Path) -> AsyncIterator[Spin]:
     """A spindle, closed."""
     drive, motor = sim_motor()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "spindle")
-    device = cia402_spindle(Slcan(wire.path), PATIENT)
+    device = cia402_spindle(SlcanAddress(wire.path), PATIENT)
     yield device, drive, motor
     drive.stop()
     await device.close()
@@ -58,7 +58,7 @@ async def press(tmp_path: Path) -> AsyncIterator[Press]:
     """An actuator, closed."""
     drive, coil = sim_coil()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL)
+    device = cia402_actuator(SlcanAddress(wire.path), PATIENT_COIL)
     yield device, drive, coil
     drive.stop()
     await device.close()
@@ -164,7 +164,7 @@ async def test_a_drive_that_has_only_what_it_must_have(tmp_path: Path) -> None:
     for index, sub in ((0x1018, 2), (0x1018, 3), (0x1018, 4), (0x603F, 0), (0x6080, 0), (0x6502, 0)):
         drive.instead[b"\x40" + index.to_bytes(2, "little") + bytes([sub])] = b"\x80" + bytes(7)
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_spindle(Slcan(wire.path), PATIENT, tmp_path / "bare.eds")
+    device = cia402_spindle(SlcanAddress(wire.path), PATIENT, tmp_path / "bare.eds")
     await device.open()
     assert (await device.identify()).model == "0x00000000"
     await device.set_speed(500.0)
@@ -266,7 +266,7 @@ async def test_bus_off_is_a_lost_link_and_the_drive_stops_by_itself(spin: Spin) 
 async def test_an_adapter_that_is_off_the_bus_says_so_and_that_is_a_lost_link() -> None:
     drive, _ = sim_motor()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    device = cia402_spindle(Socketcand("127.0.0.1", wire.port, "can0"), PATIENT)
+    device = cia402_spindle(SocketcandAddress("127.0.0.1", wire.port, "can0"), PATIENT)
     await device.open()
     wire.write(b"< error 004 1.0 >")  # error passive: it goes on
     assert (await device.status()).ready
@@ -363,7 +363,7 @@ async def test_a_part_that_is_not_there_is_no_contact(press: Press) -> None:
 async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, modes: list[int]) -> None:
     drive, coil = sim_coil()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift=lift, lift_n=3.0)
+    device = cia402_actuator(SlcanAddress(wire.path), PATIENT_COIL, lift=lift, lift_n=3.0)
     await device.open()
     await device.set_force(10.0)
     del drive.heard[:]
@@ -386,7 +386,7 @@ async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lif
 ) -> None:
     drive, coil = sim_coil()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift="position")
+    device = cia402_actuator(SlcanAddress(wire.path), PATIENT_COIL, lift="position")
     await device.open()
     await device.set_force(10.0)
     drive.instead[refused] = b"\x80" + refused[1:3] + b"\0" + code.to_bytes(4, "little")
@@ -402,7 +402,7 @@ async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lif
 async def test_who_presses_while_it_is_lifted_is_refused(tmp_path: Path) -> None:
     drive, coil = sim_coil()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = cia402_actuator(Slcan(wire.path), PATIENT_COIL, lift="position")
+    device = cia402_actuator(SlcanAddress(wire.path), PATIENT_COIL, lift="position")
     await device.open()
     await device.set_force(10.0)
     coil.stuck = True

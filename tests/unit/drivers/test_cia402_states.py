@@ -8,20 +8,20 @@ from hypothesis import strategies as st
 
 from polishd.api import ProtocolError
 from polishd.drivers.cia402 import states
-from polishd.drivers.cia402.states import State, power_up, state_of
+from polishd.drivers.cia402.states import DriveState402, power_up, state_of
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.power import Power
 
 # CiA 402-2, table of the status word: xxxx xxxx x0xx 0000 and so on, here as (bits that count, their value).
 TABLE = {
-    "xxxxxxxxx0xx0000": State.NOT_READY,
-    "xxxxxxxxx1xx0000": State.SWITCH_ON_DISABLED,
-    "xxxxxxxxx01x0001": State.READY,
-    "xxxxxxxxx01x0011": State.SWITCHED_ON,
-    "xxxxxxxxx01x0111": State.ENABLED,
-    "xxxxxxxxx00x0111": State.QUICK_STOP,
-    "xxxxxxxxx0xx1111": State.FAULT_REACTION,
-    "xxxxxxxxx0xx1000": State.FAULT,
+    "xxxxxxxxx0xx0000": DriveState402.NOT_READY,
+    "xxxxxxxxx1xx0000": DriveState402.SWITCH_ON_DISABLED,
+    "xxxxxxxxx01x0001": DriveState402.READY,
+    "xxxxxxxxx01x0011": DriveState402.SWITCHED_ON,
+    "xxxxxxxxx01x0111": DriveState402.ENABLED,
+    "xxxxxxxxx00x0111": DriveState402.QUICK_STOP,
+    "xxxxxxxxx0xx1111": DriveState402.FAULT_REACTION,
+    "xxxxxxxxx0xx1000": DriveState402.FAULT,
 }
 BITS = [
     (int(text.replace("0", "1").replace("x", "0"), 2), int(text.replace("x", "0"), 2), state)
@@ -32,20 +32,20 @@ SIMULATED = dict(
     zip(
         range(7),
         [
-            State.SWITCH_ON_DISABLED,
-            State.READY,
-            State.SWITCHED_ON,
-            State.ENABLED,
-            State.QUICK_STOP,
-            State.FAULT_REACTION,
-            State.FAULT,
+            DriveState402.SWITCH_ON_DISABLED,
+            DriveState402.READY,
+            DriveState402.SWITCHED_ON,
+            DriveState402.ENABLED,
+            DriveState402.QUICK_STOP,
+            DriveState402.FAULT_REACTION,
+            DriveState402.FAULT,
         ],
         strict=True,
     )
 )
 
 
-def of_the_table(word: int) -> State | None:
+def of_the_table(word: int) -> DriveState402 | None:
     found = [state for mask, value, state in BITS if word & mask == value]
     assert len(found) <= 1
     return found[0] if found else None
@@ -85,7 +85,7 @@ def test_no_control_words_but_a_reset_lead_out_of_a_fault(words: list[int], stat
         assert state_of(power.status).failed
     power.command(states.DISABLE_VOLTAGE)
     power.command(states.FAULT_RESET)
-    assert state_of(power.status) is State.SWITCH_ON_DISABLED
+    assert state_of(power.status) is DriveState402.SWITCH_ON_DISABLED
 
 
 @given(st.sampled_from(range(7)), st.lists(st.integers(0, 0xFFFF), max_size=20))

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.api import DeviceFault, Identity, LoaderTimes, ProtocolError
+from polishd.api import DeviceFault, DeviceIdentity, LoaderTimes, ProtocolError
 from polishd.drivers.loader_line import LoaderLine, codec
-from polishd.drivers.loader_line.codec import Reading, State
+from polishd.drivers.loader_line.codec import LoaderReading, LoaderState
 from polishd.drivers.transport import numbered
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.loader import FakeLoader
@@ -29,23 +29,23 @@ def test_requests_are_those_of_the_document(name: str, number: int, body: str) -
 @pytest.mark.parametrize(
     ("name", "reading"),
     [
-        ("status", Reading(State.IDLE, 0, "lens 7")),
-        ("empty", Reading(State.MOVING, 0, None)),
-        ("dropped", Reading(State.FAULT, 2, None)),
+        ("status", LoaderReading(LoaderState.IDLE, 0, "lens 7")),
+        ("empty", LoaderReading(LoaderState.MOVING, 0, None)),
+        ("dropped", LoaderReading(LoaderState.FAULT, 2, None)),
     ],
 )
-def test_answers_are_read_as_the_document_says(name: str, reading: Reading) -> None:
+def test_answers_are_read_as_the_document_says(name: str, reading: LoaderReading) -> None:
     answer = numbered.decode(LINES[name])
     assert answer is not None
     assert codec.status(answer[1]) == reading
 
 
 def test_faults_have_words() -> None:
-    assert Reading(State.FAULT, 3, None).faults == "jammed, it has dropped a part"
+    assert LoaderReading(LoaderState.FAULT, 3, None).faults == "jammed, it has dropped a part"
 
 
 def test_identity() -> None:
-    assert numbered.identity("ID,Acme,L,7,1.0,3") == Identity("Acme", "L", "7", "1.0", boot_id="3")
+    assert numbered.identity("ID,Acme,L,7,1.0,3") == DeviceIdentity("Acme", "L", "7", "1.0", boot_id="3")
     with pytest.raises(ProtocolError):
         numbered.identity("ID,Acme")
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.api import DeviceFault, DeviceRefused, Identity, ProtocolError, SensorTimes
+from polishd.api import DeviceFault, DeviceIdentity, DeviceRefused, ProtocolError, SensorTimes
 from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.force_sensor_line import codec as force_codec
-from polishd.drivers.force_sensor_line.codec import Reading, State
+from polishd.drivers.force_sensor_line.codec import ForceSensorLineReading, ForceSensorState
 from polishd.drivers.monitor_line import codec as monitor_codec
 from polishd.drivers.transport import numbered
 from polishd.drivers.transport.address import Tcp
@@ -47,22 +47,22 @@ def test_requests_are_those_of_the_documents(line: bytes, number: int, request_b
 @pytest.mark.parametrize(
     ("name", "reading"),
     [
-        ("force", Reading(State.MEASURING, 1024, 12.004, 0)),
-        ("pulling", Reading(State.MEASURING, 1025, -0.031, 0)),
-        ("taring", Reading(State.TARING, 1026, 0.0, 0)),
-        ("over_range", Reading(State.FAULT, 1027, 60.0, 1)),
+        ("force", ForceSensorLineReading(ForceSensorState.MEASURING, 1024, 12.004, 0)),
+        ("pulling", ForceSensorLineReading(ForceSensorState.MEASURING, 1025, -0.031, 0)),
+        ("taring", ForceSensorLineReading(ForceSensorState.TARING, 1026, 0.0, 0)),
+        ("over_range", ForceSensorLineReading(ForceSensorState.FAULT, 1027, 60.0, 1)),
     ],
 )
-def test_forces_are_read_as_the_document_says(name: str, reading: Reading) -> None:
+def test_forces_are_read_as_the_document_says(name: str, reading: ForceSensorLineReading) -> None:
     assert force_codec.force(body(FORCE[name])) == reading
 
 
 def test_who_answers() -> None:
-    assert numbered.identity(body(FORCE["identity"])) == Identity("polishd", "simulated F1", "SIM-F1", "1.0", "3")
+    assert numbered.identity(body(FORCE["identity"])) == DeviceIdentity("polishd", "simulated F1", "SIM-F1", "1.0", "3")
 
 
 def test_faults_have_words() -> None:
-    assert Reading(State.FAULT, 0, 0.0, 3).faults == "over its range, no cell connected"
+    assert ForceSensorLineReading(ForceSensorState.FAULT, 0, 0.0, 3).faults == "over its range, no cell connected"
 
 
 @pytest.mark.parametrize(("name", "value"), [("number", 1.25), ("unknown", None)])

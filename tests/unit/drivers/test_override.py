@@ -15,7 +15,7 @@ from polishd.drivers.linuxcnc.dialogue import override_of
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.robot_link import messages
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.universal_robots.sample import Registers, Runtime, Sample
+from polishd.drivers.universal_robots.sample import RtdeSample, UrRegisters, UrRuntimeState
 from polishd.model.times import RobotTimes
 from polishd.sim_backends.universal_robots import fields
 from tests.fakes.handover import PROFILE, FakePlc, direct
@@ -69,18 +69,18 @@ async def test_the_linuxcnc_driver_reports_it_with_a_program_and_without(tmp_pat
     await wire.close()
 
 
-def sample(**values: float) -> Sample:
+def sample(**values: float) -> RtdeSample:
     names = ("timestamp", "runtime_state", "robot_mode", "safety_mode", "target_speed_fraction", "speed_scaling")
-    usual = dict(zip(names, (1.0, Runtime.PLAYING, 7, 1, 1.0, 1.0), strict=True))
+    usual = dict(zip(names, (1.0, UrRuntimeState.PLAYING, 7, 1, 1.0, 1.0), strict=True))
     told = {name: (float(values.get(name, value)),) for name, value in usual.items()}
-    registers = dict.fromkeys(Registers().outputs(), (0.0,))
-    return Sample.of({**told, **registers, "target_TCP_speed": (0.0,) * 6}, Registers())
+    registers = dict.fromkeys(UrRegisters().outputs(), (0.0,))
+    return RtdeSample.of({**told, **registers, "target_TCP_speed": (0.0,) * 6}, UrRegisters())
 
 
 def test_universal_robots_reports_slider_times_scaling_and_the_slider_alone_at_rest() -> None:
     assert sample().override == 1.0
     assert sample(target_speed_fraction=0.5, speed_scaling=0.5).override == 0.25
-    assert sample(target_speed_fraction=0.5, speed_scaling=0.0, runtime_state=Runtime.STOPPED).override == 0.5
+    assert sample(target_speed_fraction=0.5, speed_scaling=0.0, runtime_state=UrRuntimeState.STOPPED).override == 0.5
     assert {"target_speed_fraction", "speed_scaling"} <= fields.OUTPUTS.keys()
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from polishd.api import DeviceRefused, ProtocolError
 from polishd.config.device_file import device_profile_of
-from polishd.config.device_tables import Register, When
+from polishd.config.device_tables import Register, StateCondition
 from polishd.drivers.profiled import codec, meaning
 from polishd.drivers.profiled.modbus_link import read_frame, write_frame
 from polishd.workbench.devices.verbs import TEMPLATES
@@ -182,4 +182,4 @@ def test_requests_read_what_is_together(names: list[str], most: int, asked: list
     ],
 )
 def test_conditions(rule: dict[str, object], value: float | str, holds: bool) -> None:
-    assert When.model_validate({"when": "x", **rule}).holds(value) is holds
+    assert StateCondition.model_validate({"when": "x", **rule}).holds(value) is holds

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.api import Executed, LinkError, ProtocolError
+from polishd.api import ExecutedBlock, LinkError, ProtocolError
 from polishd.drivers.robot_link import messages
-from polishd.drivers.robot_link.frames import MAX_PAYLOAD, Frame, FrameReader, Kind, encode, header_check
+from polishd.drivers.robot_link.frames import MAX_PAYLOAD, Frame, FrameReader, FrameType, encode, header_check
 from polishd.drivers.robot_link.session import ExecutionRecord
 from tests.vectors import vectors
 
@@ -41,26 +41,26 @@ def sha256(data: bytes) -> str:
 
 def test_what_we_send_is_the_vectors() -> None:
     hello = {"protocol": 1, "role": "writer", "client": "t", "executed_from": 0, "lease": ""}
-    assert messages.command(Kind.HELLO, hello) == VECTORS["HELLO"]
+    assert messages.command(FrameType.HELLO, hello) == VECTORS["HELLO"]
     lines = [b"G1 X1 F60", b"M2"]
     load = {"program_sha256": sha256(b"\n".join(lines)), "blocks_sha256": sha256(b"G1 X1 F60\nM2\n")}
-    assert messages.command(Kind.LOAD, load | {"blocks": 2, "approach_blocks": 0}) == VECTORS["LOAD"]
+    assert messages.command(FrameType.LOAD, load | {"blocks": 2, "approach_blocks": 0}) == VECTORS["LOAD"]
     assert messages.blocks(7, lines) == VECTORS["BLOCKS"]
-    assert messages.command(Kind.RESUME, {"until": None, "stops": 3}) == VECTORS["RESUME"]
-    assert messages.command(Kind.LIFT, {"distance_mm": 15.0}) == VECTORS["LIFT"]
-    assert encode(Kind.HOLD) == messages.command(Kind.HOLD, {}) == VECTORS["HOLD"]
+    assert messages.command(FrameType.RESUME, {"until": None, "stops": 3}) == VECTORS["RESUME"]
+    assert messages.command(FrameType.LIFT, {"distance_mm": 15.0}) == VECTORS["LIFT"]
+    assert encode(FrameType.HOLD) == messages.command(FrameType.HOLD, {}) == VECTORS["HOLD"]
 
 
 def test_what_we_hear_is_the_vectors() -> None:
     reader = FrameReader()
     names = ("ACCEPTED", "EXECUTED", "RESEND", "NAK")
     accepted, executed, resend, nak = reader.feed(b"".join(VECTORS[name] for name in names))
-    assert accepted.kind == Kind.ACCEPTED
+    assert accepted.kind == FrameType.ACCEPTED
     assert messages.accepted(accepted.payload) == (9, 512, 2.5)
-    assert executed.kind == Kind.EXECUTED
-    assert messages.executed(executed.payload) == [Executed(7, 1.0, 1.5)]
-    assert (resend.kind, messages.resend(resend.payload)) == (Kind.RESEND, 7)
-    assert messages.nak(nak.payload) == messages.Nak(Kind.RESUME, "stale", "4 stops, not 3: look again")
+    assert executed.kind == FrameType.EXECUTED
+    assert messages.executed(executed.payload) == [ExecutedBlock(7, 1.0, 1.5)]
+    assert (resend.kind, messages.resend(resend.payload)) == (FrameType.RESEND, 7)
+    assert messages.nak(nak.payload) == messages.Nak(FrameType.RESUME, "stale", "4 stops, not 3: look again")
     assert reader.skipped == 0
 
 
@@ -68,7 +68,7 @@ def test_frames_come_dribbled() -> None:
     reader = FrameReader()
     stream = b"".join(VECTORS.values())
     frames = [frame for at in range(len(stream)) for frame in reader.feed(stream[at : at + 1])]
-    assert [frame.kind for frame in frames] == [Kind[name] for name in VECTORS]
+    assert [frame.kind for frame in frames] == [FrameType[name] for name in VECTORS]
 
 
 @pytest.mark.parametrize("at", range(len(VECTORS["ACCEPTED"])))
@@ -77,33 +77,33 @@ def test_a_flipped_bit_costs_one_frame_and_no_other(at: int) -> None:
     broken[at] ^= 0x08
     reader = FrameReader()
     frames = reader.feed(bytes(broken) + VECTORS["EXECUTED"])
-    assert [frame.kind for frame in frames] == [Kind.EXECUTED]
+    assert [frame.kind for frame in frames] == [FrameType.EXECUTED]
 
 
 def test_impossible_lengths_are_not_waited_for() -> None:
     reader = FrameReader()
     huge = struct.pack(">2sBBI", b"PL", 0x86, header_check(0x86, MAX_PAYLOAD + 1), MAX_PAYLOAD + 1)
     odd = struct.pack(">2sBBI", b"PL", 0x86, header_check(0x86, 2) ^ 1, 2)
-    assert [frame.kind for frame in reader.feed(huge + odd + VECTORS["ACCEPTED"])] == [Kind.ACCEPTED]
+    assert [frame.kind for frame in reader.feed(huge + odd + VECTORS["ACCEPTED"])] == [FrameType.ACCEPTED]
     assert reader.skipped == len(huge + odd)
 
 
 def test_a_frame_inside_a_broken_one_is_found() -> None:
-    outer = bytearray(encode(Kind.STATUS, VECTORS["EXECUTED"]))
+    outer = bytearray(encode(FrameType.STATUS, VECTORS["EXECUTED"]))
     outer[-1] ^= 1
-    assert [frame.kind for frame in FrameReader().feed(bytes(outer))] == [Kind.EXECUTED]
+    assert [frame.kind for frame in FrameReader().feed(bytes(outer))] == [FrameType.EXECUTED]
 
 
 @given(st.lists(st.binary(max_size=60), max_size=20), st.integers(0, 2**32))
 def test_frames_survive_any_cutting(payloads: list[bytes], seed: int) -> None:
     chance = random.Random(seed)
-    stream = b"".join(encode(Kind.STATUS, payload) for payload in payloads)
+    stream = b"".join(encode(FrameType.STATUS, payload) for payload in payloads)
     reader, frames = FrameReader(), []
     while stream:
         size = chance.randint(1, 40)
         frames += reader.feed(stream[:size])
         stream = stream[size:]
-    assert frames == [Frame(Kind.STATUS, payload) for payload in payloads]
+    assert frames == [Frame(FrameType.STATUS, payload) for payload in payloads]
     assert reader.skipped == 0
 
 
@@ -127,18 +127,18 @@ def test_sound_frames_among_damaged_ones_are_all_found_and_no_other(
     sent: list[tuple[bytes, tuple[str, int, int] | None]], size: int
 ) -> None:
     # a frame is marked, so that none is taken for another; a guard of zeros ends what a broken length waits for
-    whole = [(encode(Kind.STATUS, bytes([255, seq]) + payload), harm) for seq, (payload, harm) in enumerate(sent)]
+    whole = [(encode(FrameType.STATUS, bytes([255, seq]) + payload), harm) for seq, (payload, harm) in enumerate(sent)]
     wire = b"".join(frame if harm is None else damaged(frame, *harm) for frame, harm in whole) + bytes(1 << 16)
     reader = FrameReader()
     found = [frame for at in range(0, len(wire), size * 40) for frame in reader.feed(wire[at : at + size * 40])]
-    assert found == [Frame(Kind.STATUS, frame[8:-4]) for frame, harm in whole if harm is None]
+    assert found == [Frame(FrameType.STATUS, frame[8:-4]) for frame, harm in whole if harm is None]
 
 
 @given(st.binary(max_size=300))
 def test_nonsense_gives_nothing_and_harms_nothing(noise: bytes) -> None:
     reader = FrameReader()
     assert reader.feed(noise.replace(b"PL", b"??") + b"?") == []
-    assert [frame.kind for frame in reader.feed(VECTORS["ACCEPTED"])] == [Kind.ACCEPTED]
+    assert [frame.kind for frame in reader.feed(VECTORS["ACCEPTED"])] == [FrameType.ACCEPTED]
 
 
 def test_welcome_is_read() -> None:
@@ -194,13 +194,13 @@ def test_resend_is_read() -> None:
 
 def test_the_record_has_no_gaps_and_no_doubles() -> None:
     record = ExecutionRecord("sha", "boot")
-    record.extend([Executed(0, 0.0, 1.0), Executed(1, 1.0, 2.5)])
-    record.extend([Executed(0, 9.0, 9.0), Executed(1, 9.0, 9.0), Executed(2, 2.5, 3.0)])
+    record.extend([ExecutedBlock(0, 0.0, 1.0), ExecutedBlock(1, 1.0, 2.5)])
+    record.extend([ExecutedBlock(0, 9.0, 9.0), ExecutedBlock(1, 9.0, 9.0), ExecutedBlock(2, 2.5, 3.0)])
     assert [record[seq] for seq in range(len(record))] == [
-        Executed(0, 0.0, 1.0),
-        Executed(1, 1.0, 2.5),
-        Executed(2, 2.5, 3.0),
+        ExecutedBlock(0, 0.0, 1.0),
+        ExecutedBlock(1, 1.0, 2.5),
+        ExecutedBlock(2, 2.5, 3.0),
     ]
     with pytest.raises(LinkError, match="blocks 3 to 4 were lost"):
-        record.extend([Executed(5, 4.0, 5.0)])
+        record.extend([ExecutedBlock(5, 4.0, 5.0)])
     assert len(record) == 3

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 import pytest
 
-from polishd.api import DeviceFault, Executed, LinkError, ProtocolError
+from polishd.api import DeviceFault, ExecutedBlock, LinkError, ProtocolError
 from polishd.drivers.robot_link import RobotLink, connection, session
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
@@ -20,7 +20,7 @@ from tests.unit.drivers.conftest import PLAN, Pair
 
 
 async def collect(
-    robot: RobotLink, into: list[Executed], from_seq: int = 0, when_seq_10: Callable[[], None] = lambda: None
+    robot: RobotLink, into: list[ExecutedBlock], from_seq: int = 0, when_seq_10: Callable[[], None] = lambda: None
 ) -> None:
     async for one in robot.executed(from_seq):
         into.append(one)
@@ -44,7 +44,7 @@ async def test_readers_see_it_all(pair: Pair) -> None:
     await robot.send(PLAN.segments[:50])
     await reader.open()
     await robot.resume(until=50)
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     async for one in reader.executed():
         seen.append(one)
         if one.seq == 49:
@@ -60,7 +60,7 @@ async def test_pings_keep_it_running(pair: Pair) -> None:
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:10])
     await robot.resume()
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     async with asyncio.timeout(SOON_S):
         async for one in robot.executed():
             seen.append(one)
@@ -89,7 +89,7 @@ async def test_missed_records_come_after_a_reconnect(pair: Pair) -> None:
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:64])
     await robot.resume(until=60)
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     with pytest.raises(LinkError):
         await collect(robot, seen, when_seq_10=fake.drop)
     assert len(seen) > 10
@@ -114,13 +114,13 @@ async def test_a_new_process_hears_it_from_the_beginning(pair: Pair) -> None:
     await robot.prepare(short)
     await robot.send(short.segments)
     await robot.resume()
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     await collect(robot, seen)
     await robot.close()
     other = RobotLink(Tcp("127.0.0.1", fake.port))
     await other.open()
     assert (await other.progress()).program_sha256 == short.program.sha256
-    again: list[Executed] = []
+    again: list[ExecutedBlock] = []
     await collect(other, again)
     assert again == seen
     await other.close()
@@ -143,7 +143,7 @@ async def test_a_restart_loses_the_program_and_says_so(pair: Pair) -> None:
     assert before.boot_id != after.boot_id
     progress = await robot.progress()
     assert (progress.state, progress.program_sha256, progress.executed) == ("idle", "", 0)
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     await collect(robot, seen)
     assert seen == []
 
@@ -167,7 +167,7 @@ async def test_another_program_meanwhile_is_heard_from_its_beginning(pair: Pair)
     await collect(other, [])
     await other.close()
     await robot.open()
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     await collect(robot, seen)
     assert [one.seq for one in seen] == list(range(30))
 
@@ -177,7 +177,7 @@ async def run_through(robot: RobotLink, blocks: int) -> list[int]:
     await robot.prepare(plan)
     await robot.send(plan.segments[:40])
     await robot.resume()
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     async with asyncio.TaskGroup() as group:
         group.create_task(collect(robot, seen))
         for at in range(40, blocks, 30):
@@ -245,7 +245,7 @@ async def test_lost_records_end_the_link_and_come_after_a_reconnect(pair: Pair) 
     await robot.open()
     while fake.state == "running":  # noqa: ASYNC110
         await asyncio.sleep(0.01)
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
     await collect(robot, seen)
     assert [one.seq for one in seen] == list(range(40))
 
@@ -263,7 +263,7 @@ async def test_a_robot_that_takes_no_blocks_is_not_asked_for_ever(pair: Pair, mo
 
 async def test_commands_are_sent_once(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, fake = pair
-    monkeypatch.setattr(connection.Connection.command, "__defaults__", (0.1,))
+    monkeypatch.setattr(connection.RobotLinkConnection.command, "__defaults__", (0.1,))
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:5])
     fake.ignores = lambda kind, payload: kind == wire.RESUME
@@ -285,7 +285,7 @@ async def test_records_come_before_the_fault(pair: Pair) -> None:
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:40])
     await robot.resume()
-    seen: list[Executed] = []
+    seen: list[ExecutedBlock] = []
 
     def break_down() -> None:
         fake.state, fake.detail = "fault", "servo"

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from polishd.api import Executed, LinkError, Segment
+from polishd.api import ExecutedBlock, LinkError, Segment
 from polishd.drivers.robot_link.messages import Ack, Nak
-from polishd.drivers.robot_link.session import MAX_BLOCKS, MAX_BYTES, ExecutionRecord, Session
+from polishd.drivers.robot_link.session import MAX_BLOCKS, MAX_BYTES, ExecutionRecord, RobotLinkSession
 from tests.fakes import robot as wire
 
 
@@ -38,8 +38,8 @@ def resend(seq: int) -> bytes:
     return wire.frame(wire.RESEND, struct.pack(">I", seq))
 
 
-def loaded(window: int = 8) -> Session:
-    session = Session(ExecutionRecord())
+def loaded(window: int = 8) -> RobotLinkSession:
+    session = RobotLinkSession(ExecutionRecord())
     session.receive(welcome(program_sha256="", state="idle") + accepted(0, window))
     session.receive(wire.frame(wire.ACK, {"of": wire.LOAD, "status": status()}))
     session.answers.clear()
@@ -57,7 +57,7 @@ def sent(frame: bytes) -> tuple[int, int]:
 
 
 def test_nothing_counts_before_the_welcome() -> None:
-    session = Session(ExecutionRecord())
+    session = RobotLinkSession(ExecutionRecord())
     assert session.receive(accepted(5, 5) + executed(0) + wire.frame(wire.STATUS, status())) == 3
     assert session.progress is None
     assert session.credit.limit == 0
@@ -148,7 +148,7 @@ def test_load_starts_from_nothing() -> None:
 def test_records_are_kept_over_a_reconnect() -> None:
     first = loaded()
     first.receive(executed(0, 1))
-    second = Session(first.record)
+    second = RobotLinkSession(first.record)
     assert second.executed_from == 2
     second.receive(welcome(executed=4, accepted=5) + executed(2, 3))
     assert second.record is first.record
@@ -160,7 +160,7 @@ def test_records_are_kept_over_a_reconnect() -> None:
 def test_another_programs_records_are_not_mixed(change: dict[str, Any]) -> None:
     first = loaded()
     first.receive(executed(0, 1, 2))
-    second = Session(first.record)
+    second = RobotLinkSession(first.record)
     second.receive(welcome(**change) + executed(3))
     assert not second.follows
     assert second.record is not first.record
@@ -172,7 +172,7 @@ def test_lost_records_end_the_link() -> None:
     session = loaded()
     with pytest.raises(LinkError, match="lost on the wire"):
         session.receive(executed(0, 2))
-    assert session.record[0] == Executed(0, 0.0, 0.5)
+    assert session.record[0] == ExecutedBlock(0, 0.0, 0.5)
 
 
 def test_a_restart_ends_the_link() -> None:
@@ -182,7 +182,7 @@ def test_a_restart_ends_the_link() -> None:
 
 
 def test_who_does_not_follow_asks_for_no_records() -> None:
-    session = Session(None)
+    session = RobotLinkSession(None)
     assert session.executed_from == 0xFFFF_FFFF
     session.receive(welcome(executed=9, accepted=9) + executed(7, 8))
     assert len(session.record) == 0

@@ -16,7 +16,7 @@ import serial
 from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
 from polishd.drivers.spindle_can import SpindleCan, codec
 from polishd.drivers.transport import can_bus
-from polishd.drivers.transport.address import Slcan, Socketcand
+from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.wires import Peer, PtyWire, TcpWire
 from tests.patience import SOON_S, within
@@ -29,7 +29,7 @@ PATIENT = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 async def rig(tmp_path: Path) -> AsyncIterator[Rig]:
     drive = Drive()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
-    device = SpindleCan(Slcan(wire.path), PATIENT)
+    device = SpindleCan(SlcanAddress(wire.path), PATIENT)
     await device.open()
     yield device, drive, wire
     drive.stop()
@@ -54,7 +54,7 @@ async def test_an_adapter_that_takes_nothing_is_told_at_once_and_holds_nobody_up
     master, slave = os.openpty()
     tty.setraw(slave)
     (tmp_path / "can").symlink_to(os.ttyname(slave))
-    link = await can_bus.open_bus(Slcan(tmp_path / "can"), 5)
+    link = await can_bus.open_bus(SlcanAddress(tmp_path / "can"), 5)
     frame = codec.encode_command(5, run=True, counter=1, rpm=1000)
 
     def fill() -> None:
@@ -222,14 +222,14 @@ async def test_make_safe_stops_a_drive_whose_link_was_lost(rig: Rig) -> None:
 async def test_another_node_is_not_there(rig: Rig) -> None:
     device, _, wire = rig
     await device.close()
-    other = SpindleCan(Slcan(wire.path), node=6)
+    other = SpindleCan(SlcanAddress(wire.path), node=6)
     with pytest.raises(LinkError, match="node 6: no answer"):
         await other.open()
 
 
 async def test_no_such_adapter(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="slcan:"):
-        await SpindleCan(Slcan(tmp_path / "none")).open()
+        await SpindleCan(SlcanAddress(tmp_path / "none")).open()
 
 
 class Mute(Peer):
@@ -253,7 +253,7 @@ async def test_what_is_no_socketcand_server(monkeypatch: pytest.MonkeyPatch, gre
     monkeypatch.setattr(can_bus, "GREETING_S", 0.1)
     wire = await TcpWire(Mute(greeting)).start()
     with pytest.raises(LinkError, match=reason):
-        await SpindleCan(Socketcand("127.0.0.1", wire.port, "can0")).open()
+        await SpindleCan(SocketcandAddress("127.0.0.1", wire.port, "can0")).open()
     await wire.close()
 
 
@@ -262,7 +262,7 @@ async def test_a_socketcand_server_that_falls_silent_ends_the_open_and_its_threa
     wire = await TcpWire(Mute(b"< hi >")).start()
     before = set(threading.enumerate())
     with pytest.raises(LinkError, match="timed out"):
-        await SpindleCan(Socketcand("127.0.0.1", wire.port, "can0")).open()
+        await SpindleCan(SocketcandAddress("127.0.0.1", wire.port, "can0")).open()
     new = [thread for thread in set(threading.enumerate()) - before if not thread.daemon]
     await asyncio.get_running_loop().shutdown_default_executor()
     assert not any(thread.is_alive() for thread in new)
@@ -271,7 +271,7 @@ async def test_a_socketcand_server_that_falls_silent_ends_the_open_and_its_threa
 
 async def test_nobody_at_the_socketcand_address() -> None:
     with within(1.0), pytest.raises(LinkError):
-        await SpindleCan(Socketcand("127.0.0.1", 9, "can0")).open()
+        await SpindleCan(SocketcandAddress("127.0.0.1", 9, "can0")).open()
 
 
 async def test_a_frame_that_cannot_be_read_is_raised_and_not_logged_beside_it(
@@ -279,7 +279,7 @@ async def test_a_frame_that_cannot_be_read_is_raised_and_not_logged_beside_it(
 ) -> None:
     drive = Drive()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    device = SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"))
+    device = SpindleCan(SocketcandAddress("127.0.0.1", wire.port, "can0"))
     await device.open()
     wire.peer.write(b"< frame 185 1.0 0x0y >")
     with pytest.raises(LinkError, match="non-hexadecimal"):
@@ -294,7 +294,7 @@ async def test_a_frame_that_cannot_be_read_is_raised_and_not_logged_beside_it(
 async def test_a_socketcand_server_that_goes_away(tmp_path: Path) -> None:
     drive = Drive()
     wire = await TcpWire(SocketcandPeer(drive)).start()
-    device = SpindleCan(Socketcand("127.0.0.1", wire.port, "can0"))
+    device = SpindleCan(SocketcandAddress("127.0.0.1", wire.port, "can0"))
     await device.open()
     wire.drop()
     with pytest.raises(LinkError):

@@ -9,25 +9,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.api import Identity, ProtocolError
+from polishd.api import DeviceIdentity, ProtocolError
 from polishd.drivers.profiled import codec, meaning
-from polishd.drivers.profiled.actuator import Reading, reading_of
+from polishd.drivers.profiled.actuator import ActuatorReading, reading_of
 from polishd.drivers.transport import numbered
 from tests.fakes.actuator import Coil, ModbusCoil
 from tests.fakes.devices_by_profile import shipped
 from tests.vectors import vectors
 
 MODBUS, LINES = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
-CONTACT = Reading("contact", 11.98, 12.0, 5.0, 0, "")
+CONTACT = ActuatorReading("contact", 11.98, 12.0, 5.0, 0, "")
 (LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
 (TOLD,) = codec.blocks(MODBUS.registers, MODBUS.told, 125)
 
 
-def reading(words: Sequence[int]) -> Reading:
+def reading(words: Sequence[int]) -> ActuatorReading:
     return reading_of(MODBUS, codec.signed(MODBUS, codec.values_of(MODBUS, LIVE, words)))
 
 
-def status(answer: str) -> Reading:
+def status(answer: str) -> ActuatorReading:
     return reading_of(LINES, codec.fields_of(LINES, LINES.asks["status"], answer))
 
 
@@ -69,7 +69,7 @@ def test_identity_registers_are_read() -> None:
     coil.boots = 0x1_0002
     table = ModbusCoil(coil, rtu=True).registers()
     values = codec.values_of(MODBUS, TOLD, [table[TOLD.address + at] for at in range(TOLD.count)])
-    assert meaning.identity(MODBUS, values) == Identity("Fake Coils", "FC-50", "SN-0042", "1.2", boot_id="65538")
+    assert meaning.identity(MODBUS, values) == DeviceIdentity("Fake Coils", "FC-50", "SN-0042", "1.2", boot_id="65538")
 
 
 def test_identity_of_other_bytes_is_a_protocol_error() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from polishd.config.cell import PORTS
-from polishd.daemon.port_checks import lacking
+from polishd.daemon.port_checks import missing_members
 from polishd.hooks.checks import DECLARATIONS, HOOKS
 from polishd.hooks.loader import load_plugins
 from polishd.hookspecs import DeviceContext
@@ -41,7 +41,7 @@ def test_the_device_has_all_that_its_port_asks(install: Any, tmp_path: Path) -> 
     (source,) = EXAMPLES["polishd_device_types"]
     (kind,) = load_plugins([install("box", source, api=None)]).device_types().values()
     device = kind.build(kind.options(folder="maps"), DeviceContext(tmp_path, tmp_path, "P-1", ()))
-    assert lacking(device, PORTS[kind.port].protocol) == []
+    assert missing_members(device, PORTS[kind.port].protocol) == []
 
 
 def test_frame_is_accepted(install: Any) -> None:

@@ -10,7 +10,7 @@ from polishd.hooks import loader as plugins
 from polishd.hooks.checks import HOOKS
 from polishd.hooks.loader import Hooks, installed, load_own, load_plugins
 from polishd.model.errors import PluginError
-from polishd.model.events import Progress
+from polishd.model.events import PassProgressed
 
 SOLVER = """
 def solve(problem, within_s):
@@ -79,7 +79,7 @@ def test_every_hook_is_called(install: Any) -> None:
     assert checks(hooks) == ["all: plan in envelope"]
     app: list[str] = []
     hooks.cli(app)
-    hooks.on_event(Progress(block=1))
+    hooks.on_event(PassProgressed(block=1))
     assert app == ["verb"]
     hooks.report.require()
 
@@ -228,7 +228,7 @@ def test_events_reach_all_though_one_raises(install: Any, caplog: pytest.LogCapt
         install("three", listen),
     ]
     hooks = load_plugins(names)
-    hooks.on_event(Progress(block=1))
+    hooks.on_event(PassProgressed(block=1))
     for plugin in hooks.report.loaded:
         (registered,) = plugin.manager.get_plugins()
         heard += getattr(registered, "HEARD", [])
@@ -242,7 +242,7 @@ def test_slow_listener_is_named(
 ) -> None:
     monkeypatch.setattr(plugins, "SLOW_S", -1.0)
     caplog.set_level("INFO")
-    load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(Progress(block=1))
+    load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(PassProgressed(block=1))
     assert "plugin slow took 0.0 s over event progress" in caplog.text
 
 
@@ -260,7 +260,7 @@ def test_commands_are_added_though_one_raises(install: Any, caplog: pytest.LogCa
 def test_interrupt_is_never_swallowed(install: Any) -> None:
     hooks = load_plugins([install("one", "@hookimpl\ndef polishd_on_event(event): raise KeyboardInterrupt")])
     with pytest.raises(KeyboardInterrupt):
-        hooks.on_event(Progress(block=1))
+        hooks.on_event(PassProgressed(block=1))
 
 
 def test_own_plugins_only(install: Any, monkeypatch: pytest.MonkeyPatch) -> None:

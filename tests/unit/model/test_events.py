@@ -11,8 +11,8 @@ import pytest
 
 from polishd.model import events
 from polishd.model.cycle import Outcome
-from polishd.model.devices import Identity
-from polishd.model.events import EVENTS, Event, Measured, Opened, PassEnded
+from polishd.model.devices import DeviceIdentity
+from polishd.model.events import EVENTS, CellOpened, Event, MapMeasured, PassEnded
 from polishd.model.surface import SurfaceStats
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "plugins.md"
@@ -51,7 +51,7 @@ def test_every_kind_is_listed_once() -> None:
 
 def test_data_is_json_with_the_fields_of_records_one_by_one() -> None:
     stats = SurfaceStats(rms_nm=1.5, pv_nm=9.0, lsf_rms_nm=1.0)
-    event = Measured(cycle=2, stats=stats, spikes=3, notes=("tilted",), run_dir="run")
+    event = MapMeasured(cycle=2, stats=stats, spikes=3, notes=("tilted",), run_dir="run")
     facts = json.loads(json.dumps(event.facts()))
     assert (facts["name"], facts["cycle"], facts["data"]["rms_nm"], facts["data"]["spikes"]) == ("measured", 2, 1.5, 3)
     assert set(facts["data"]) == {
@@ -61,10 +61,10 @@ def test_data_is_json_with_the_fields_of_records_one_by_one() -> None:
 
 
 def test_opened_has_a_key_for_each_device() -> None:
-    data = Opened(devices={"robot.left": Identity("Acme", "arm", "7", "1.0")}).data
+    data = CellOpened(devices={"robot.left": DeviceIdentity("Acme", "arm", "7", "1.0")}).data
     assert data == {"robot.left": {"vendor": "Acme", "model": "arm", "serial": "7", "firmware": "1.0", "boot_id": ""}}
 
 
 @pytest.mark.parametrize("outcome", Outcome)
 def test_the_outcomes_are_told(outcome: Outcome) -> None:
-    assert f"`{outcome.value}`" in row(events.JobFinished)
+    assert f"`{outcome.value}`" in row(events.RunFolderCompleted)

@@ -7,31 +7,33 @@ from dataclasses import replace
 
 import pytest
 
-from polishd.model.signal_limits import Bounds, SignalLimits
+from polishd.model.signal_limits import SignalLimits, SignalRange
 
-FLOW = SignalLimits("slurry_flow", "monitor.plc", "AI3", "l/min", Bounds(min=1.0), 30.0, Bounds(0.8, 4.0), 2.0, "lift")
+FLOW = SignalLimits(
+    "slurry_flow", "monitor.plc", "AI3", "l/min", SignalRange(min=1.0), 30.0, SignalRange(0.8, 4.0), 2.0, "lift"
+)
 
 
 @pytest.mark.parametrize(
     ("bounds", "value", "broken"),
     [
-        (Bounds(min=1.0), 1.0, ""),
-        (Bounds(min=1.0), 0.99, "is 0.99 l/min, must be at least 1 l/min"),
-        (Bounds(max=30.0), 30.5, "is 30.5 l/min, must be at most 30 l/min"),
-        (Bounds(0.8, 4.0), 5.0, "is 5 l/min, must be at least 0.8 l/min and at most 4 l/min"),
-        (Bounds(0.8, 4.0), 4.0, ""),
-        (Bounds(min=1.0), math.nan, "is nan l/min, must be at least 1 l/min"),
-        (Bounds(min=1.0), math.inf, ""),
-        (Bounds(min=1.0), None, "is not known, must be at least 1 l/min"),
-        (Bounds(min=0.0), True, "is on, must be at least 0 l/min"),
-        (Bounds(state=True), True, ""),
-        (Bounds(state=True), False, "is off, must be on"),
-        (Bounds(state=False), True, "is on, must be off"),
-        (Bounds(state=False), None, "is not known, must be off"),
-        (Bounds(state=True), 1.0, "is 1 l/min, must be on"),
+        (SignalRange(min=1.0), 1.0, ""),
+        (SignalRange(min=1.0), 0.99, "is 0.99 l/min, must be at least 1 l/min"),
+        (SignalRange(max=30.0), 30.5, "is 30.5 l/min, must be at most 30 l/min"),
+        (SignalRange(0.8, 4.0), 5.0, "is 5 l/min, must be at least 0.8 l/min and at most 4 l/min"),
+        (SignalRange(0.8, 4.0), 4.0, ""),
+        (SignalRange(min=1.0), math.nan, "is nan l/min, must be at least 1 l/min"),
+        (SignalRange(min=1.0), math.inf, ""),
+        (SignalRange(min=1.0), None, "is not known, must be at least 1 l/min"),
+        (SignalRange(min=0.0), True, "is on, must be at least 0 l/min"),
+        (SignalRange(state=True), True, ""),
+        (SignalRange(state=True), False, "is off, must be on"),
+        (SignalRange(state=False), True, "is on, must be off"),
+        (SignalRange(state=False), None, "is not known, must be off"),
+        (SignalRange(state=True), 1.0, "is 1 l/min, must be on"),
     ],
 )
-def test_a_value_against_its_bounds(bounds: Bounds, value: float | bool | None, broken: str) -> None:
+def test_a_value_against_its_bounds(bounds: SignalRange, value: float | bool | None, broken: str) -> None:
     assert bounds.broken(value, "l/min") == broken
 
 

@@ -18,7 +18,7 @@ from asyncua.ua.uaerrors import BadNotWritable, BadUserAccessDenied
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import write_demo
-from polishd.daemon.states import State
+from polishd.daemon.states import DaemonState
 from polishd.plant import opcua
 from polishd.plant.machine import FILES
 from polishd.plant.states import STATES
@@ -151,7 +151,7 @@ async def test_nobody_can_write_add_or_remove(tmp_path: Path, daemon: Answers) -
 
 
 def test_each_state_of_a_daemon_has_its_name_there() -> None:
-    assert set(STATES) == set(State)
+    assert set(STATES) == set(DaemonState)
 
 
 def test_each_nodeset_has_its_licence_at_its_head() -> None:

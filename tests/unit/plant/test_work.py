@@ -10,7 +10,7 @@ import pytest
 from polishd.daemon.journal import JOURNAL_NAME
 from polishd.daemon.journal_schema import connect
 from polishd.model.errors import ConfigError
-from polishd.plant.work import MOST_ENDED, Figure, read_work
+from polishd.plant.work import MOST_ENDED, OpcUaResultValue, read_work
 from tests.unit.plant.journals import write_journal
 
 
@@ -26,11 +26,11 @@ def test_a_part_has_the_figures_of_its_last_map(tmp_path: Path) -> None:
     write_journal(tmp_path)
     lens, mirror, flat, *_ = read_work(tmp_path)
     assert lens.figures == (
-        Figure("Passes", 1), Figure("RMS", 1.5, "nm"), Figure("PV", 7.5, "nm"),
-        Figure("RMS, counted", 1.5, "nm"), Figure("RMS, limit", 2.0, "nm"),
+        OpcUaResultValue("Passes", 1), OpcUaResultValue("RMS", 1.5, "nm"), OpcUaResultValue("PV", 7.5, "nm"),
+        OpcUaResultValue("RMS, counted", 1.5, "nm"), OpcUaResultValue("RMS, limit", 2.0, "nm"),
     )  # fmt: skip
     assert (lens.holds, mirror.holds, flat.holds) == (True, False, None)
-    assert flat.figures == (Figure("Passes", 0),)
+    assert flat.figures == (OpcUaResultValue("Passes", 0),)
 
 
 def test_a_job_without_an_end_that_another_came_after_was_given_up(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.map_history import MapInput, MapStep
 from polishd.model.surface import MaskCount
 
@@ -67,7 +67,7 @@ def parse(path: Path) -> SurfaceMap:  # noqa: C901
         case "huge":
             Connection(int(sys.argv[1])).send_bytes(b'["", 0, {"shape": [1073741824, 1073741824], "has_path": true}]')
         case "refuse":
-            raise BadMap(f"{path}: torn")
+            raise MapError(f"{path}: torn")
         case "raise":
             raise ZeroDivisionError("of a parser")
         case "crash":

@@ -14,7 +14,7 @@ import pluggy
 import pytest
 
 from polishd import hookspecs
-from polishd.api import API_VERSION, BadMap, SurfaceMap
+from polishd.api import API_VERSION, MapError, SurfaceMap
 
 FOLDER = Path(__file__).resolve().parents[3] / "examples" / "plugin"
 
@@ -110,10 +110,10 @@ def test_it_reads_a_map(plugin: ModuleType, tmp_path: Path) -> None:
     ],
 )
 def test_it_refuses_what_is_no_map(plugin: ModuleType, tmp_path: Path, text: str) -> None:
-    with pytest.raises(BadMap, match=r"map\.xyz"):
+    with pytest.raises(MapError, match=r"map\.xyz"):
         read(plugin, tmp_path, text)
 
 
 def test_it_refuses_a_missing_file(plugin: ModuleType, tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match=r"absent\.xyz"):
+    with pytest.raises(MapError, match=r"absent\.xyz"):
         plugin.read(tmp_path / "absent.xyz")

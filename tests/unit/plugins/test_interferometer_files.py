@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer import files
-from polishd.plugins.interferometer.files import Settled
+from polishd.plugins.interferometer.files import SettledFiles
 
 
 def test_a_changed_file_is_not_claimed(tmp_path: Path) -> None:
@@ -17,19 +17,19 @@ def test_a_changed_file_is_not_claimed(tmp_path: Path) -> None:
     seen = files.identity(path)
     assert seen
     path.write_bytes(b"another")
-    assert not files.claim(path, seen, tmp_path / "taken" / "x.dat", "f" * 64)
+    assert not files.claim_file(path, seen, tmp_path / "taken" / "x.dat", "f" * 64)
     assert path.read_bytes() == b"another"
 
 
 def test_names_that_are_taken(tmp_path: Path) -> None:
     for number in range(3):
         (tmp_path / "bad.dat").write_text(str(number))
-        assert files.quarantine(tmp_path / "bad.dat", tmp_path / "q", f"reason {number}")
+        assert files.quarantine_file(tmp_path / "bad.dat", tmp_path / "q", f"reason {number}")
     names = {path.name: path.read_text().strip() for path in (tmp_path / "q").iterdir()}
     assert names["bad.dat"] == "0"
     assert names["bad-2.dat"] == "2"
     assert names["bad-2.dat.reason.txt"] == "reason 2"
-    assert files.quarantine(tmp_path / "gone.dat", tmp_path / "q", "x") is None
+    assert files.quarantine_file(tmp_path / "gone.dat", tmp_path / "q", "x") is None
 
 
 def test_a_reader_that_breaks_is_named(tmp_path: Path) -> None:
@@ -39,9 +39,9 @@ def test_a_reader_that_breaks_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.xyz"
     path.write_bytes(b"x")
     reader = SurfaceReader("theirs", lambda head, path: True, broken)
-    with pytest.raises(BadMap, match="the reader 'theirs' failed: KeyError"):
+    with pytest.raises(MapError, match="the reader 'theirs' failed: KeyError"):
         files.read_map(path, [reader])
-    with pytest.raises(BadMap, match="no reader is loaded"):
+    with pytest.raises(MapError, match="no reader is loaded"):
         files.read_map(path, [])
     with pytest.raises(FileNotFoundError):
         files.read_map(tmp_path / "gone", [reader])
@@ -49,8 +49,8 @@ def test_a_reader_that_breaks_is_named(tmp_path: Path) -> None:
 
 def test_settled_counts_polls_and_seconds() -> None:
     a, b = Path("a"), Path("b")
-    one, other = files.Identity(1, 1, 1), files.Identity(2, 1, 1)
-    settled = Settled(polls=3, seconds=1.0)
+    one, other = files.FileIdentity(1, 1, 1), files.FileIdentity(2, 1, 1)
+    settled = SettledFiles(polls=3, seconds=1.0)
     assert settled.poll({a: one}, 0.0) == []
     assert settled.poll({a: one}, 5.0) == []
     assert settled.poll({a: one, b: one}, 5.1) == [a]

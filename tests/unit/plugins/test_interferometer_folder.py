@@ -219,12 +219,12 @@ REFUSED = {
     "stale": (lambda: dat(1, at=time.time() - 60), "StaleMap: stale: measured at"),
     "no scale": (
         lambda: dat(1, pitch_m=0.0),
-        "BadMap: bad.dat: its file does not say its pitch, and there is no instrument's profile",
+        "MapError: bad.dat: its file does not say its pitch, and there is no instrument's profile",
     ),
-    "torn": (lambda: dat(1)[:-7], "BadMap: has 7227 bytes of 7234: torn"),
-    "preallocated": (lambda: dat(1)[:-80] + bytes(80), "BadMap: ends in a tail of zeros"),
-    "empty": (lambda: b"", "BadMap: is empty (known: metropro)"),
-    "text": (lambda: b"hello", "BadMap: is in no format that is known (known: metropro)"),
+    "torn": (lambda: dat(1)[:-7], "MapError: has 7227 bytes of 7234: torn"),
+    "preallocated": (lambda: dat(1)[:-80] + bytes(80), "MapError: ends in a tail of zeros"),
+    "empty": (lambda: b"", "MapError: is empty (known: metropro)"),
+    "text": (lambda: b"hello", "MapError: is in no format that is known (known: metropro)"),
 }
 
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.plugins.interferometer.formats.metropro import METROPRO, read
 
 PROTOCOL = Path(__file__).resolve().parents[3] / "docs" / "protocols" / "metropro_dat.md"
@@ -73,10 +73,10 @@ def test_the_measured_file(shared_data: Path) -> None:
 def test_the_measured_file_torn(shared_data: Path, path: Path, cut: int) -> None:
     content = (shared_data / "zygo_metropro.dat").read_bytes()
     path.write_bytes(content[:-cut])
-    with pytest.raises(BadMap, match=re.escape(str(path))):
+    with pytest.raises(MapError, match=re.escape(str(path))):
         read(path)
     path.write_bytes(content[: -(cut + 20)] + bytes(cut + 20))
-    with pytest.raises(BadMap, match=r"tail of zeros|Wavelength|PhaseRes|IntfScale|phase data|bytes"):
+    with pytest.raises(MapError, match=r"tail of zeros|Wavelength|PhaseRes|IntfScale|phase data|bytes"):
         read(path)
 
 
@@ -181,7 +181,7 @@ BROKEN = {
 def test_broken(path: Path, case: str) -> None:
     content, reason = BROKEN[case]
     path.write_bytes(content)
-    with pytest.raises(BadMap) as caught:
+    with pytest.raises(MapError) as caught:
         read(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert reason in str(caught.value)
@@ -189,7 +189,7 @@ def test_broken(path: Path, case: str) -> None:
 
 def test_a_file_that_is_gone_or_a_folder(path: Path, tmp_path: Path) -> None:
     for wrong in (path, tmp_path):
-        with pytest.raises(BadMap, match="cannot be read"):
+        with pytest.raises(MapError, match="cannot be read"):
             read(wrong)
 
 
@@ -202,7 +202,7 @@ def test_no_more_is_allocated_than_the_file_warrants(path: Path) -> None:
         _, whole = tracemalloc.get_traced_memory()
         path.write_bytes(dat([[1000] * 400] * 400, size=(8000, 8000)))
         tracemalloc.reset_peak()
-        with pytest.raises(BadMap):
+        with pytest.raises(MapError):
             read(path)
         _, absurd = tracemalloc.get_traced_memory()
     finally:
@@ -228,7 +228,7 @@ def test_mutated_files_are_read_or_refused(
     path.write_bytes(content[: at + 1] if cut else content)
     try:
         found = read(path)
-    except BadMap as error:
+    except MapError as error:
         assert str(path) in str(error)  # noqa: PT017  it may also be read
     else:
         assert np.isfinite(found.height_nm[found.valid]).all()

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, DeviceContext, SurfaceError, SurfaceMap, SurfaceReader
+from polishd.api import DeviceContext, MapError, SurfaceError, SurfaceMap, SurfaceReader
 from polishd.model.instrument import Instrument
 from polishd.model.map_history import MapInput, MapStep
 from polishd.plugins.interferometer import files, folder, taken
-from polishd.plugins.interferometer.files import Settled
-from polishd.plugins.interferometer.folder import FolderOptions, Waiting, WatchedFolder
+from polishd.plugins.interferometer.files import SettledFiles
+from polishd.plugins.interferometer.folder import FolderOptions, MapWait, WatchedFolder
 from polishd.plugins.interferometer.formats.datx import DATX
 from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.plugins.interferometer.formats.x3p import X3P
@@ -48,7 +48,7 @@ class Daemon:
 
     def ask(self, after: str | None) -> None:
         """Wait for the map after that one."""
-        self.wait = Waiting(after, Settled(3, 1.0))
+        self.wait = MapWait(after, SettledFiles(3, 1.0))
         self.now_s = 0.0
 
     def poll(self, times: int = 4) -> SurfaceMap | None:
@@ -131,7 +131,7 @@ def test_handed_on_and_not_journalled(tmp_path: Path, maps: Path) -> None:
         assert (again.sha256, again.path) == (first.sha256, first.path)
         assert np.array_equal(again.height_nm, first.height_nm)
     assert Daemon(tmp_path, JOURNALLED).poll() is None
-    assert "BadMap: it was handed on 3 times and never journalled" in reason(maps, f"{first.sha256}.dat")
+    assert "MapError: it was handed on 3 times and never journalled" in reason(maps, f"{first.sha256}.dat")
 
 
 def test_a_new_journal_is_not_given_old_maps(tmp_path: Path, maps: Path) -> None:
@@ -365,7 +365,7 @@ def test_the_profile_judges_and_the_map_stays_as_it_is(tmp_path: Path, maps: Pat
     of_another = Instrument("other", serials=("no such instrument",))
     daemon = Daemon(tmp_path, None, instrument=of_another)
     assert daemon.poll() is None
-    assert "BadMap: a.dat is of the instrument" in reason(maps, "a.dat")
+    assert "MapError: a.dat is of the instrument" in reason(maps, "a.dat")
     path.write_bytes(dat(1))
     answers = frozenset({"surface", "orientation", "unit", "pitch"})
     found = Daemon(tmp_path, None, instrument=Instrument("ours", mirror=True, sign=-1, gives=answers)).poll()
@@ -409,7 +409,7 @@ def test_what_somebody_made_by_hand_drives_nothing(
     found = daemon.poll()
     assert (found is None) == (why is not None)
     if why:
-        assert f"BadMap: a{ending}" in reason(maps, f"a{ending}")
+        assert f"MapError: a{ending}" in reason(maps, f"a{ending}")
         assert why in reason(maps, f"a{ending}")
 
 
@@ -422,7 +422,7 @@ def test_what_a_file_leaves_open_and_no_profile_answers_is_refused_by_name(
     opened = replace(METROPRO, read=lambda path: replace(METROPRO.read(path), unsaid=frozenset({word})))
     (maps / "a.dat").write_bytes(dat(1))
     assert Daemon(tmp_path, None, instrument=instrument, readers=(opened,)).poll() is None
-    assert f"BadMap: a.dat: its file does not say its {word}" in reason(maps, "a.dat")
+    assert f"MapError: a.dat: its file does not say its {word}" in reason(maps, "a.dat")
     (maps / "b.dat").write_bytes(dat(2))
     answers = replace(ANSWERS_ALL, pitch_mm=0.5)
     assert Daemon(tmp_path, None, instrument=answers, readers=(opened,)).poll()
@@ -445,7 +445,7 @@ def test_tails_of_zeros(tmp_path: Path, content: bytes, torn: bool) -> None:
     surface = SurfaceMap(np.ones((2, 2)), 1.0)
     reader = SurfaceReader("any", lambda head, path: True, lambda path: surface)
     if torn:
-        with pytest.raises(BadMap, match=r"tail of zeros, \d+ of \d+ bytes"):
+        with pytest.raises(MapError, match=r"tail of zeros, \d+ of \d+ bytes"):
             files.read_map(path, [reader])
     else:
         found = files.read_map(path, [reader])
@@ -460,7 +460,7 @@ def test_a_file_that_changes_under_the_reader(tmp_path: Path) -> None:
         path.write_bytes(dat(2))
         return METROPRO.read(path)
 
-    with pytest.raises(BadMap, match="written to while it was read"):
+    with pytest.raises(MapError, match="written to while it was read"):
         files.read_map(path, [replace(METROPRO, read=read)])
 
 
@@ -469,7 +469,7 @@ def test_a_share_that_fails_while_a_reader_reads(tmp_path: Path) -> None:
     path.write_bytes(dat(1))
 
     def read(path: Path) -> SurfaceMap:
-        raise BadMap(f"{path}: cannot be read") from OSError(errno.ESTALE, "stale")
+        raise MapError(f"{path}: cannot be read") from OSError(errno.ESTALE, "stale")
 
     with pytest.raises(OSError, match="stale"):
         files.read_map(path, [replace(METROPRO, read=read)])

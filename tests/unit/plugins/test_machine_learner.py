@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.api import Evidence, Grid, Lesson, MachineBeliefs, MapPixels, Program, RemovalRequest
+from polishd.api import EstimateUpdate, Grid, MachineEstimates, MapPixels, PassEvidence, Program, RemovalRequest
 from polishd.model.surface import FloatArray
 from polishd.plugins.removal_models import modelled_spot_of
 from polishd.plugins.removal_models.machine import learn_machine
 from polishd.process.dynamic_tif import effect_columns, lean_azimuth_rad
-from polishd.process.identification.acting import Acting
+from polishd.process.identification.acting import ParameterAction
 from polishd.process.path_compliance import path_compliance
 from polishd.process.registration import Registration, resample_registered
 from polishd.process.spot import HertzSpot
@@ -39,8 +39,8 @@ def raster() -> Program:
     return replace(one, line=index + 1, block=index, start_mm=start, end_mm=end, axis=axis, time_s=np.ones(x.size))
 
 
-def asked(learned: MachineBeliefs | None = None) -> RemovalRequest:
-    return request(program=raster(), grid=GRID, beliefs=learned or MachineBeliefs())
+def asked(learned: MachineEstimates | None = None) -> RemovalRequest:
+    return request(program=raster(), grid=GRID, beliefs=learned or MachineEstimates())
 
 
 @cache
@@ -53,7 +53,7 @@ def dwell_s() -> FloatArray:
 @cache
 def seen(at: MapPixels, **truth: float) -> FloatArray:
     """(ny, nx) nm: the removal by squares finer than the learner's, on a map's own samples, brought to the grid."""
-    program, acting = raster(), Acting(truth)
+    program, acting = raster(), ParameterAction(truth)
     ask = asked()
     gamma = 1 - _compliance(ask) * ask.process.force_n / np.cos(np.radians(15.0)) / 0.14834891
     turn = np.radians(at.rotation_deg)
@@ -80,16 +80,16 @@ def _compliance(ask: RemovalRequest) -> FloatArray:
     return path.compliance_mm_per_n
 
 
-def taught(at: MapPixels, told: bool = True, **truth: float) -> Lesson:
+def taught(at: MapPixels, told: bool = True, **truth: float) -> EstimateUpdate:
     """What the learner makes of a pass of which this is true."""
     return learn_machine(asked(), shown(seen(at, **truth), at if told else None), modelled_spot_of)
 
 
-def shown(removal: FloatArray, pixels: MapPixels | None) -> Evidence:
+def shown(removal: FloatArray, pixels: MapPixels | None) -> PassEvidence:
     """That removal, as maps show it."""
     mask = GRID.radius_mm() < 13.0
-    return Evidence(
-        beliefs=MachineBeliefs(),
+    return PassEvidence(
+        beliefs=MachineEstimates(),
         executed_s=dwell_s(),
         predicted_nm=np.where(mask, removal, np.nan),
         measured_nm=np.where(mask, removal - removal[mask].mean(), np.nan),
@@ -102,7 +102,7 @@ def shown(removal: FloatArray, pixels: MapPixels | None) -> Evidence:
     )
 
 
-def off(lesson: Lesson, name: str, true: float = 0.0) -> float:
+def off(lesson: EstimateUpdate, name: str, true: float = 0.0) -> float:
     """By how many of its standard errors a parameter is found off."""
     found: dict[str, Any] = lesson.found["parameters"][name]
     return abs(found["value"] - true) / found["sigma"]
@@ -115,7 +115,7 @@ HALF_A_SAMPLE = MapPixels(Grid(71, 71, 0.5))
 def test_a_machine_as_it_is_configured_is_found_so_and_a_round_contact_does_not_turn() -> None:
     lesson = taught(HALF_A_SAMPLE)
     assert lesson.stop == ""
-    assert isinstance(lesson.beliefs, MachineBeliefs)
+    assert isinstance(lesson.beliefs, MachineEstimates)
     assert dict(lesson.beliefs.applied) == {}
     assert lesson.beliefs.rate.value == pytest.approx(1.0, abs=0.1)
     for name in ("width", "compliance", "offset_x", "offset_y", "wear"):
@@ -159,6 +159,6 @@ def test_finer_samples_are_smeared_too() -> None:
 @pytest.mark.slow
 def test_who_does_not_know_the_samples_takes_their_smear_for_the_robot_s() -> None:
     lesson = taught(HALF_A_SAMPLE, told=False)
-    assert isinstance(lesson.beliefs, MachineBeliefs)
+    assert isinstance(lesson.beliefs, MachineEstimates)
     assert set(lesson.beliefs.applied) == {"compliance"}
     assert abs(lesson.beliefs.applied["compliance"]) > 0.03

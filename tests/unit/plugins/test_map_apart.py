@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer.files import read_map
 from polishd.plugins.interferometer.formats import apart
 from tests.unit.plugins import parsers_apart
@@ -60,7 +60,7 @@ def test_all_that_a_map_says_of_itself_arrives(tmp_path: Path) -> None:
 
 
 def test_a_worker_that_a_file_has_taken_over_runs_nothing_in_the_daemon(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="answered what is no map"):
+    with pytest.raises(MapError, match="answered what is no map"):
         read(tmp_path, "pickle")
     assert [path.name for path in tmp_path.iterdir()] == ["map.bin"]
 
@@ -68,7 +68,7 @@ def test_a_worker_that_a_file_has_taken_over_runs_nothing_in_the_daemon(tmp_path
 @pytest.mark.full
 @pytest.mark.parametrize("what", ["no map", "huge"])
 def test_an_answer_that_is_no_map_is_refused(tmp_path: Path, what: str) -> None:
-    with pytest.raises(BadMap, match="answered what is no map"):
+    with pytest.raises(MapError, match="answered what is no map"):
         read(tmp_path, what)
     assert read(tmp_path, "map").pitch_mm == 0.5
 
@@ -84,7 +84,7 @@ def test_a_worker_inherits_no_secrets(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.full
 def test_a_file_is_called_as_it_was_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(BadMap, match=r"^map\.bin: .*torn"):
+    with pytest.raises(MapError, match=r"^map\.bin: .*torn"):
         read(Path(), "refuse")
 
 
@@ -102,7 +102,7 @@ def test_a_file_is_called_as_it_was_named(tmp_path: Path, monkeypatch: pytest.Mo
     ],
 )
 def test_what_a_parser_does_is_a_bad_map(tmp_path: Path, what: str, reason: str) -> None:
-    with pytest.raises(BadMap, match=reason) as caught:
+    with pytest.raises(MapError, match=reason) as caught:
         read(tmp_path, what, cpu_s=0.1)
     assert str(caught.value).startswith(f"{tmp_path / 'map.bin'}: ")
     assert read(tmp_path, "map").pitch_mm == 0.5
@@ -110,7 +110,7 @@ def test_what_a_parser_does_is_a_bad_map(tmp_path: Path, what: str, reason: str)
 
 @pytest.mark.full
 def test_one_that_only_waits_is_ended(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match=r"within 0\.1 s"):
+    with pytest.raises(MapError, match=r"within 0\.1 s"):
         read(tmp_path, "wait", wall_s=0.1)
     assert read(tmp_path, "map").pitch_mm == 0.5
 
@@ -118,7 +118,7 @@ def test_one_that_only_waits_is_ended(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_the_worker_is_kept_and_replaced_when_it_has_gone(tmp_path: Path) -> None:
     first = int(read(tmp_path, "map").part_id)
-    with pytest.raises(BadMap, match="torn"):
+    with pytest.raises(MapError, match="torn"):
         read(tmp_path, "refuse")
     assert int(read(tmp_path, "map").part_id) == first
     os.kill(first, signal.SIGKILL)
@@ -127,14 +127,14 @@ def test_the_worker_is_kept_and_replaced_when_it_has_gone(tmp_path: Path) -> Non
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="No such file") as caught:
+    with pytest.raises(MapError, match="No such file") as caught:
         apart.read(parsers_apart.__name__, tmp_path / "none.bin")
     assert isinstance(caught.value.__cause__, FileNotFoundError)  # that is of the share, not of the map
 
 
 def test_what_is_wrong_with_the_file_has_no_such_cause(tmp_path: Path) -> None:
     for what in ("refuse", "raise"):
-        with pytest.raises(BadMap) as caught:
+        with pytest.raises(MapError) as caught:
             read(tmp_path, what)
         assert caught.value.__cause__ is None
 
@@ -144,7 +144,7 @@ def test_room_is_made_only_where_there_is_a_bound() -> None:
 
     before = getrlimit(RLIMIT_AS)
     assert before[0] == RLIM_INFINITY
-    apart.make_room(10)
+    apart.raise_memory_limit(10)
     assert getrlimit(RLIMIT_AS) == before
 
 
@@ -184,10 +184,12 @@ def test_a_worker_that_cannot_start_says_nothing_about_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(apart, "WORKER", "no_such_module")
-    reader = SurfaceReader("apart", lambda *_: True, lambda path: apart.read("any", path, apart.Bounds(is_kept=False)))
+    reader = SurfaceReader(
+        "apart", lambda *_: True, lambda path: apart.read("any", path, apart.ResourceLimits(is_kept=False))
+    )
     path = tmp_path / "map.bin"
     path.write_text("map")
-    with pytest.raises(BadMap, match="ended with 1 before it read anything"):
+    with pytest.raises(MapError, match="ended with 1 before it read anything"):
         reader.read(path)
     with pytest.raises(OSError, match="before it read anything"):
         read_map(path, [reader])
@@ -240,7 +242,7 @@ def test_many_threads_get_each_their_own_map_and_no_files_stay_open(tmp_path: Pa
     def outcome(path: Path) -> str:
         try:
             return str(apart.read(parsers_apart.__name__, path).path)
-        except BadMap as error:
+        except MapError as error:
             return str(error).partition(":")[0]
 
     with ThreadPoolExecutor(6) as pool:

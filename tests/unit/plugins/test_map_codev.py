@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.codev import read, sniff
 from tests.unit.plugins import map_files as make
 
@@ -39,7 +39,7 @@ def test_the_sample(shared_data: Path) -> None:
 
 @pytest.mark.parametrize("cut", [9, 30, 4000, 400_000, 465_400])
 def test_the_sample_torn(shared_data: Path, tmp_path: Path, cut: int) -> None:
-    with pytest.raises(BadMap, match=re.escape(str(tmp_path / "map.int"))):
+    with pytest.raises(MapError, match=re.escape(str(tmp_path / "map.int"))):
         found(tmp_path, (shared_data / "codev.int").read_bytes()[:-cut])
 
 
@@ -136,7 +136,7 @@ BROKEN: dict[str, tuple[bytes, str]] = {
 @pytest.mark.parametrize("case", BROKEN)
 def test_broken(tmp_path: Path, case: str) -> None:
     content, reason = BROKEN[case]
-    with pytest.raises(BadMap, match=reason) as caught:
+    with pytest.raises(MapError, match=reason) as caught:
         found(tmp_path, content)
     assert str(caught.value).startswith(f"{tmp_path / 'map.int'}: ")
 
@@ -167,10 +167,10 @@ def test_a_last_number_that_begins_no_data_is_torn(tmp_path: Path) -> None:
     assert np.isnan(found(tmp_path, whole).height_nm[-1, -1])
     assert not any("torn" in warning for warning in found(tmp_path, whole).warnings)
     for cut in (1, 2, 3, 4):
-        with pytest.raises(BadMap, match="ends inside a number"):
+        with pytest.raises(MapError, match="ends inside a number"):
             found(tmp_path, whole[:-cut])
 
 
 def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="marker of missing data"):
+    with pytest.raises(MapError, match="marker of missing data"):
         found(tmp_path, make.codev(words="SUR WVL 0.6328 SSZ 65536", nda=-32768))

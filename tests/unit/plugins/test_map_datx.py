@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.datx import DATX
 from polishd.plugins.interferometer.formats.fourd import FOURD
 from tests.unit.plugins import map_files as make
@@ -78,7 +78,7 @@ def test_the_measured_file_torn(shared_data: Path, tmp_path: Path, cut: int) -> 
     path = tmp_path / "torn.datx"
     path.write_bytes((shared_data / "zygo_mx.datx").read_bytes()[:-cut])
     assert DATX.sniff(path.read_bytes()[:4096], path)
-    with pytest.raises(BadMap, match=re.escape(str(path))):
+    with pytest.raises(MapError, match=re.escape(str(path))):
         DATX.read(path)
 
 
@@ -146,7 +146,7 @@ def test_no_data_may_be_an_ordinary_number(tmp_path: Path, marker: float) -> Non
 def test_the_z_converter_stands_in_for_missing_optics(tmp_path: Path) -> None:
     names = ("Wavelength", "Interferometric Scale Factor", "Obliquity Factor")
     same(found(tmp_path, make.datx(change=without(*names))))
-    with pytest.raises(BadMap, match="does not say its"):
+    with pytest.raises(MapError, match="does not say its"):
         found(tmp_path, make.datx(change=without("Z Converter", "Wavelength")))
 
 
@@ -266,7 +266,7 @@ def test_broken(tmp_path: Path, case: str) -> None:
     if case == "huge attribute":
         assert found(tmp_path, make.datx(change=change)).unsaid == {"unit"}
         return
-    with pytest.raises(BadMap, match=reason) as caught:
+    with pytest.raises(MapError, match=reason) as caught:
         found(tmp_path, make.datx(change=change))
     assert str(caught.value).startswith(f"{tmp_path / 'map.datx'}: ")
 
@@ -281,7 +281,7 @@ def test_broken(tmp_path: Path, case: str) -> None:
     ],
 )
 def test_links_that_lead_nowhere(tmp_path: Path, links: list[tuple[str, str, str]]) -> None:
-    with pytest.raises(BadMap, match=r"leads to no surface|is missing|no array"):
+    with pytest.raises(MapError, match=r"leads to no surface|is missing|no array"):
         found(tmp_path, make.datx(links=links))
 
 
@@ -290,13 +290,13 @@ def test_a_heap_that_hdf5_would_walk_for_ever(tmp_path: Path) -> None:
     at = content.find(b"GCOL") + 16
     assert at > 16
     struct.pack_into("<HHIQ", content, at, 0, 0, 0, 0)
-    with pytest.raises(BadMap, match="heap"):
+    with pytest.raises(MapError, match="heap"):
         found(tmp_path, bytes(content))
 
 
 @pytest.mark.parametrize("content", [b"", b"hello" * 900, b"\x89HDF\r\n\x1a\n", b"\x89HDF\r\n\x1a\n" + bytes(5000)])
 def test_no_hdf5_at_all(tmp_path: Path, content: bytes) -> None:
-    with pytest.raises(BadMap, match=r"empty|no HDF5|cannot read it|not HDF5"):
+    with pytest.raises(MapError, match=r"empty|no HDF5|cannot read it|not HDF5"):
         found(tmp_path, content)
 
 
@@ -338,7 +338,7 @@ def test_written_files_are_read_by_prysm(tmp_path: Path) -> None:
 def test_what_nobody_said_is_not_written(tmp_path: Path) -> None:
     assert DATX.write is not None
     surface = found(tmp_path, make.datx(change=unit("Furlongs")))
-    with pytest.raises(BadMap, match="unit"):
+    with pytest.raises(MapError, match="unit"):
         DATX.write(surface)
 
 
@@ -384,12 +384,12 @@ def test_two_surfaces_are_refused(tmp_path: Path) -> None:
         ("Root", "Measurement", make.MEASUREMENT), (make.MEASUREMENT, "Surface", make.GUID),
         (make.MEASUREMENT, "Surface", "{another}"), (make.GUID, "Path", f"/Data/Surface/{make.GUID}"),
     ]  # fmt: skip
-    with pytest.raises(BadMap, match="two of 'Surface'"):
+    with pytest.raises(MapError, match="two of 'Surface'"):
         found(tmp_path, make.datx(links=links))
 
 
 def test_two_files_in_one_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="two were written into one"):
+    with pytest.raises(MapError, match="two were written into one"):
         found(tmp_path, make.datx() + make.datx())
 
 
@@ -397,5 +397,5 @@ def test_samples_beyond_the_stated_shape_are_refused(tmp_path: Path) -> None:
     content = make.datx()
     shape = struct.pack("<2Q", make.ROWS, make.COLUMNS)
     assert content.count(shape) >= 1
-    with pytest.raises(BadMap, match=r"384 bytes of .*, and its shape has 336: broken"):
+    with pytest.raises(MapError, match=r"384 bytes of .*, and its shape has 336: broken"):
         found(tmp_path, content.replace(shape, struct.pack("<2Q", make.ROWS, make.COLUMNS - 1)))

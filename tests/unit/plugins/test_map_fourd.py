@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer.formats.fourd import FOURD
 from polishd.process.instrument import as_profiled
@@ -165,7 +165,7 @@ BROKEN: dict[str, tuple[Change, str]] = {
 @pytest.mark.parametrize("case", BROKEN)
 def test_broken(tmp_path: Path, case: str) -> None:
     change, reason = BROKEN[case]
-    with pytest.raises(BadMap, match=reason) as caught:
+    with pytest.raises(MapError, match=reason) as caught:
         found(tmp_path, make.fourd(change=change))
     assert str(caught.value).startswith(f"{tmp_path / 'map.h5'}: ")
 
@@ -173,7 +173,7 @@ def test_broken(tmp_path: Path, case: str) -> None:
 @pytest.mark.parametrize("cut", [1, 50, 400, 2000])
 def test_torn(tmp_path: Path, cut: int) -> None:
     content = make.fourd()[:-cut]
-    with pytest.raises(BadMap, match=r"map\.h5"):
+    with pytest.raises(MapError, match=r"map\.h5"):
         found(tmp_path, content)
     assert FOURD.sniff(content[:4096], tmp_path / "map.h5")
 
@@ -197,7 +197,7 @@ def test_what_4sight_writes(tmp_path: Path) -> None:
     assert surface.taken_at == datetime(2019, 3, 14, 10, 22, 33).astimezone()
     assert surface.instrument == "4D, system 20714"
     assert as_profiled(surface, Instrument("fizcam", serials=("20714",)))
-    with pytest.raises(BadMap, match="serials"):
+    with pytest.raises(MapError, match="serials"):
         as_profiled(surface, Instrument("fizcam", serials=("20715",)))
 
 
@@ -205,7 +205,7 @@ def test_an_aspect_makes_pixels_that_are_not_square(tmp_path: Path) -> None:
     surface = found(tmp_path, make.foursight(aspect="1.2"))
     assert (surface.pitch_mm, set(surface.unsaid)) == (None, {"square pixels"})
     assert "0.25 mm wide and 0.3 mm high" in surface.warnings[0]
-    with pytest.raises(BadMap, match="pitch in y"):
+    with pytest.raises(MapError, match="pitch in y"):
         found(tmp_path, make.foursight(aspect="-1.0"))
 
 

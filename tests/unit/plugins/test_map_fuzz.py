@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap, SurfaceReader
+from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer import READERS
 from tests.unit.plugins import map_files, map_files_other
 from tests.unit.plugins.map_mutations import mutated
@@ -42,7 +42,7 @@ def read_broken(reader: SurfaceReader, path: Path) -> SurfaceMap | None:
     began = time.process_time()
     try:
         surface = reader.read(path)
-    except BadMap as error:
+    except MapError as error:
         assert str(path) in str(error)  # noqa: PT017  the message names the file
         surface = None
     assert time.process_time() - began < MOST_CPU_S

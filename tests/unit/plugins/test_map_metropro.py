@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.metropro import COUNT_NM, METROPRO, read, write
 from polishd.process.instrument import same_system
 from tests.unit.plugins import map_files as make
@@ -99,20 +99,20 @@ def test_without_pitch_and_time(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("word", ["unit", "surface", "orientation", "square pixels"])
 def test_what_nobody_said_is_not_written(word: str) -> None:
-    with pytest.raises(BadMap, match=word.removesuffix(" pixels")):
+    with pytest.raises(MapError, match=word.removesuffix(" pixels")):
         write(replace(SURFACE, unsaid=frozenset({word})))
 
 
 def test_what_does_not_fit_is_not_written() -> None:
-    with pytest.raises(BadMap, match="heights beyond"):
+    with pytest.raises(MapError, match="heights beyond"):
         write(replace(SURFACE, height_nm=np.array([[6e6, 0.0]])))
-    with pytest.raises(BadMap, match="longer than"):
+    with pytest.raises(MapError, match="longer than"):
         write(replace(SURFACE, part_id="x" * 41))
-    with pytest.raises(BadMap, match="characters that"):
+    with pytest.raises(MapError, match="characters that"):
         write(replace(SURFACE, part_id="\N{GREEK SMALL LETTER ALPHA}"))
-    with pytest.raises(BadMap, match="exactly 0 nm"):
+    with pytest.raises(MapError, match="exactly 0 nm"):
         write(replace(SURFACE, height_nm=np.array([[5.0, 1.0, 0.0, 0.0, 0.0, 0.0]])))
-    with pytest.raises(BadMap, match="do not fit"):
+    with pytest.raises(MapError, match="do not fit"):
         write(replace(SURFACE, height_nm=np.zeros((1, 70_000))))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.plugins.interferometer.formats import points
 from tests.unit.plugins.map_files_other import PITCH_MM, heights_nm, points_file
 
@@ -101,12 +101,12 @@ def test_what_lies_on_no_grid_is_refused(tmp_path: Path, kind: str) -> None:
         x, y = x[0], y[0]
     else:
         x = x**1.1
-    with pytest.raises(BadMap, match=r"grid|place"):
+    with pytest.raises(MapError, match=r"grid|place"):
         points.read(put(tmp_path, grid(x, y)))
 
 
 def test_far_off_points_are_no_reason_to_allocate(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match=r"grid|place"):
+    with pytest.raises(MapError, match=r"grid|place"):
         points.read(put(tmp_path, points_file() + b"1e6,1e6,3\n"))
 
 
@@ -115,12 +115,12 @@ def test_far_off_points_are_no_reason_to_allocate(tmp_path: Path) -> None:
     [b"", b"\0\1\2", b"a,b,c\n", b"1,2\n3,4\n", b"1,2,3,4\n1,2,3,4\n", b"1,2,3\n1,x,3\n", b"nan,1,2\n" * 5, b"1,2,3"],
 )
 def test_what_is_no_such_list_is_refused(tmp_path: Path, content: bytes) -> None:
-    with pytest.raises(BadMap, match=r"map\.csv"):
+    with pytest.raises(MapError, match=r"map\.csv"):
         points.read(put(tmp_path, content))
 
 
 def test_infinite_heights_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="infinite"):
+    with pytest.raises(MapError, match="infinite"):
         points.read(put(tmp_path, points_file(missing="inf")))
 
 
@@ -163,7 +163,7 @@ def test_a_list_that_stops_inside_a_row_is_torn(tmp_path: Path) -> None:
     by_columns = [lines[0], *sorted(lines[1:], key=lambda line: float(line.split()[0].split(b",")[0]))]
     for listed in (lines, by_columns):
         for cut in (1, 2, 3):
-            with pytest.raises(BadMap, match=rf"last (row|column) lacks {cut} points: torn"):
+            with pytest.raises(MapError, match=rf"last (row|column) lacks {cut} points: torn"):
                 points.read(put(tmp_path, b"".join(listed[:-cut])))
 
 
@@ -175,5 +175,5 @@ def test_a_list_that_ends_inside_a_line_is_read_with_a_warning(tmp_path: Path) -
 
 @pytest.mark.parametrize("marker", ["-9999", "32767", "99999.0"])
 def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path, marker: str) -> None:
-    with pytest.raises(BadMap, match="marker of missing data"):
+    with pytest.raises(MapError, match="marker of missing data"):
         points.read(put(tmp_path, points_file(missing=marker)))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import sdfio
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.plugins.interferometer.formats import sdf
 from tests.unit.plugins.map_files_other import COLUMNS, PITCH_MM, ROWS, heights_nm, sdf_ascii, sdf_binary, sdf_second
 
@@ -56,14 +56,14 @@ def test_the_second_editions_header_is_four_bytes_longer(tmp_path: Path, kind: s
     for start in range(8, 85):  # no byte of the header makes another error than a refusal
         for value in (0, 1, 0xFF):
             broken = content[:start] + bytes([value]) + content[start + 1 :]
-            with suppress(BadMap):
+            with suppress(MapError):
                 sdf.read(put(tmp_path, broken))
 
 
 def test_samples_beyond_the_second_editions_are_refused(tmp_path: Path) -> None:
     content = bytearray(sdf_second())
     struct.pack_into("<I", content, 42, COLUMNS - 1)
-    with pytest.raises(BadMap, match="more than its header asks for"):
+    with pytest.raises(MapError, match="more than its header asks for"):
         sdf.read(put(tmp_path, bytes(content)))
 
 
@@ -100,7 +100,7 @@ def test_a_file_without_scales_has_no_pitch(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("pitch_m", [(0.0, 1e-4), (-1e-4, 1e-4), (np.nan, np.nan), (np.inf, 1e-4)])
 def test_a_pitch_that_is_none_is_refused(tmp_path: Path, pitch_m: tuple[float, float]) -> None:
-    with pytest.raises(BadMap, match=r"pitch in [xy] is"):
+    with pytest.raises(MapError, match=r"pitch in [xy] is"):
         sdf.read(put(tmp_path, sdf_binary(pitch_m=pitch_m)))
 
 
@@ -111,18 +111,18 @@ def test_a_pixel_that_is_not_square_is_shown_without_a_pitch(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("z_scale", [0.0, -1e-9, np.nan, np.inf])
 def test_a_height_scale_that_is_none_is_refused(tmp_path: Path, z_scale: float) -> None:
-    with pytest.raises(BadMap, match="Zscale"):
+    with pytest.raises(MapError, match="Zscale"):
         sdf.read(put(tmp_path, sdf_binary(z_scale=z_scale)))
 
 
 def test_heights_beyond_belief_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="marker of missing data"):
+    with pytest.raises(MapError, match="marker of missing data"):
         sdf.read(put(tmp_path, sdf_ascii(z_scale=1e-9).replace(b"e-009", b"e+009")))
 
 
 def test_torn_files_are_refused(tmp_path: Path) -> None:
     for size in (0, 5, 80, 300, len(sdf_binary()) - 1):
-        with pytest.raises(BadMap, match=r"map\.sdf"):
+        with pytest.raises(MapError, match=r"map\.sdf"):
             sdf.read(put(tmp_path, sdf_binary()[:size]))
 
 
@@ -130,7 +130,7 @@ def test_torn_files_are_refused(tmp_path: Path) -> None:
 def test_sizes_that_the_file_does_not_hold_are_refused(tmp_path: Path, at: int, value: int) -> None:
     content = bytearray(sdf_binary())
     struct.pack_into("<H", content, at, value)
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         sdf.read(put(tmp_path, bytes(content)))
 
 
@@ -140,7 +140,7 @@ def test_text_that_is_no_height_is_refused(tmp_path: Path, text: bytes) -> None:
     at = content.rfind(b"e-0")
     start = content.rfind(b" ", 0, at) + 1
     broken = content[:start] + text + content[content.find(b" ", at) :]
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         sdf.read(put(tmp_path, broken))
 
 
@@ -151,13 +151,13 @@ def test_only_its_own_magic_is_claimed() -> None:
 
 
 def test_a_preallocated_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="tail of zeros"):
+    with pytest.raises(MapError, match="tail of zeros"):
         sdf.read(put(tmp_path, sdf_binary()[: -8 * 20] + bytes(8 * 20)))
 
 
 @pytest.mark.parametrize("content", [sdf_binary(), sdf_ascii()], ids=["by hand", "ascii"])
 def test_two_files_in_one_are_refused(tmp_path: Path, content: bytes) -> None:
-    with pytest.raises(BadMap, match="two were written into one"):
+    with pytest.raises(MapError, match="two were written into one"):
         sdf.read(put(tmp_path, content + content))
 
 
@@ -165,5 +165,5 @@ def test_samples_beyond_those_stated_are_refused(tmp_path: Path) -> None:
     assert sdf.read(put(tmp_path, sdf_binary() + b"a note\r\n*\r\n")).height_nm.shape == (ROWS, COLUMNS)
     content = bytearray(sdf_binary())
     struct.pack_into("<H", content, 42, COLUMNS - 1)
-    with pytest.raises(BadMap, match="more than its header asks for"):
+    with pytest.raises(MapError, match="more than its header asks for"):
         sdf.read(put(tmp_path, bytes(content)))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.plugins.interferometer.formats import tail
 
 STAND_IN = """
@@ -138,7 +138,7 @@ def test_pixels_that_are_not_square_have_no_pitch(tmp_path: Path, library: Path)
     ],
 )
 def test_what_goes_wrong_there_is_refused_here(tmp_path: Path, library: Path, body: str, said: str) -> None:
-    with pytest.raises(BadMap, match=said) as refused:
+    with pytest.raises(MapError, match=said) as refused:
         tail.read(put(tmp_path, library, body.format(path=str(tmp_path / "map.OPD"))))
     assert "map.OPD" in str(refused.value)
 
@@ -146,14 +146,14 @@ def test_what_goes_wrong_there_is_refused_here(tmp_path: Path, library: Path, bo
 @pytest.mark.full
 def test_a_worker_that_hangs_is_ended(tmp_path: Path, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tail, "BOUNDS", tail.BOUNDS._replace(wall_s=0.5))
-    with pytest.raises(BadMap, match=r"within 0\.5 s"):
+    with pytest.raises(MapError, match=r"within 0\.5 s"):
         tail.read(put(tmp_path, library, "import threading; threading.Event().wait()"))
 
 
 @pytest.mark.full
 def test_without_the_extra_it_says_so(tmp_path: Path, library: Path) -> None:
     assert not list(library.iterdir())
-    with pytest.raises(BadMap, match=r"pip install 'polishd\[tail\]'"):
+    with pytest.raises(MapError, match=r"pip install 'polishd\[tail\]'"):
         tail.read(put(tmp_path))
 
 
@@ -161,5 +161,5 @@ def test_other_files_are_neither_claimed_nor_read(tmp_path: Path) -> None:
     assert tail.sniff(b"", Path("a.SUR"))
     for name in ("a.dat", "a.h5", "a.npy", "a.txt", "a"):
         assert not tail.sniff(b"DIGITAL SURF", Path(name))
-        with pytest.raises(BadMap, match="none of the formats"):
+        with pytest.raises(MapError, match="none of the formats"):
             tail.read(tmp_path / name)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.plugins.interferometer.formats import tiff
 from tests.unit.plugins.map_files_other import heights_nm, tiff_file
 
@@ -64,7 +64,7 @@ def test_the_orientation_tag_is_obeyed(tmp_path: Path, tag: int, rows: int, colu
 
 
 def test_rows_stored_as_columns_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadMap, match="orientation 6"):
+    with pytest.raises(MapError, match="orientation 6"):
         tiff.read(put(tmp_path, tiff_file(extratags=[(274, "H", 1, 6, True)])))
 
 
@@ -72,7 +72,7 @@ def test_the_declared_marker_is_missing_and_an_undeclared_one_refused(tmp_path: 
     z = np.where(np.isnan(heights_nm()), -3.4e38, heights_nm())
     declared = tiff.read(put(tmp_path, tiff_file(z, extratags=[(42113, "s", 0, "-3.4e38", True)])))
     np.testing.assert_array_equal(np.isnan(declared.height_nm), np.isnan(heights_nm()))
-    with pytest.raises(BadMap, match="marker of missing data"):
+    with pytest.raises(MapError, match="marker of missing data"):
         tiff.read(put(tmp_path, tiff_file(z)))
 
 
@@ -88,7 +88,7 @@ def test_the_declared_marker_is_missing_and_an_undeclared_one_refused(tmp_path: 
     ids=["colours", "pages", "complex", "empty", "infinite"],
 )
 def test_what_is_no_map_is_refused(tmp_path: Path, array: np.ndarray) -> None:
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         tiff.read(
             put(
                 tmp_path,
@@ -102,7 +102,7 @@ def test_two_pages_are_refused(tmp_path: Path) -> None:
     with tifffile.TiffWriter(file) as writer:
         writer.write(heights_nm(), metadata=None)
         writer.write(heights_nm(), metadata=None)
-    with pytest.raises(BadMap, match="2 pages"):
+    with pytest.raises(MapError, match="2 pages"):
         tiff.read(put(tmp_path, file.getvalue()))
 
 
@@ -116,20 +116,20 @@ def test_sizes_that_the_file_does_not_hold_are_refused(
     with tifffile.TiffFile(io.BytesIO(bytes(content))) as file:
         at = file.pages.first.tags[tag].offset
     struct.pack_into("<HHII", content, at, tag, 4, 1, size)
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         tiff.read(put(tmp_path, bytes(content)))
 
 
 def test_torn_files_are_refused(tmp_path: Path) -> None:
     for size in (4, 8, 100, len(tiff_file()) - 1):
-        with pytest.raises(BadMap):
+        with pytest.raises(MapError):
             tiff.read(put(tmp_path, tiff_file()[:size]))
 
 
 def test_without_the_extra_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = tiff_file()
     monkeypatch.setitem(sys.modules, "tifffile", None)
-    with pytest.raises(BadMap, match=r"pip install 'polishd\[tiff\]'"):
+    with pytest.raises(MapError, match=r"pip install 'polishd\[tiff\]'"):
         tiff.read(put(tmp_path, content))
 
 
@@ -137,14 +137,14 @@ def test_without_the_extra_it_says_so(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_pictures_of_one_channel_are_refused(tmp_path: Path, photometric: str) -> None:
     options = {"colormap": np.zeros((3, 256), dtype="u2")} if photometric == "palette" else {}
     content = tiff_file(np.arange(30, dtype="u1").reshape(5, 6), photometric=photometric, **options)
-    with pytest.raises(BadMap, match="is a picture"):
+    with pytest.raises(MapError, match="is a picture"):
         tiff.read(put(tmp_path, content))
 
 
 def test_a_preallocated_file_is_refused(tmp_path: Path) -> None:
     z = heights_nm()
     z.ravel()[-16:] = 0.0
-    with pytest.raises(BadMap, match="tail of zeros"):
+    with pytest.raises(MapError, match="tail of zeros"):
         tiff.read(put(tmp_path, tiff_file(z)))
 
 
@@ -170,5 +170,5 @@ def test_pieces_that_are_not_the_images_are_refused(
             found.valueoffset + index * (2 if found.dtype == 3 else 4),
             value,
         )
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         tiff.read(put(tmp_path, bytes(content)))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.plugins.interferometer import READERS
 from polishd.plugins.interferometer.files import read_map
 from tests.unit.plugins.map_files_other import wyko_text as text
@@ -55,7 +55,7 @@ def test_pixels_that_are_not_square_keep_both_pitches(write: Callable[[str], Pat
     ],
 )
 def test_what_is_broken_is_refused_by_name(write: Callable[[str], Path], content: str, why: str) -> None:
-    with pytest.raises(BadMap, match=why):
+    with pytest.raises(MapError, match=why):
         read_map(write(content), READERS)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import x3pio
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats import common, x3p
 from tests.unit.plugins.map_files_other import HOLES, PITCH_MM, heights_nm, unzipped, x3p_file, zipped
 
@@ -95,12 +95,12 @@ def test_what_others_stumble_over_is_not_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("unsaid", [{"unit"}, {"surface"}, {"orientation"}])
 def test_what_nobody_knows_is_not_written(unsaid: set[str]) -> None:
-    with pytest.raises(BadMap, match=unsaid.copy().pop()):
+    with pytest.raises(MapError, match=unsaid.copy().pop()):
         x3p.write(SurfaceMap(heights_nm(), PITCH_MM, unsaid=frozenset(unsaid)))
 
 
 def test_a_map_without_a_pitch_is_not_written() -> None:
-    with pytest.raises(BadMap, match="lateral scale"):
+    with pytest.raises(MapError, match="lateral scale"):
         x3p.write(SurfaceMap(heights_nm(), None, unsaid=frozenset({"pitch"})))
 
 
@@ -118,7 +118,7 @@ def test_a_map_without_a_pitch_is_not_written() -> None:
     ],
 )
 def test_a_broken_description_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
-    with pytest.raises(BadMap, match=said):
+    with pytest.raises(MapError, match=said):
         x3p.read(put(tmp_path, edited(old, new)))
 
 
@@ -134,13 +134,13 @@ def test_a_file_changed_after_it_was_written_is_refused(tmp_path: Path) -> None:
     members = unzipped(x3p_file())
     data = bytearray(members["bindata/data.bin"])
     data[8] ^= 1
-    with pytest.raises(BadMap, match="MD5"):
+    with pytest.raises(MapError, match="MD5"):
         x3p.read(put(tmp_path, zipped(members | {"bindata/data.bin": bytes(data)})))
 
 
 def test_a_torn_archive_is_refused(tmp_path: Path) -> None:
     for size in (0, 3, 100, len(x3p_file()) - 30):
-        with pytest.raises(BadMap, match=r"map\.x3p"):
+        with pytest.raises(MapError, match=r"map\.x3p"):
             x3p.read(put(tmp_path, x3p_file()[:size]))
 
 
@@ -149,7 +149,7 @@ def test_what_unpacks_to_more_than_any_map_is_refused(tmp_path: Path, monkeypatc
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("main.xml", bytes(10_000))
     monkeypatch.setattr(common, "MOST_BYTES", 1000)
-    with pytest.raises(BadMap, match="unpacks to more than 1000"):
+    with pytest.raises(MapError, match="unpacks to more than 1000"):
         x3p.read(put(tmp_path, bomb.getvalue()))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII
 from polishd.plugins.interferometer.formats.zygo_xyz import ZYGO_XYZ
 from tests.unit.plugins import map_files as make
@@ -143,7 +143,7 @@ def test_broken_headers(tmp_path: Path, name: str, case: str) -> None:
     lines, reason = BOTH[case]
     if (name, case) == ("zygo_ascii", "turned"):
         pytest.skip("48 counts are 48 counts: nothing in the file tells")
-    with pytest.raises(BadMap, match=reason) as caught:
+    with pytest.raises(MapError, match=reason) as caught:
         found(tmp_path, name, FORMATS[name](**lines))
     assert str(caught.value).startswith(f"{tmp_path / 'map.txt'}: ")
 
@@ -184,7 +184,7 @@ BODIES: dict[str, tuple[str, bytes, str]] = {
 @pytest.mark.parametrize("case", BODIES)
 def test_broken_bodies(tmp_path: Path, case: str) -> None:
     name, content, reason = BODIES[case]
-    with pytest.raises(BadMap, match=reason):
+    with pytest.raises(MapError, match=reason):
         found(tmp_path, name, content)
 
 

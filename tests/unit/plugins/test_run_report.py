@@ -17,12 +17,12 @@ import pytest
 from matplotlib.image import imread
 
 from polishd.api import PolishdError, SurfaceStats
-from polishd.model.events import GateStopped, JobFinished, Measured, PlanWritten
+from polishd.model.events import MapMeasured, PlanWritten, RemovalCheckFailed, RunFolderCompleted
 from polishd.model.tolerance import Judged
 from polishd.plugins import run_report
 from polishd.plugins.run_report import trend
-from polishd.plugins.run_report.folder import Executed, Surface, read_folder
-from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, Section, render
+from polishd.plugins.run_report.folder import ExecutedTimes, ReportSurface, read_folder
+from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, ReportSection, render
 from polishd.plugins.run_report.report import write_report
 from polishd.show.sheet import Picture
 from polishd.show.words import duration, plain, spent, when
@@ -147,7 +147,7 @@ def pictures_in(page: str) -> list[bytes]:
 class TestEvents:
     @pytest.mark.full
     @pytest.mark.one_of_each
-    @pytest.mark.parametrize("kind", [partial(JobFinished, outcome="in_tolerance"), PlanWritten])
+    @pytest.mark.parametrize("kind", [partial(RunFolderCompleted, outcome="in_tolerance"), PlanWritten])
     def test_what_is_complete_is_reported_by_another_process(
         self, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -162,7 +162,7 @@ class TestEvents:
 
     def test_other_events_pass_by(self, run_dir: Path) -> None:
         stats = SurfaceStats(rms_nm=1.0, pv_nm=2.0, lsf_rms_nm=0.5)
-        run_report.polishd_on_event(Measured(stats=stats, spikes=0, notes=(), run_dir=str(run_dir)))
+        run_report.polishd_on_event(MapMeasured(stats=stats, spikes=0, notes=(), run_dir=str(run_dir)))
         assert not (run_dir / "report.html").exists()
 
     def test_loading_the_plugin_does_not_load_matplotlib(self) -> None:
@@ -249,7 +249,7 @@ def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
     folder.missing.append(FOREIGN)
     certificate = dict.fromkeys([*CERTIFICATE, FOREIGN], FOREIGN)
     picture = Picture("p", FOREIGN, b"png")
-    page = render(folder, [Section(FOREIGN, FOREIGN, (picture,), certificate, (f"cycle-00/{FOREIGN}",))])
+    page = render(folder, [ReportSection(FOREIGN, FOREIGN, (picture,), certificate, (f"cycle-00/{FOREIGN}",))])
     assert "<q" not in page
     assert "c='2'" not in page
     assert "49" not in page
@@ -259,7 +259,7 @@ def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
 
 
 def test_a_section_that_holds_nothing_is_not_on_the_page(tmp_path: Path) -> None:
-    page = render(read_folder(tmp_path), [Section("Nothing", "cycle-07", ())])
+    page = render(read_folder(tmp_path), [ReportSection("Nothing", "cycle-07", ())])
     assert "Nothing" not in page
     assert "Files:" not in page
     assert page.endswith("</html>\n")
@@ -438,20 +438,20 @@ class TestExecuted:
         assert done.seconds.tolist() == [1.5, 2.0]
 
     def test_blocks_are_matched_by_number_where_the_plan_tells_it(self) -> None:
-        done = Executed(np.array([4, 7]), np.array([1.0, 3.0]))
+        done = ExecutedTimes(np.array([4, 7]), np.array([1.0, 3.0]))
         matched = done.per_point({"expected_s": np.ones(3), "block": np.array([4, 7, 8])})
         np.testing.assert_array_equal(matched, [1.0, 3.0, np.nan])
 
     def test_the_move_to_a_dwell_counts_for_its_point_as_it_does_in_learning(self) -> None:
         """The program of ``test_job.test_the_move_to_a_dwell_counts_for_its_point``."""
-        done = Executed(np.array([3, 5, 6]), np.array([1.5, 0.25, 2.25]))
+        done = ExecutedTimes(np.array([3, 5, 6]), np.array([1.5, 0.25, 2.25]))
         matched = done.per_point({"expected_s": np.ones(2), "block": np.array([3, 6])})
         np.testing.assert_array_equal(matched, [1.5, 2.5])
 
     def test_otherwise_in_order_where_the_counts_agree(self) -> None:
         plan = {"expected_s": np.ones(3)}
-        assert Executed(np.arange(3), np.ones(3)).per_point(plan) is not None
-        assert Executed(np.arange(2), np.ones(2)).per_point(plan) is None
+        assert ExecutedTimes(np.arange(3), np.ones(3)).per_point(plan) is not None
+        assert ExecutedTimes(np.arange(2), np.ones(2)).per_point(plan) is None
 
 
 class TestSpectrum:
@@ -482,7 +482,7 @@ class TestSpectrum:
 
 
 def test_a_surface_lies_where_its_grid_does() -> None:
-    surface = Surface(np.zeros((4, 6)), np.ones((4, 6), dtype=bool), 0.5)
+    surface = ReportSurface(np.zeros((4, 6)), np.ones((4, 6), dtype=bool), 0.5)
     assert surface.extent_mm == (-1.5, 1.5, -1.0, 1.0)
     assert surface.rms_nm(np.arange(24.0).reshape(4, 6)) == pytest.approx(np.arange(24.0).std())
 
@@ -521,5 +521,5 @@ def test_the_gates_picture_is_drawn_of_what_it_left(tmp_path: Path) -> None:
     np.savez(tmp_path / "gate.npz", **maps, metric_mask=mask, pitch_mm=0.5)
     best = {"name": "flipped left-right", "shift_mm": [0.5, 0.0], "correlation": 0.97}
     (tmp_path / "gate.json").write_text(json.dumps({"stop": "a flip", "correlation": 0.1, "best": best}))
-    run_report.polishd_on_event(GateStopped(cycle=1, stop="a flip", cycle_dir=str(tmp_path)))
+    run_report.polishd_on_event(RemovalCheckFailed(cycle=1, stop="a flip", cycle_dir=str(tmp_path)))
     assert (tmp_path / "gate.png").read_bytes().startswith(b"\x89PNG")

@@ -14,9 +14,9 @@ from scipy import ndimage
 
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.identification.identify import Identified, identify
-from polishd.process.identification.parameters import Knowledge, Parameter, unlearned, usual_parameters
-from polishd.process.identification.passes import Blocks, Noise, Removed
+from polishd.process.identification.identify import IdentificationResult, identify
+from polishd.process.identification.parameters import Parameter, PriorKnowledge, unlearned, usual_parameters
+from polishd.process.identification.passes import ExecutedBlocks, RemovalMap, RemovalNoise
 from polishd.process.measured_spot import MeasuredSpot, measured_spot
 
 SIZES_MM = (1.2, 2.0)
@@ -41,27 +41,27 @@ class Polished:
     gamma: FloatArray
     noise: float = 0.3
 
-    def removed(self, truth: Mapping[str, float], seed: int | None = 0) -> Removed:
+    def removed(self, truth: Mapping[str, float], seed: int | None = 0) -> RemovalMap:
         """What an instrument sees of it; without noise where there is no seed."""
         return seen(removal(self, truth), self.noise, seed)
 
-    def blocks(self, **other: FloatArray) -> Blocks:
+    def blocks(self, **other: FloatArray) -> ExecutedBlocks:
         """As the controller has it: ``other`` gammas by projection."""
-        return Blocks(self.place, self.place, self.time, self.azimuth, {"linear": self.gamma, **other})
+        return ExecutedBlocks(self.place, self.place, self.time, self.azimuth, {"linear": self.gamma, **other})
 
     def identified(
-        self, truth: Mapping[str, float], names: str = "", seed: int = 0, prior: Knowledge | None = None
-    ) -> Identified:
+        self, truth: Mapping[str, float], names: str = "", seed: int = 0, prior: PriorKnowledge | None = None
+    ) -> IdentificationResult:
         """What is found where this is true, with the rate, piston, tilt and the parameters or extensions named."""
         return found(self.removed(truth, seed), self.blocks(), prior or knowing(names))
 
 
-def found(removed: Removed, blocks: Blocks, prior: Knowledge) -> Identified:
+def found(removed: RemovalMap, blocks: ExecutedBlocks, prior: PriorKnowledge) -> IdentificationResult:
     """What is found; the dwell did not follow any map's noise."""
     return identify(removed, blocks, spot(), PROCESS, prior, projection="linear", radius_mm=RADIUS_MM, followed=False)
 
 
-def knowing(names: str = "") -> Knowledge:
+def knowing(names: str = "") -> PriorKnowledge:
     """Nothing but the priors of the rate, piston, tilt and of the parameters or extensions named."""
     wanted = {"rate", "piston", "tilt_x", "tilt_y", *names.split()}
     return unlearned([p for p in all_parameters() if {p.name, (p.extension or "").split(" ")[0]} & wanted])
@@ -161,11 +161,11 @@ def removal(one: Polished, truth: Mapping[str, float]) -> FloatArray:
     return whole
 
 
-def seen(removal_nm: FloatArray, sigma_nm: float, seed: int | None) -> Removed:
+def seen(removal_nm: FloatArray, sigma_nm: float, seed: int | None) -> RemovalMap:
     """The removal with white noise, as two maps show it."""
     grid, mask = disc()
     noise = 0.0 if seed is None else np.random.default_rng(seed).normal(0.0, sigma_nm, mask.shape)
-    return Removed(grid, removal_nm + noise, mask, Noise(sigma_nm))
+    return RemovalMap(grid, removal_nm + noise, mask, RemovalNoise(sigma_nm))
 
 
 def slower(one: Polished, factor: float) -> Polished:

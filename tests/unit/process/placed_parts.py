@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.commissioning import Bump
+from polishd.process.commissioning import ArtefactBump
 
 MARKS_MM = ((-40.0, -24.0), (36.0, -33.0), (31.0, 36.0), (-20.0, 43.0))
 """Four marks that no turn or flip lays onto themselves."""
-BUMPS = (Bump(18, 12, 6, 3.5, 200, 30), Bump(-12, 20, 4, 4, 90), Bump(-5, -22, 5, 3, -60))
+BUMPS = (ArtefactBump(18, 12, 6, 3.5, 200, 30), ArtefactBump(-12, 20, 4, 4, 90), ArtefactBump(-5, -22, 5, 3, -60))
 """An artefact that looks like itself in no other orientation."""
 
 

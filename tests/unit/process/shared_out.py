@@ -6,7 +6,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.laying import Indices
-from polishd.process.spot import PATCH, shares
+from polishd.process.spot import PATCH, cell_shares
 
 
 def overlap(
@@ -20,7 +20,7 @@ def overlap(
     """
     first = np.floor((centre_mm - half_mm) / pitch_mm)
     cells = int(np.ceil(2 * half_mm.max(initial=0.0) / pitch_mm)) + 1
-    return first, shares(centre_mm - first * pitch_mm, half_mm, pitch_mm, cells, squares)
+    return first, cell_shares(centre_mm - first * pitch_mm, half_mm, pitch_mm, cells, squares)
 
 
 def shared_out(

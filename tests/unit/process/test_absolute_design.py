@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
-from polishd.process.absolute import Design, Pose, design
+from polishd.model.errors import MapError
+from polishd.process.absolute import Design, PartPose, design
 from polishd.process.absolute.names import families, name_of, reference_for, term_name
 from polishd.process.absolute.poses import moved, terms
 from polishd.process.metrics.zernike_terms import values
 from tests.unit.process.turned_maps import turns
 
 RADIUS_MM = 50.0
-SHIFT = Pose(0, 0.05 * RADIUS_MM)
+SHIFT = PartPose(0, 0.05 * RADIUS_MM)
 
 
 def folds(found: Design) -> set[int]:
@@ -52,19 +52,19 @@ def test_four_and_three_leave_what_is_round_and_one_shift_more_leaves_power() ->
 
 
 def test_no_pose_tells_power() -> None:
-    many = [Pose(angle, x, y) for angle in range(0, 360, 40) for x, y in ((0, 0), (2.5, 0), (0, 2.5), (-5, 3))]
+    many = [PartPose(angle, x, y) for angle in range(0, 360, 40) for x, y in ((0, 0), (2.5, 0), (0, 2.5), (-5, 3))]
     assert [one.name for one in design(many, 6, RADIUS_MM).unknown] == ["power"]
 
 
 def test_shifts_alone_leave_astigmatism_and_power() -> None:
     """P(x) = x^2, y^2 and xy become only tilted by a shift."""
-    found = design([Pose(0), Pose(0, 2.5), Pose(0, 0, 2.5)], 6, RADIUS_MM)
+    found = design([PartPose(0), PartPose(0, 2.5), PartPose(0, 0, 2.5)], 6, RADIUS_MM)
     assert {(one.n, one.m) for one in found.unknown} == {(2, 0), (2, 2), (2, -2)}
 
 
 def test_a_mixture_is_told_as_one() -> None:
     """One shift along x leaves any function of y: no single term wholly, many in part."""
-    found = design([Pose(0), Pose(0, 2.5)], 4, RADIUS_MM)
+    found = design([PartPose(0), PartPose(0, 2.5)], 4, RADIUS_MM)
     shares = {one.share for one in found.unknown if one.n == 4}
     assert all(0.01 < share < 0.99 for share in shares)
     assert found.hidden.shape[1] == 5  # x^2, xy, y^2, y^3 and y^4: what a shift along x changes by a tilt at most
@@ -76,7 +76,7 @@ def test_a_shift_of_a_twentieth_tells_spherical_at_a_few_times_the_noise(degree:
     base = [*turns(4), *turns(3)[1:]]
 
     def sigma(share: float) -> float:
-        found = design([*base, Pose(0, share * RADIUS_MM)], degree, RADIUS_MM)
+        found = design([*base, PartPose(0, share * RADIUS_MM)], degree, RADIUS_MM)
         size = len(found.terms)
         rows = np.concatenate([np.hstack([move, np.eye(size)]) for move in found.moves])
         spread = np.linalg.pinv(rows.T @ rows, rcond=1e-8)
@@ -88,7 +88,7 @@ def test_a_shift_of_a_twentieth_tells_spherical_at_a_few_times_the_noise(degree:
 
 def test_terms_are_moved_as_the_part_is() -> None:
     """The terms of a turned and shifted part, seen at points, are its heights at the points that lie there."""
-    pose = Pose(37, 3.0, -2.0)
+    pose = PartPose(37, 3.0, -2.0)
     rng = np.random.default_rng(0)
     part = rng.normal(size=len(terms(6)))
     x, y = rng.uniform(-0.6, 0.6, (2, 50))
@@ -101,8 +101,8 @@ def test_terms_are_moved_as_the_part_is() -> None:
 
 def test_poses_that_are_all_alike_tell_nothing() -> None:
     for other in (90, 450, 90.01):
-        with pytest.raises(BadMap, match="lies alike in all maps"):
-            design([Pose(90), Pose(other)], 6, RADIUS_MM)
+        with pytest.raises(MapError, match="lies alike in all maps"):
+            design([PartPose(90), PartPose(other)], 6, RADIUS_MM)
     with pytest.raises(ValueError, match="the lowest above tilt"):
         design(turns(2), 1, RADIUS_MM)
 

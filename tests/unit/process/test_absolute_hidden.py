@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polishd.model.surface import FloatArray
-from polishd.process.absolute import Pose, separate
+from polishd.process.absolute import PartPose, separate
 from polishd.process.absolute.hidden_rest import hidden_share
 from tests.unit.process.turned_maps import PITCH_MM, RADIUS_MM, maps, rms_nm, true_nm, turns
 
@@ -21,7 +21,9 @@ def test_equal_turns_leave_one_part_in_their_number(count: int) -> None:
 def test_turns_that_share_no_fold_leave_little() -> None:
     both = [*turns(4), *turns(3)[1:]]
     assert hidden_share(both, 10, RADIUS_MM) < 0.5 * hidden_share(turns(4), 10, RADIUS_MM)
-    assert hidden_share([*both, Pose(0, 2.0), Pose(0, 0, 2.0)], 10, RADIUS_MM) < hidden_share(both, 10, RADIUS_MM)
+    assert hidden_share([*both, PartPose(0, 2.0), PartPose(0, 0, 2.0)], 10, RADIUS_MM) < hidden_share(
+        both, 10, RADIUS_MM
+    )
 
 
 @pytest.mark.parametrize("count", [4, pytest.param(2, marks=pytest.mark.full)])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
-from polishd.process.absolute import PlaceError, Pose, Separated, separate
+from polishd.process.absolute import AbsoluteSolution, PartPose, PlaceError, separate
 from tests.unit.process.turned_maps import (
     PITCH_MM,
     PLANE,
@@ -29,13 +29,13 @@ def astigmatism_nm(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(3.0 * (x * x - y * y))
 
 
-def true_astigmatism_nm(found: Separated) -> float:
+def true_astigmatism_nm(found: AbsoluteSolution) -> float:
     """In RMS norm over the circle of the terms, which is wider than the part where that is shifted."""
     return float(3.0 / np.sqrt(6) * (found.design.radius_mm / RADIUS_MM) ** 2)
 
 
 def test_two_turns_find_the_astigmatism_of_an_instrument() -> None:
-    poses = [Pose(0), Pose(90)]
+    poses = [PartPose(0), PartPose(90)]
     found = separate(maps(poses, NOISE_NM, instrument=astigmatism_nm), poses, PITCH_MM)
     at = found.design.terms.index(ASTIGMATISM)
     off = found.solution.instrument_nm[at] - true_astigmatism_nm(found)
@@ -73,7 +73,7 @@ def test_what_is_unknown_is_the_parts() -> None:
 @pytest.mark.full
 def test_errors_are_what_sigma_says() -> None:
     """Over draws of noise each term is off by its sigma."""
-    poses = [*turns(3), Pose(45)]
+    poses = [*turns(3), PartPose(45)]
     off = []
     for seed in range(20):
         found = separate(
@@ -92,7 +92,7 @@ def test_a_shift_tells_what_is_round_but_power() -> None:
         square = x * x + y * y
         return np.asarray(3 * (6 * square**2 - 6 * square + 1))
 
-    poses = [*turns(4), *turns(3)[1:], Pose(0, 2.0), Pose(0, 0, 2.0)]
+    poses = [*turns(4), *turns(3)[1:], PartPose(0, 2.0), PartPose(0, 0, 2.0)]
     given = maps(poses, 0.1, instrument=round_nm, part=lambda x, y: 5 * (x * x - y * y) + 3 * x**3)
     found = separate(given, poses, PITCH_MM)
     at = found.design.terms.index((4, 0))
@@ -104,7 +104,7 @@ def test_a_shift_tells_what_is_round_but_power() -> None:
 
 
 def test_the_wrong_sense_is_refused() -> None:
-    with pytest.raises(BadMap, match=r"times better with the angles' signs turned.*counter-clockwise as the maps"):
+    with pytest.raises(MapError, match=r"times better with the angles' signs turned.*counter-clockwise as the maps"):
         separate(maps(turns(4), sense=-1), turns(4), PITCH_MM)
 
 
@@ -129,7 +129,7 @@ def test_turns_that_were_not_as_said_are_within_their_uncertainty() -> None:
     off, sigma = [], []
     for seed in range(12):
         rng = np.random.default_rng(100 + seed)
-        true = [Pose(p.angle_deg + rng.normal(0, 0.3), *rng.normal(0, 0.15, 2)) for p in turns(4)]
+        true = [PartPose(p.angle_deg + rng.normal(0, 0.3), *rng.normal(0, 0.15, 2)) for p in turns(4)]
         given = maps(true, 0.05, instrument=astigmatism_nm, part=lambda x, y: 8 * x * y + 6 * (x**3 - 3 * x * y * y))
         found = separate(given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(0.3, 0.15))
         at = found.design.terms.index(ASTIGMATISM)
@@ -141,9 +141,9 @@ def test_turns_that_were_not_as_said_are_within_their_uncertainty() -> None:
 @pytest.mark.full
 def test_a_shift_of_the_wrong_sign_shows() -> None:
     """In the middle of the data, and in terms that differ by more than samples do."""
-    poses = [*turns(4), Pose(45), Pose(0, 4.0)]
+    poses = [*turns(4), PartPose(45), PartPose(0, 4.0)]
     given = maps(poses)
-    found = separate(given, [*poses[:-1], Pose(0, -4.0)], PITCH_MM)
+    found = separate(given, [*poses[:-1], PartPose(0, -4.0)], PITCH_MM)
     assert found.decentre_mm[-1] > 5
     assert found.rest_noise_nm is not None
     assert found.noise_nm > 5 * found.rest_noise_nm
@@ -151,19 +151,19 @@ def test_a_shift_of_the_wrong_sign_shows() -> None:
 
 def test_maps_that_cannot_be_told_apart_are_refused() -> None:
     given = maps(turns(2))
-    with pytest.raises(BadMap, match="one map does not tell"):
-        separate(given[:1], [Pose(0)], PITCH_MM)
-    with pytest.raises(BadMap, match="2 maps and 1 poses"):
-        separate(given, [Pose(0)], PITCH_MM)
-    with pytest.raises(BadMap, match="not of one camera's frame"):
+    with pytest.raises(MapError, match="one map does not tell"):
+        separate(given[:1], [PartPose(0)], PITCH_MM)
+    with pytest.raises(MapError, match="2 maps and 1 poses"):
+        separate(given, [PartPose(0)], PITCH_MM)
+    with pytest.raises(MapError, match="not of one camera's frame"):
         separate([given[0], given[1][:-1]], turns(2), PITCH_MM)
-    with pytest.raises(BadMap, match="lies alike"):
-        separate(given, [Pose(0), Pose(0)], PITCH_MM)
+    with pytest.raises(MapError, match="lies alike"):
+        separate(given, [PartPose(0), PartPose(0)], PITCH_MM)
 
 
 def test_little_in_common_needs_the_noise() -> None:
     """Of 0 and 37 deg up to order 4 only power and spherical are in both maps: two equations tell no noise."""
-    poses = [Pose(0), Pose(37)]
-    with pytest.raises(BadMap, match="nothing in common to tell their noise"):
+    poses = [PartPose(0), PartPose(37)]
+    with pytest.raises(MapError, match="nothing in common to tell their noise"):
         separate(maps(poses), poses, PITCH_MM, degree=4)
     assert separate(maps(poses), poses, PITCH_MM, degree=4, noise_nm=0.3).noise_nm == 0.3

@@ -15,14 +15,14 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.commissioning import artefact_heights, prove
 from polishd.process.gate import judge
 from polishd.process.instrument import as_profiled
-from polishd.process.orientation import ORIENTATIONS, Orientation
+from polishd.process.orientation import ORIENTATIONS, ArrayOrientation
 from polishd.process.registration import register
 from tests.unit.process.gaussian import rough
 from tests.unit.process.placed_parts import BUMPS, MARKS_MM, punched, seen_px
@@ -39,7 +39,7 @@ NOISE = [rng.normal(0, 0.3, GRID.shape) for _ in range(3)]
 class Mistake:
     """A profile that is wrong by this."""
 
-    way: Orientation
+    way: ArrayOrientation
     sign: Literal[1, -1]
     factor: float
 
@@ -69,7 +69,7 @@ BEFORE = punched(np.where(PART, FIGURE, np.nan), MARKS_PX, 5.0)
 def commissioning(mistake: Mistake) -> str:
     try:
         prove(mistake.shown(np.where(PART, artefact_heights(BUMPS, GRID) + NOISE[0], np.nan)), BUMPS)
-    except BadMap as refused:
+    except MapError as refused:
         return str(refused)
     return ""
 
@@ -77,7 +77,7 @@ def commissioning(mistake: Mistake) -> str:
 def fiducials(mistake: Mistake) -> str:
     try:
         register(mistake.shown(BEFORE), mistake.profile, Circle(52.0))
-    except BadMap as refused:
+    except MapError as refused:
         return str(refused)
     return ""
 

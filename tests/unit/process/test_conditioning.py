@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
-from polishd.process.conditioning import Conditioned, Masks, condition, fill_holes, process_grid
+from polishd.process.conditioning import ConditionedMap, Masks, condition, fill_holes, process_grid
 from polishd.process.metrics import polynomial
 from polishd.process.registration.resampling import resample_registered
 from tests.unit.process.gaussian import rough
@@ -26,7 +26,7 @@ def disc_map(grid: Grid = FINE, radius_mm: float = 26.0, seed: int = 0) -> Surfa
     return SurfaceMap(np.where(grid.radius_mm() <= radius_mm, height, np.nan), grid.pitch_mm, path=Path("a.dat"))
 
 
-def conditioned(surface: SurfaceMap, **changes: Any) -> Conditioned:
+def conditioned(surface: SurfaceMap, **changes: Any) -> ConditionedMap:
     return condition(surface, **({"outline": Circle(25.0), "edge_mm": 3.0, "grid_mm": 1.0} | changes))
 
 
@@ -135,9 +135,9 @@ def test_frozen_masks_stay_and_their_holes_are_filled() -> None:
     np.testing.assert_array_equal(later.metric_mask, first.metric_mask)
     assert np.isfinite(later.height_nm[later.solve_mask]).all()
     assert np.abs(later.height_nm - first.height_nm)[first.solve_mask].max() < 10
-    with pytest.raises(BadMap, match="samples that the first map had are missing"):
+    with pytest.raises(MapError, match="samples that the first map had are missing"):
         conditioned(with_hole(disc_map(), 5, -4, 8), masks=masks)
-    with pytest.raises(BadMap, match="the masks of the first map are"):
+    with pytest.raises(MapError, match="the masks of the first map are"):
         conditioned(disc_map(), masks=masks, grid_mm=0.5)
 
 
@@ -165,17 +165,17 @@ def test_a_fill_keeps_the_data_and_stays_between_their_extremes(seed: int, share
 
 def test_refusals() -> None:
     surface = disc_map()
-    with pytest.raises(BadMap, match=r"a\.dat has no lateral scale"):
+    with pytest.raises(MapError, match=r"a\.dat has no lateral scale"):
         conditioned(SurfaceMap(surface.height_nm, None, path=Path("a.dat")))
-    with pytest.raises(BadMap, match=r"a\.dat holds no data"):
+    with pytest.raises(MapError, match=r"a\.dat holds no data"):
         conditioned(surface.with_height(np.full(FINE.shape, np.nan)))
-    with pytest.raises(BadMap, match="the map is 60 mm wide, the aperture 70 mm"):
+    with pytest.raises(MapError, match="the map is 60 mm wide, the aperture 70 mm"):
         conditioned(SurfaceMap(surface.height_nm, 0.25), outline=Circle(35.0))
-    with pytest.raises(BadMap, match="fewer than 100"):
+    with pytest.raises(MapError, match="fewer than 100"):
         conditioned(surface, grid_mm=5.0)
-    with pytest.raises(BadMap, match="of the aperture has data, less than 80%"):
+    with pytest.raises(MapError, match="of the aperture has data, less than 80%"):
         conditioned(disc_map(radius_mm=21))
-    with pytest.raises(BadMap, match="no data"):
+    with pytest.raises(MapError, match="no data"):
         fill_holes(np.full((3, 3), np.nan))
 
 

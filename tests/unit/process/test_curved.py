@@ -12,8 +12,8 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import FLAT, Optic, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact, optics
-from polishd.process.curved import Curved, on_curved
-from polishd.process.dynamic_tif import Lie, effects_columns
+from polishd.process.curved import CurvedContact, on_curved
+from polishd.process.dynamic_tif import PointLocation, effects_columns
 from polishd.process.spot import HertzSpot
 from polishd.sim_backends.plant.removal import contact_radius_mm, hertz_depth_mm, wear
 from polishd.sim_backends.plant.shape import Shape
@@ -32,7 +32,7 @@ SQUARES, CELL = 135, 9
 """Across, and of these to a cell: mean over cells, as a map has them, is what is compared."""
 
 
-def beside_a_flat(optic: Optic, place: FloatArray = CENTRE) -> Curved:
+def beside_a_flat(optic: Optic, place: FloatArray = CENTRE) -> CurvedContact:
     """Of an optic that is none."""
     found = on_curved(TOOL, optic, place)
     assert found is not None
@@ -125,12 +125,12 @@ def worn_nm(radius_mm: FloatArray, stretch: FloatArray) -> FloatArray:
     return -worn
 
 
-def spot_nm(curved: Curved | None) -> FloatArray:
+def spot_nm(curved: CurvedContact | None) -> FloatArray:
     """The same of the controller's spot, in squares so fine that they hardly show."""
     at = np.zeros((1, 2)), np.zeros((1, 2))
-    lie, factor, turned = Lie(at), np.ones(1), None
+    lie, factor, turned = PointLocation(at), np.ones(1), None
     if curved is not None:
-        lie, factor, turned = Lie(at, curved.wider), curved.seen, curved.askew
+        lie, factor, turned = PointLocation(at, curved.wider), curved.seen, curved.askew
     found = effects_columns(
         GRID, HertzSpot(TOOL, 128), [lie], np.zeros(1), depth_ratio=np.ones(1), factor=factor, correlation=turned
     )

@@ -15,7 +15,7 @@ from polishd.process.dwell import interior_point
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.curve import (
     Curve,
-    Solved,
+    CurvePoint,
     highest_price,
     price_curve,
     solved,
@@ -39,7 +39,7 @@ def made(pairs: list[tuple[float, float]]) -> Curve:
     points, first = [], whole_curve().points[0].solution
     for total_s, rms_nm in pairs:
         certificate = replace(first.certificate, dwell_total_s=total_s, predicted_rms_nm=rms_nm)
-        points.append(Solved(PROBLEM, replace(first, certificate=certificate)))
+        points.append(CurvePoint(PROBLEM, replace(first, certificate=certificate)))
     return Curve(tuple(points))
 
 

@@ -14,7 +14,7 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell.certificate import certified, largest_gap
 from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.proof import Reach, proved, smallest_gap
+from polishd.process.dwell.proof import LowerBound, proved, smallest_gap
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.effect import SparseEffect
 from tests.unit.process.gaussian import dwell_problem
@@ -99,7 +99,7 @@ def test_any_tangent_is_a_bound_even_beyond_the_bounds(seed: int, rho: float) ->
     rng = np.random.default_rng(seed)
     problem = small(rng, rho, upper=True, price=0.0, weighted=False)
     f = quadratic(problem)
-    reach = Reach.of(problem, f, f.value(problem.lower_s))
+    reach = LowerBound.of(problem, f, f.value(problem.lower_s))
     at_s = 5 * rng.standard_normal(f.n)
     exact = least(problem)
     assert reach.least(at_s, *f.at(at_s), problem.regularisation) <= exact + 1e-10 * max(exact, 1.0)

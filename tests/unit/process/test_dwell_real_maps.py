@@ -14,7 +14,7 @@ from polishd.process.dwell import interior_point, newton_cg
 from polishd.process.dwell.arrays import DwellCase, array_problem, dwell_from_arrays
 from polishd.process.dwell.budget import floor_cost, within_budget
 from polishd.process.dwell.certificate import certified
-from polishd.process.dwell.curve import Solved, highest_price, price_curve
+from polishd.process.dwell.curve import CurvePoint, highest_price, price_curve
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.process.exact_dwell import by_nnls, by_pivoting, clipped_lsmr, fista, richardson_lucy
 
@@ -47,7 +47,7 @@ def named(request: pytest.FixtureRequest, shared_data: Path) -> tuple[str, Dwell
     return request.param, mirror(shared_data, request.param)
 
 
-def off(found: Solved, exact_s: FloatArray) -> float:
+def off(found: CurvePoint, exact_s: FloatArray) -> float:
     """By how much the residual RMS differs from the exact one's, relative."""
     exact = certified(found.problem, exact_s, solver="exact", iterations=0, seconds=0, stopped="").certificate
     assert exact.kkt_residual < 1e-8
@@ -85,7 +85,7 @@ def test_the_curve_is_exact_from_end_to_end(named: tuple[str, DwellCase]) -> Non
 @pytest.mark.parametrize("rho", [1e-8, 1e-12])
 def test_it_agrees_with_nnls_which_starts_from_nothing(shared_data: Path, rho: float) -> None:
     problem, _ = array_problem(replace(mirror(shared_data, "elongated"), rho=rho))
-    found = Solved(problem, solve(problem))
+    found = CurvePoint(problem, solve(problem))
     assert off(found, by_nnls(problem)) < 1e-5
 
 
@@ -146,4 +146,4 @@ def test_arbitrary_points_through_the_arrays(shared_data: Path) -> None:
     found = dwell_from_arrays(replace(case, points_mm=rng.permutation(moved)))
     assert found.certificate.kkt_residual <= 1e-8
     assert found.certificate.predicted_rms_nm < 1.5 * lattice.certificate.predicted_rms_nm
-    assert off(Solved(found.problem, found.solution), by_nnls(found.problem)) < 1e-5
+    assert off(CurvePoint(found.problem, found.solution), by_nnls(found.problem)) < 1e-5

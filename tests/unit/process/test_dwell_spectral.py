@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polishd.model.dwell import KeptStart
+from polishd.model.dwell import WarmStart
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import automatic, newton_cg, spectral, walk
@@ -175,7 +175,7 @@ def test_a_warm_start_is_soon_there() -> None:
     asked = problem()
     cold = spectral.solve(asked, 120.0, 1e-5, 0.0)
     nearly = replace(asked, target_nm=asked.target_nm * 1.002)
-    again = spectral.solve(replace(nearly, warm=KeptStart(cold.time_s, {})), 120.0, 1e-5, 0.0)
+    again = spectral.solve(replace(nearly, warm=WarmStart(cold.time_s, {})), 120.0, 1e-5, 0.0)
     assert again.certificate.kkt_residual <= 1e-5
     assert again.certificate.iterations < 0.7 * spectral.solve(nearly, 120.0, 1e-5, 0.0).certificate.iterations
 

@@ -14,7 +14,7 @@ from polishd.model.process import Correction, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.process import contact
-from polishd.process.dynamic_tif import corrected_spot, effect_matrix
+from polishd.process.dynamic_tif import effect_matrix, tif_at_point
 from polishd.process.spot import HertzSpot
 from tests.unit.process.moves import program, raster
 
@@ -178,7 +178,7 @@ def test_a_raster_of_ten_thousand_blocks_takes_well_below_two_seconds(pitch: flo
 
 def volume_ratio(correction: Correction, gamma: np.ndarray) -> np.ndarray:
     """Volume of the corrected spot over the rigid robot's."""
-    spots = corrected_spot(correction, gamma)
+    spots = tif_at_point(correction, gamma)
     volume = contact.volume_rate_nm_mm2_s(PAPER, spots.depth_ratio * DEPTH)
     return spots.factor * volume / contact.volume_rate_nm_mm2_s(PAPER, DEPTH)
 
@@ -191,13 +191,13 @@ def test_corrections_stand_for_what_they_say() -> None:
     np.testing.assert_allclose(volume_ratio("power", gamma), gamma**1.5, rtol=1e-12)
     # nearly: the speed changes with the depth too
     np.testing.assert_allclose(volume_ratio("exact", gamma), gamma**1.5, rtol=2e-3)
-    assert (corrected_spot("exact", gamma).depth_ratio == gamma).all()
+    assert (tif_at_point("exact", gamma).depth_ratio == gamma).all()
 
 
 def test_only_pointwise_divides_the_dwell() -> None:
     gamma = np.array([0.85, 0.91])
     every: tuple[Correction, ...] = ("none", "linear", "power", "exact", "pointwise")
-    *others, pointwise = (corrected_spot(name, gamma).divide_by for name in every)
+    *others, pointwise = (tif_at_point(name, gamma).divide_by for name in every)
     assert others == [None] * 4
     np.testing.assert_array_equal(pointwise, gamma)
 
@@ -207,7 +207,7 @@ def test_pointwise_and_linear_give_one_removal() -> None:
     grid, moves = Grid(40, 40, 1.0), raster(4.0, 12.0)
     rng = np.random.default_rng(8)
     gamma, dwell = rng.uniform(0.83, 0.92, moves.n), rng.uniform(0, 5, moves.n)
-    linear, pointwise = (corrected_spot(name, gamma) for name in ("linear", "pointwise"))
+    linear, pointwise = (tif_at_point(name, gamma) for name in ("linear", "pointwise"))
     plant = effect_matrix(grid, HertzSpot(PAPER), moves, linear.depth_ratio, linear.factor)
     believed = effect_matrix(grid, HertzSpot(PAPER), moves, pointwise.depth_ratio, pointwise.factor)
     assert pointwise.divide_by is not None
@@ -216,23 +216,23 @@ def test_pointwise_and_linear_give_one_removal() -> None:
 
 def test_the_exponent_of_power_is_the_process_s() -> None:
     gamma = np.array([0.8, 0.9])
-    np.testing.assert_allclose(corrected_spot("power", gamma, 1.8).factor, gamma**1.8, rtol=1e-15)
+    np.testing.assert_allclose(tif_at_point("power", gamma, 1.8).factor, gamma**1.8, rtol=1e-15)
 
 
 def test_a_spot_of_another_depth_ratio_can_stand_for_all() -> None:
     """One measured at gamma 0.9, or the static spot calibrated at the mean pose."""
     gamma = np.array([0.81, 0.9])
     for name, factor in (("none", [1, 1]), ("linear", [0.9, 1]), ("power", [0.9**2, 1]), ("pointwise", [1, 1])):
-        spots = corrected_spot(name, gamma, 2.0, 0.9)
+        spots = tif_at_point(name, gamma, 2.0, 0.9)
         np.testing.assert_allclose(spots.factor, factor, rtol=1e-12)
         assert (spots.depth_ratio == 0.9).all()
-    np.testing.assert_allclose(corrected_spot("pointwise", gamma, 2.0, 0.9).divide_by, [0.9, 1], rtol=1e-12)
-    assert (corrected_spot("exact", gamma, 2.0, 0.9).depth_ratio == gamma).all()
+    np.testing.assert_allclose(tif_at_point("pointwise", gamma, 2.0, 0.9).divide_by, [0.9, 1], rtol=1e-12)
+    assert (tif_at_point("exact", gamma, 2.0, 0.9).depth_ratio == gamma).all()
 
 
 def test_an_unknown_correction_is_refused() -> None:
     with pytest.raises(ComputeError, match="no correction 'guess'; use exact"):
-        corrected_spot("guess", np.ones(1))  # type: ignore[arg-type]
+        tif_at_point("guess", np.ones(1))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 1.0, -2.5])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from polishd.model.errors import BadMap, ComputeError
+from polishd.model.errors import ComputeError, MapError
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact
 from polishd.process.dynamic_tif import effect_matrix
 from polishd.process.edge import correctable as module
-from polishd.process.edge.correctable import SHARE, Transfer, correctable, transfer
+from polishd.process.edge.correctable import SHARE, SpotTransferFunction, correctable, transfer
 from polishd.process.measured_spot import MeasuredSpot, measured_spot
 from polishd.process.paths.raster import quiet_step_mm
 from polishd.process.spot import HertzSpot
@@ -103,8 +103,8 @@ def test_the_directions_and_frequencies_are_enough(monkeypatch: pytest.MonkeyPat
     assert rough.null_period_mm == pytest.approx(fine.null_period_mm or 0.0, rel=2e-3)
 
 
-def at(cutoff_mm: float) -> Transfer:
-    return Transfer(np.zeros(1), np.ones(1), SHARE, cutoff_mm, None)
+def at(cutoff_mm: float) -> SpotTransferFunction:
+    return SpotTransferFunction(np.zeros(1), np.ones(1), SHARE, cutoff_mm, None)
 
 
 def test_a_surface_is_split_at_the_cutoff() -> None:
@@ -160,7 +160,7 @@ def test_what_cannot_be_is_refused() -> None:
     needle[4, 4] = 1.0
     with pytest.raises(ComputeError, match="its patch is too coarse"):
         transfer(measured_spot(MeasuredTif(needle, 0.1), ToolProcess()))
-    with pytest.raises(BadMap, match="have no data"):
+    with pytest.raises(MapError, match="have no data"):
         correctable(np.full(GRID.shape, np.nan), DISC, GRID.pitch_mm, at(8.0))
-    with pytest.raises(BadMap, match="no sample"):
+    with pytest.raises(MapError, match="no sample"):
         correctable(wave(9.0), np.zeros(GRID.shape, dtype=bool), GRID.pitch_mm, at(8.0))

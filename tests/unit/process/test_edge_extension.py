@@ -11,7 +11,7 @@ from scipy import ndimage
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.edge import extension
-from polishd.process.edge.extension import Extended, Extension, extend
+from polishd.process.edge.extension import ExtendedSurface, Extension, extend
 from polishd.process.metrics import polynomial
 from tests.unit.process.gaussian import rough
 
@@ -21,7 +21,7 @@ METHODS: tuple[Extension, ...] = ("nearest", "c1", "gerchberg_papoulis")
 CUTOFF = 12.0
 
 
-def extended(height: FloatArray, mask: BoolArray, method: Extension, reach_mm: float = 10.0) -> Extended:
+def extended(height: FloatArray, mask: BoolArray, method: Extension, reach_mm: float = 10.0) -> ExtendedSurface:
     """The surface as far as the mask shows it, extended; what lies outside must not matter."""
     return extend(np.where(mask, height, np.nan), mask, GRID.pitch_mm, reach_mm, method, cutoff_period_mm=CUTOFF)
 
@@ -30,7 +30,7 @@ def plane() -> FloatArray:
     return np.asarray(3 * GRID.x_mm[None, :] - 2 * GRID.y_mm[:, None] + 7, dtype=np.float64)
 
 
-def error_nm(result: Extended, truth: FloatArray, ring: tuple[float, float]) -> float:
+def error_nm(result: ExtendedSurface, truth: FloatArray, ring: tuple[float, float]) -> float:
     """RMS against the truth between two distances beyond the disc's rim."""
     beyond = GRID.radius_mm() - 40.0
     there = result.mask & (beyond > ring[0]) & (beyond <= ring[1])

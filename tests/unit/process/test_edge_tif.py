@@ -13,7 +13,7 @@ from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import contact
 from polishd.process.dynamic_tif import effect_matrix
-from polishd.process.edge.edge_tif import MOST_SUNK, carried, contact_centres_mm, rim_contact, sinking
+from polishd.process.edge.edge_tif import MOST_SUNK, contact_centres_mm, load_share, rim_contact, rim_sink_mm
 from polishd.process.spot import HertzSpot
 from tests.unit.process.moves import program
 
@@ -53,36 +53,36 @@ def on_line(distance_mm: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("inside", [1.2, 1.0, 0.9, 0.5, 0.1, 0.0, -0.1, -0.5, -1.0, -2.0])
 def test_the_force_is_kept(inside: float) -> None:
-    sunk = float(sinking(np.array([inside]))[0])
+    sunk = float(rim_sink_mm(np.array([inside]))[0])
     assert force_on_half_plane_n(sunk * DEPTH, inside * A) == pytest.approx(PAPER.force_n, rel=1e-5)
-    assert carried(np.array([inside]), np.array([sunk]))[0] == pytest.approx(1.0, abs=1e-12)
+    assert load_share(np.array([inside]), np.array([sunk]))[0] == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("inside", [0.9, 0.3, -0.4, -1.0, -1.3])
 def test_where_it_may_sink_no_further_it_carries_what_is_stated(inside: float) -> None:
     held = force_on_half_plane_n(1.2 * DEPTH, inside * A) / PAPER.force_n
-    assert carried(np.array([inside]), np.array([1.2]))[0] == pytest.approx(held, rel=1e-5, abs=1e-9)
+    assert load_share(np.array([inside]), np.array([1.2]))[0] == pytest.approx(held, rel=1e-5, abs=1e-9)
 
 
 def test_known_depths() -> None:
-    np.testing.assert_allclose(sinking(np.array([1.0, 5.0])), 1.0)
-    assert sinking(np.array([0.0]))[0] == pytest.approx(2 ** (2 / 3))  # half a contact: d^1.5 doubles
+    np.testing.assert_allclose(rim_sink_mm(np.array([1.0, 5.0])), 1.0)
+    assert rim_sink_mm(np.array([0.0]))[0] == pytest.approx(2 ** (2 / 3))  # half a contact: d^1.5 doubles
 
 
 @given(st.floats(-20, 20))
 def test_the_root_is_the_root(inside: float) -> None:
     c = min(inside, 1.0)
-    s = float(np.sqrt(sinking(np.array([inside]))[0]))
+    s = float(np.sqrt(rim_sink_mm(np.array([inside]))[0]))
     assert s >= max(1.0, -c)
     assert 2 * s**3 + 3 * c * s**2 - c**3 == pytest.approx(4.0, abs=1e-9 * (1 + abs(c) ** 3))
 
 
 def test_it_sinks_more_the_further_out_and_without_steps() -> None:
     inside = np.linspace(1.5, -2.0, 3501)
-    sunk = sinking(inside)
+    sunk = rim_sink_mm(inside)
     assert (np.diff(sunk) >= -1e-12).all()
     assert np.diff(sunk).max() < 6e-3
-    force = carried(inside, np.minimum(sunk, MOST_SUNK))
+    force = load_share(inside, np.minimum(sunk, MOST_SUNK))
     assert (np.diff(force) <= 1e-12).all()
     assert np.abs(np.diff(force)).max() < 2e-3
     assert (force[inside <= -np.sqrt(MOST_SUNK)] <= 1e-12).all()
@@ -100,7 +100,7 @@ def test_gamma_sets_the_radius_that_overhangs() -> None:
     gamma = np.array([1.0, 0.64])
     found = rim_contact(PAPER, RIM, on_line(np.full(2, 0.5 * A)), gamma)
     np.testing.assert_allclose(found.inside, [0.5, 0.5 / 0.8], rtol=1e-9)
-    np.testing.assert_allclose(found.depth_ratio, gamma * sinking(found.inside))
+    np.testing.assert_allclose(found.depth_ratio, gamma * rim_sink_mm(found.inside))
 
 
 def columns(x_mm: FloatArray, most_sunk: float = MOST_SUNK) -> tuple[FloatArray, Grid]:
@@ -183,6 +183,6 @@ def test_a_straight_side_of_a_polygon_is_a_straight_rim() -> None:
     inside = np.linspace(-1.5, 1.5, 31) * A
     along = np.stack([np.linspace(-20, 20, 31), 15.0 - inside], axis=1)
     found = rim_contact(PAPER, rectangle(100, 30), along, np.ones(31))
-    np.testing.assert_allclose(found.depth_ratio, np.minimum(sinking(inside / A), MOST_SUNK), rtol=1e-12)
+    np.testing.assert_allclose(found.depth_ratio, np.minimum(rim_sink_mm(inside / A), MOST_SUNK), rtol=1e-12)
     hole = rim_contact(PAPER, Circle(50.0, 20.0), np.stack([20.0 + inside, 0 * inside], axis=1), np.ones(31))
     np.testing.assert_allclose(hole.depth_ratio, found.depth_ratio, rtol=1e-12)

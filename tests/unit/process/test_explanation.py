@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from polishd.model.surface import Grid
 from polishd.process.explanation import REACH_MM, Explanation, correlations, explanations, peak
-from polishd.process.orientation import ORIENTATIONS, Orientation
+from polishd.process.orientation import ORIENTATIONS, ArrayOrientation
 from polishd.process.removal_fit import levelled
 from tests.unit.process.gaussian import rough
 
@@ -73,7 +73,7 @@ def test_a_peak_at_the_border_stays_there() -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("way", ORIENTATIONS, ids=lambda way: way.name)
-def test_the_right_explanation_is_the_best(way: Orientation, sign: int) -> None:
+def test_the_right_explanation_is_the_best(way: ArrayOrientation, sign: int) -> None:
     seen = sign * ndimage.shift(way.turn(MAP), (2, -3), order=1, mode="nearest")
     turned = np.asarray(way.turn(PART))
     found = list(explanations(MAP - MAP[PART].mean(), seen, PART, turned, GRID.pitch_mm))

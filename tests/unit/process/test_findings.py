@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from polishd.model.beliefs import Belief
-from polishd.model.finding import Finding, FindingLimits, Series, Shown
-from polishd.process.findings import REFERENCE, findings, followed
+from polishd.model.beliefs import Estimate
+from polishd.model.finding import Finding, FindingLimits, PassIndicators, PassSeries
+from polishd.process.findings import REFERENCE, extend_series, findings
 
 LIMITS = FindingLimits()
 HOUR = 3600.0
@@ -26,29 +26,29 @@ def a_pass(
     rate_sigma: float = 0.01,
     fade: tuple[float, float] | None = (0.0, 0.02),
     width: tuple[float, float] | None = (0.0, 0.03),
-) -> Shown:
-    return Shown(
+) -> PassIndicators:
+    return PassIndicators(
         before,
         predicted,
         after,
         reach,
         hours * HOUR,
-        None if rate is None else Belief(rate, rate_sigma),
-        None if fade is None else Belief(*fade),
-        None if width is None else Belief(*width),
+        None if rate is None else Estimate(rate, rate_sigma),
+        None if fade is None else Estimate(*fade),
+        None if width is None else Estimate(*width),
     )
 
 
-def found(passes: Sequence[Shown], limits: FindingLimits = LIMITS) -> list[Finding]:
+def found(passes: Sequence[PassIndicators], limits: FindingLimits = LIMITS) -> list[Finding]:
     """In all of them, a job each."""
-    series, seen = Series("p"), []
+    series, seen = PassSeries("p"), []
     for one in passes:
-        series = followed(series, one)
+        series = extend_series(series, one)
         seen += findings(series, [one], limits)
     return seen
 
 
-def kinds(passes: Sequence[Shown]) -> list[str]:
+def kinds(passes: Sequence[PassIndicators]) -> list[str]:
     return [one.kind for one in found(passes)]
 
 
@@ -99,7 +99,7 @@ def test_a_pad_that_wears_within_one_pass_needs_no_other_pass() -> None:
     ],
     ids=["fade", "width", "width near its limit", "rate", "no reference yet", "shows nothing"],
 )
-def test_what_is_not_sure_is_not_found(passes: Sequence[Shown]) -> None:
+def test_what_is_not_sure_is_not_found(passes: Sequence[PassIndicators]) -> None:
     assert found(passes) == []
 
 
@@ -110,10 +110,10 @@ def test_another_spot(width: float, word: str) -> None:
     assert f"{100 * abs(width):.0f} +- 5 % {word} than the plans count with" in only.what
 
 
-def stalls(job: Sequence[Shown], limits: FindingLimits = LIMITS) -> list[str]:
-    series = Series("p")
+def stalls(job: Sequence[PassIndicators], limits: FindingLimits = LIMITS) -> list[str]:
+    series = PassSeries("p")
     for one in job:
-        series = followed(series, one)
+        series = extend_series(series, one)
     return [one.what for one in findings(series, job, limits) if one.kind == "stall"]
 
 
@@ -140,7 +140,7 @@ def test_what_is_left_within_reach_is_looked_for_in_the_report() -> None:
 
 def test_a_tool_that_changed_is_why_it_stalls() -> None:
     job = [a_pass(3.0, 2.9, 1.0), a_pass(2.9, 2.8, 1.0, width=(0.5, 0.05))]
-    assert [one.kind for one in findings(followed(Series("p"), job[-1]), job, LIMITS)] == ["spot"]
+    assert [one.kind for one in findings(extend_series(PassSeries("p"), job[-1]), job, LIMITS)] == ["spot"]
 
 
 @pytest.mark.parametrize("seeds", [100, pytest.param(20_000, marks=pytest.mark.slow)])

@@ -7,7 +7,7 @@ import pytest
 
 from polishd.model.finding import FindingLimits
 from polishd.model.surface import FloatArray
-from polishd.process.findings import worthless
+from polishd.process.findings import gain_too_small
 from polishd.process.forecast import UNEXPLAINED, WITHIN, Forecast, forecast, pooled, unexplained
 
 N = 72
@@ -122,15 +122,15 @@ def test_what_a_pass_showed_counts_as_much_as_all_before() -> None:
 
 def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:
     limits, hopeless = FindingLimits(), Forecast(0.60, 0.64, 0.70, 0.9, 0.04)
-    found = worthless(hopeless, limits)
+    found = gain_too_small(hopeless, limits)
     assert found is not None
     assert (found.kind, found.stops) == ("stall", "job")
     assert found.what == (
         "the next pass would leave 0.60 to 0.70 nm (90 %), with a chance of 4 % that it is less than now: it is not "
         "made. Take another tool, or tolerance, or a quieter map"
     )
-    assert worthless(Forecast(0.60, 0.64, 0.70, 0.9, 0.06), limits) is None
-    assert worthless(hopeless, FindingLimits(least_gain=0.0)) is None, "who turns it off has it off"
+    assert gain_too_small(Forecast(0.60, 0.64, 0.70, 0.9, 0.06), limits) is None
+    assert gain_too_small(hopeless, FindingLimits(least_gain=0.0)) is None, "who turns it off has it off"
 
 
 def test_noise_of_a_map_s_own_samples_adds_in_quadrature_and_costs_no_chance_to_gain() -> None:

@@ -9,7 +9,7 @@ from scipy import ndimage
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.gate import explains_better, judge
-from polishd.process.orientation import ORIENTATIONS, Orientation
+from polishd.process.orientation import ORIENTATIONS, ArrayOrientation
 from tests.unit.process.gaussian import rough
 
 GRID = Grid(110, 110, 1.0)
@@ -122,7 +122,7 @@ def test_a_rate_that_may_as_well_be_allowed_goes_on_and_is_said(factor: float) -
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("way", ORIENTATIONS[1:], ids=lambda way: way.name)
-def test_turns_and_flips_stop_even_beside(way: Orientation, sign: int) -> None:
+def test_turns_and_flips_stop_even_beside(way: ArrayOrientation, sign: int) -> None:
     measured = sign * moved(np.asarray(way.turn(PREDICTED)), 2, -1) + noise(5, 1.0)
     verdict = judge(PREDICTED, measured, MASK, GRID.pitch_mm)
     assert way.name in verdict.stop

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.gate import Verdict, judge
+from polishd.process.gate import RemovalCheckResult, judge
 from polishd.process.orientation import ORIENTATIONS
 from tests.unit.process.gaussian import rough
 
@@ -41,7 +41,7 @@ class Pass:
     removed: FloatArray
     added: FloatArray
 
-    def judged(self, removed: FloatArray) -> Verdict:
+    def judged(self, removed: FloatArray) -> RemovalCheckResult:
         return judge(self.predicted, removed + self.added, self.mask, self.grid.pitch_mm)
 
 

@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from polishd.model.errors import ComputeError
 from polishd.process.identification.forward import forward
-from polishd.process.identification.parameters import Knowledge
-from polishd.process.identification.passes import Noise, Removed
+from polishd.process.identification.parameters import PriorKnowledge
+from polishd.process.identification.passes import RemovalMap, RemovalNoise
 from polishd.process.identification.residual import own_noise
 from tests.unit.process.identified import (
     EVERYTHING,
@@ -138,14 +138,14 @@ def test_noise_is_measured_with_its_area(wide: float) -> None:
     rng, mask = np.random.default_rng(3), np.ones((120, 120), dtype=bool)
     noise = rng.standard_normal(mask.shape)
     noise = ndimage.gaussian_filter(noise, wide, mode="wrap") if wide else noise
-    seen_noise = own_noise(2.0 * noise / noise.std(), mask, Noise(0.1), 0.5)
+    seen_noise = own_noise(2.0 * noise / noise.std(), mask, RemovalNoise(0.1), 0.5)
     area = 4 * np.pi * wide**2 * 0.25 if wide else 0.25  # of the autocorrelation exp(-r^2 / 4 w^2)
     assert seen_noise.sigma_nm == pytest.approx(2.0, rel=0.05)
     assert seen_noise.area_mm2 == pytest.approx(area, rel=0.25)
 
 
 def test_two_noises_count_each_over_its_area() -> None:
-    both = Noise(3.0).with_another(Noise(4.0, 9.0), pitch_mm=2.0)
+    both = RemovalNoise(3.0).with_another(RemovalNoise(4.0, 9.0), pitch_mm=2.0)
     assert both.sigma_nm == pytest.approx(5.0)
     # a mean over many samples has the sum of what each would leave of it
     assert both.sigma_nm**2 * both.area_mm2 == pytest.approx(9.0 * 4.0 + 16.0 * 9.0)
@@ -159,7 +159,7 @@ def test_correlated_noise_widens_the_errors_as_it_should() -> None:
     for seed in range(10):
         noise = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(mask.shape), 1.5, mode="wrap")
         removed = one.removed({}, None)
-        removed = Removed(grid, removed.removal_nm + noise / noise.std() * 0.5, mask, Noise(0.1))
+        removed = RemovalMap(grid, removed.removal_nm + noise / noise.std() * 0.5, mask, RemovalNoise(0.1))
         result = found(removed, one.blocks(), knowing(""))
         errors.append(result["rate"].value / result["rate"].sigma)
     assert 0.2 < np.mean(np.square(errors)) < 2.6
@@ -221,7 +221,7 @@ def test_a_coarser_map_keeps_place_mean_and_noise() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"noise": Noise(0.0)}, "noise of the removal map is 0 nm"),
+        ({"noise": RemovalNoise(0.0)}, "noise of the removal map is 0 nm"),
         ({"mask": np.zeros((33, 33), dtype=bool)}, "0 samples have data"),
         ({"removal_nm": np.full((33, 33), np.nan)}, "not finite everywhere"),
         ({"removal_nm": np.zeros((3, 3))}, r"the grid is \(33, 33\)"),
@@ -255,6 +255,6 @@ def test_force_and_speed_count_as_they_were() -> None:
 
 
 def test_knowledge_has_no_other_names() -> None:
-    known: Knowledge = knowing("")
+    known: PriorKnowledge = knowing("")
     with pytest.raises(KeyError, match="no parameter 'offset_x'; there are rate, piston"):
         known.at("offset_x")

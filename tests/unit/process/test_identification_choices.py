@@ -10,17 +10,23 @@ from typing import cast
 import numpy as np
 import pytest
 
-from polishd.model.beliefs import Belief, MachineBeliefs
+from polishd.model.beliefs import Estimate, MachineEstimates
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.identification.beliefs import beliefs_of, on_the_next_part
 from polishd.process.identification.comparison import compare, extensions
-from polishd.process.identification.confounding import told
-from polishd.process.identification.decision import Found, decide
+from polishd.process.identification.confounding import confounding_of
+from polishd.process.identification.decision import EstimatedShift, decide
 from polishd.process.identification.forward import forward
-from polishd.process.identification.identify import Identified, displaced_error_mm, displaced_mm, identify, length_error
-from polishd.process.identification.parameters import Knowledge, advanced, unlearned, usual_parameters
-from polishd.process.identification.passes import Noise
+from polishd.process.identification.identify import (
+    IdentificationResult,
+    displaced_error_mm,
+    displaced_mm,
+    identify,
+    length_error,
+)
+from polishd.process.identification.parameters import PriorKnowledge, advanced, unlearned, usual_parameters
+from polishd.process.identification.passes import RemovalNoise
 from polishd.process.identification.prediction import Prediction, interval, predict, rms_samples
 from tests.unit.process.identified import (
     PROCESS,
@@ -96,15 +102,15 @@ def test_a_weak_removal_shows_nothing() -> None:
 def test_a_single_number_is_told_or_not() -> None:
     parameters = unlearned(usual_parameters()).parameters[:2]
     before = np.diag([0.09, 0.01])
-    unseen = told(parameters, before, np.diag([0.08, 0.0001]))
+    unseen = confounding_of(parameters, before, np.diag([0.08, 0.0001]))
     assert (unseen["rate"].decided, unseen["rate"].confounded_with) == (False, ())
     assert unseen["field_2"].decided
-    tied = told(parameters, before, np.array([[0.08, 0.026], [0.026, 0.009]]))
+    tied = confounding_of(parameters, before, np.array([[0.08, 0.026], [0.026, 0.009]]))
     assert tied["rate"].confounded_with == ("field_2",)
     assert tied["field_2"].confounded_with == ("rate",)
 
 
-def at_three_limits(one: Polished, names: str, name: str, seed: int) -> Identified:
+def at_three_limits(one: Polished, names: str, name: str, seed: int) -> IdentificationResult:
     """What is found where one thing is wrong, at three times its detection limit."""
     limit = one.identified({}, names, seed)[name].detection_limit
     return one.identified({name: 3 * limit}, names, 7000 + seed)
@@ -172,7 +178,7 @@ def test_what_does_not_pay_is_not_applied() -> None:
     one, prior = polished(), knowing("offset")
     removed = one.removed({"offset_x": 0.05})
 
-    def before(next_s: FloatArray) -> Identified:
+    def before(next_s: FloatArray) -> IdentificationResult:
         return identify(
             removed, one.blocks(), spot(), PROCESS, prior, projection="linear", radius_mm=RADIUS_MM, next_s=next_s
         )
@@ -226,7 +232,7 @@ def test_time_and_use_widen_what_is_known() -> None:
     assert (years.sigma <= known.sigma * (1 + 1e-9)).all()
 
 
-def planned(one: Polished, known: Knowledge) -> Prediction:
+def planned(one: Polished, known: PriorKnowledge) -> Prediction:
     grid, mask = disc()
     model = forward(
         one.blocks(), grid, mask, spot(), PROCESS,
@@ -254,7 +260,7 @@ def test_the_interval_of_the_next_pass_holds(jobs: int) -> None:
         removing = {name: value for name, value in truth.items() if name not in ("piston", "tilt_x", "tilt_y")}
         left = (height - removal(then, removing))[mask]
         true_rms = np.sqrt(np.mean((left - plane @ np.linalg.lstsq(plane, left, rcond=None)[0]) ** 2))
-        draws = rms_samples(prediction, height, Noise(1e-6), np.random.default_rng(seed))
+        draws = rms_samples(prediction, height, RemovalNoise(1e-6), np.random.default_rng(seed))
         found = interval(draws, 0.9)
         assert found.low < found.median < found.high
         within += found.low <= true_rms <= found.high
@@ -300,14 +306,17 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
 @pytest.mark.parametrize(
     ("one", "says"),
     [
-        (Found("width", 0.05, 0.003, "1", 0.0, {"width": -0.05}), "width of -4.88 +- 0.29 %"),
-        (Found("compliance", 0.25, 0.05, "1", 0.0, {"compliance": 0.25}), "compliance of +28.4 +- 6.4 %"),
-        (Found("wear", 0.3, 0.02, "1/h", 0.0, {"wear": 0.3}), "wear of +0.3 +- 0.02 1/h"),
-        (Found("offset", 1.23456, 0.0023, "mm", 0.0, {"offset_x": -1.23456}), "offset of -1.2346 +- 0.0023 mm"),
-        (Found("turn", 4.0, 0.5, "deg", 0.0, {"turn": -4.0}), "turn of -4 +- 0.5 deg"),
-        (Found("exponent", 0.4, 0.05, "1", 0.0, {"exponent": -0.4}), "exponent of -0.4 +- 0.05"),
+        (EstimatedShift("width", 0.05, 0.003, "1", 0.0, {"width": -0.05}), "width of -4.88 +- 0.29 %"),
+        (EstimatedShift("compliance", 0.25, 0.05, "1", 0.0, {"compliance": 0.25}), "compliance of +28.4 +- 6.4 %"),
+        (EstimatedShift("wear", 0.3, 0.02, "1/h", 0.0, {"wear": 0.3}), "wear of +0.3 +- 0.02 1/h"),
         (
-            Found(
+            EstimatedShift("offset", 1.23456, 0.0023, "mm", 0.0, {"offset_x": -1.23456}),
+            "offset of -1.2346 +- 0.0023 mm",
+        ),
+        (EstimatedShift("turn", 4.0, 0.5, "deg", 0.0, {"turn": -4.0}), "turn of -4 +- 0.5 deg"),
+        (EstimatedShift("exponent", 0.4, 0.05, "1", 0.0, {"exponent": -0.4}), "exponent of -0.4 +- 0.05"),
+        (
+            EstimatedShift(
                 "offset",
                 0.5,
                 0.02,
@@ -320,7 +329,7 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
             "offset of 0.5 +- 0.03 mm (offset_x +0.3 +- 0.01, offset_y -0.4 +- 0.03)",
         ),
         (
-            Found(
+            EstimatedShift(
                 "field 1",
                 0.05,
                 0.002,
@@ -334,12 +343,12 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
         ),
     ],
 )
-def test_what_is_found_is_said_with_sign_and_unit(one: Found, says: str) -> None:
+def test_what_is_found_is_said_with_sign_and_unit(one: EstimatedShift, says: str) -> None:
     assert one.words == says
 
 
 def test_a_limit_is_said_in_the_same_unit() -> None:
-    assert Found("width", 0.25, 0.003, "1", 0.25, {"width": 0.25}).words_of(0.2) == "22.1 %"
+    assert EstimatedShift("width", 0.25, 0.003, "1", 0.25, {"width": 0.25}).words_of(0.2) == "22.1 %"
 
 
 @pytest.mark.parametrize(
@@ -363,7 +372,7 @@ def test_an_actuator_that_takes_up_what_the_robot_gives_way_needs_no_person_and_
         displaced_error_mm=0.0,
         comparison=SimpleNamespace(best=alone, rivals=()),
     )
-    assert bool(decide(cast(Identified, found)).stops) is stops
+    assert bool(decide(cast(IdentificationResult, found)).stops) is stops
 
 
 def test_how_far_the_spot_misses_is_offset_and_shift_together() -> None:
@@ -437,8 +446,8 @@ def test_on_the_next_part_only_what_belonged_to_the_mounted_one_is_forgotten() -
     known = unlearned(usual_parameters())
     mean = dict.fromkeys(known.names, 0.1)
     covariance = tuple(tuple(row) for row in (0.01**2 * np.eye(len(mean))).tolist())
-    taught = MachineBeliefs(
-        Belief(1.1, 0.011), {"offset_x": 0.1, "shift_x": 0.1, "field_2": 0.1}, mean, covariance, {}, 0.5
+    taught = MachineEstimates(
+        Estimate(1.1, 0.011), {"offset_x": 0.1, "shift_x": 0.1, "field_2": 0.1}, mean, covariance, {}, 0.5
     )
     after = on_the_next_part(taught, 4.0)
     assert after.applied == {"offset_x": 0.1, "field_2": 0.1}
@@ -446,8 +455,8 @@ def test_on_the_next_part_only_what_belonged_to_the_mounted_one_is_forgotten() -
     variance = dict(zip(known.names, np.diag(np.array(after.covariance)), strict=True))
     assert variance["shift_x"] == pytest.approx(0.3**2), "its prior"
     assert variance["rate"] == pytest.approx(0.01**2 + 4 * 0.03**2), "a random walk of four days"
-    assert after.rate == Belief(1.1, pytest.approx(1.1 * variance["rate"] ** 0.5))
-    assert on_the_next_part(MachineBeliefs(), 4.0) == MachineBeliefs()
+    assert after.rate == Estimate(1.1, pytest.approx(1.1 * variance["rate"] ** 0.5))
+    assert on_the_next_part(MachineEstimates(), 4.0) == MachineEstimates()
     with pytest.raises(ComputeError, match="kept of the machine has the parameters"):
         on_the_next_part(replace(taught, mean={"rate": 0.1}), 1.0)
 

@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 from polishd.process.identification.beliefs import beliefs_of
-from polishd.process.identification.decision import LOGARITHMS, Found, decide
-from polishd.process.identification.parameters import Knowledge
+from polishd.process.identification.decision import LOGARITHMS, EstimatedShift, decide
+from polishd.process.identification.parameters import PriorKnowledge
 from polishd.recipe.steps import TOUCH_MISS_MM
 from tests.unit.process.identified import EVERYTHING, Polished, disc, knowing, polished, removal
 
@@ -30,26 +30,26 @@ def touch() -> Polished:
     return Polished(one.place[near], 0.6 * one.time[near], one.azimuth[near], one.gamma[near])
 
 
-def machine(known: Knowledge, seed: int) -> Mapping[str, float]:
+def machine(known: PriorKnowledge, seed: int) -> Mapping[str, float]:
     rng = np.random.default_rng(seed)
     sigma = {name: SPREAD.get(name, 0.03 if name.startswith("field") else 0.0) for name in known.names}
     return {name: float(rng.normal()) * one for name, one in sigma.items()}
 
 
-def in_use(known: Knowledge, truth: Mapping[str, float], hours: float, seed: int) -> Mapping[str, float]:
+def in_use(known: PriorKnowledge, truth: Mapping[str, float], hours: float, seed: int) -> Mapping[str, float]:
     """The machine so many hours of contact later: worn, and walked at random as docs/identification.md says."""
     rng = np.random.default_rng([seed, 1])
     after = {p.name: truth[p.name] + float(rng.normal()) * p.use * hours**0.5 for p in known.parameters}
     return {**after, "rate": after["rate"] - hours * truth.get("wear", 0.0)}
 
 
-def of_the_prior(known: Knowledge, seed: int) -> Mapping[str, float]:
+def of_the_prior(known: PriorKnowledge, seed: int) -> Mapping[str, float]:
     """A machine of those that the priors expect: of these an interval of 95 % is to hold in 95 %."""
     draws = np.random.default_rng([seed, 2]).normal(size=len(known.parameters))
     return {p.name: p.sigma * float(draw) for p, draw in zip(known.parameters, draws, strict=True)}
 
 
-def removed_evenly(known: Knowledge, machine: Mapping[str, float]) -> float:
+def removed_evenly(known: PriorKnowledge, machine: Mapping[str, float]) -> float:
     """By an even pass that begins now: with the rate of its begin, and of a part that lies as it should."""
     own = {p.name for p in known.parameters if p.scope in {"tool", "cell"}} - {"wear"}
     return float(removal(polished(time="even"), {k: v for k, v in machine.items() if k in own})[disc()[1]].sum())
@@ -58,7 +58,7 @@ def removed_evenly(known: Knowledge, machine: Mapping[str, float]) -> float:
 STATED = re.compile(r"([+-]?\d[\d.e+-]*) \+- (\d[\d.e+-]*)")
 
 
-def off_in_words(one: Found, truth: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+def off_in_words(one: EstimatedShift, truth: Mapping[str, float]) -> Iterator[tuple[str, float]]:
     """By how many of the errors that a note prints the machine is off each value that it prints."""
     true = np.array([truth[name] for name in one.parts])
     if one.name in LOGARITHMS:
@@ -113,7 +113,9 @@ class Held:
         return "\n".join(lines)
 
 
-def stated(machines: int, known: Knowledge, drawn: Callable[[Knowledge, int], Mapping[str, float]]) -> tuple[Held, int]:
+def stated(
+    machines: int, known: PriorKnowledge, drawn: Callable[[PriorKnowledge, int], Mapping[str, float]]
+) -> tuple[Held, int]:
     """What is stated of so many machines whose touch needs no person, and how many touches that took.
 
     What is stated of the rate is compared with what an even pass removes after the touch's contact, for which machines

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.dynamic_tif import Lie, effect_columns, effects_columns
-from polishd.process.laying import Columns, integrals, lay
+from polishd.process.dynamic_tif import PointLocation, effect_columns, effects_columns
+from polishd.process.laying import CellAverages, average_over_cells, integrals
 from polishd.process.spot import HertzSpot, WiderSpot
 from tests.unit.process.shared_out import shared_out
 
 
-def dense(grid: Grid, columns: Columns) -> FloatArray:
+def dense(grid: Grid, columns: CellAverages) -> FloatArray:
     """(ny, nx, n) of them, no sample twice."""
     found = np.zeros((grid.ny * grid.nx, len(columns.count)))
     owner = np.repeat(np.arange(len(columns.count)), columns.count)
@@ -40,7 +40,7 @@ def test_it_is_each_square_shared_out(seed: int, squares: int, pitch: float, sha
     half, count = pitch * rng.uniform(0.1, 4.0, n), rng.integers(1, 6, n)
     position = pitch * rng.uniform(-8, 8, (int(count.sum()), 2))
     want = shared_out(grid, patch, half, count, position)
-    got = dense(grid, lay(grid, integrals(patch), np.column_stack([half, half]), count, position))
+    got = dense(grid, average_over_cells(grid, integrals(patch), np.column_stack([half, half]), count, position))
     peak = patch.sum(axis=(1, 2)).max() / pitch**2
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-13 * peak)
 
@@ -51,7 +51,7 @@ def test_the_hertz_spot_has_the_same_entries_to_rounding() -> None:
     patch, half, count = spot.patch(gamma, azimuth), spot.half_width_mm(gamma), np.full(12, 4)
     position = rng.uniform(-9, 9, (48, 2))
     want = shared_out(grid, patch, half, count, position)
-    got = dense(grid, lay(grid, integrals(patch), np.column_stack([half, half]), count, position))
+    got = dense(grid, average_over_cells(grid, integrals(patch), np.column_stack([half, half]), count, position))
     assert abs(got - want).max() < 1e-13 * want.max()
     np.testing.assert_array_equal(got > 0, want > 1e-12 * want.max())
 
@@ -59,7 +59,9 @@ def test_the_hertz_spot_has_the_same_entries_to_rounding() -> None:
 def test_by_hand() -> None:
     """A patch of 2 by 2 squares of 1 mm, its middle half a millimetre right of and above a corner of cells of 2 mm."""
     grid, patch = Grid(2, 2, 2.0), np.array([[[1.0, 2.0], [3.0, 4.0]]])
-    got = dense(grid, lay(grid, integrals(patch), np.ones((1, 2)), np.ones(1, int), np.full((1, 2), 0.5)))
+    got = dense(
+        grid, average_over_cells(grid, integrals(patch), np.ones((1, 2)), np.ones(1, int), np.full((1, 2), 0.5))
+    )
     np.testing.assert_allclose(got[:, :, 0] * 4, [[0.5 + 0.75, 0.5 + 2 + 0.75 + 2], [0.75, 0.75 + 2]], rtol=1e-15)
 
 
@@ -68,7 +70,10 @@ def test_what_is_empty_has_no_entry() -> None:
     rng, grid = np.random.default_rng(5), Grid(40, 40, 0.25)
     patch = np.zeros((1, 64, 64))
     patch[0, :, 40:] = rng.uniform(1, 2, (64, 24))
-    got = dense(grid, lay(grid, integrals(patch), np.full((1, 2), 4.0), np.ones(1, int), np.array([[0.03, -0.04]])))
+    got = dense(
+        grid,
+        average_over_cells(grid, integrals(patch), np.full((1, 2), 4.0), np.ones(1, int), np.array([[0.03, -0.04]])),
+    )
     left = grid.x_mm + 0.125 <= 0.03 + 1.0
     assert not got[:, left].any()
     assert got[5:35, ~left][:, :11].all()
@@ -82,7 +87,7 @@ def test_blocks_that_lie_in_several_ways_are_as_each_on_its_own(squares: int) ->
     start = rng.uniform(-6, 6, (n, 2))
     ends = start, start + rng.uniform(-4, 4, (n, 2))
     moved = ends[0] + 0.1, ends[1] + 0.1
-    lies = [Lie(ends), Lie(moved), Lie(ends, 1.3)]
+    lies = [PointLocation(ends), PointLocation(moved), PointLocation(ends, 1.3)]
     got = effects_columns(grid, spot, lies, azimuth, depth_ratio=gamma, factor=factor)
     for one, at, wider in zip(got, (ends, moved, ends), (1.0, 1.0, 1.3), strict=True):
         own = effect_columns(grid, WiderSpot(spot, wider), at, azimuth, depth_ratio=gamma, factor=factor)

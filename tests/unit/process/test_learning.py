@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.beliefs import Belief, Beliefs, Evidence, Lesson
+from polishd.model.beliefs import Estimate, Estimates, EstimateUpdate, PassEvidence
 from polishd.model.surface import Grid
 from polishd.process.learning import learn_rate
 from tests.unit.process.gaussian import rough
@@ -22,10 +22,10 @@ PREDICTED = 60 + rough(GRID, rms_nm=15)
 NOISE = rough(GRID, rms_nm=1.0, seed=9, cut_mm=2)
 
 
-def learned(predicted: np.ndarray, measured: np.ndarray, rate: float = 1.0, **changes: Any) -> Lesson:
+def learned(predicted: np.ndarray, measured: np.ndarray, rate: float = 1.0, **changes: Any) -> EstimateUpdate:
     values = {"tells_rate": True, "rates": (0.0, 10.0)} | changes
-    beliefs = Beliefs(Belief(rate))
-    return learn_rate(Evidence(beliefs, np.zeros(1), predicted, measured, MASK, GRID.pitch_mm, **values))
+    beliefs = Estimates(Estimate(rate))
+    return learn_rate(PassEvidence(beliefs, np.zeros(1), predicted, measured, MASK, GRID.pitch_mm, **values))
 
 
 @pytest.mark.parametrize("true", [0.6, 0.9, 0.97, 1.05, 1.3])
@@ -70,7 +70,7 @@ def test_the_standard_error_is_about_the_scatter() -> None:
 @pytest.mark.parametrize("flat", [np.full(GRID.shape, 55.0), 55 + 0.4 * X])
 def test_even_removal_teaches_nothing(flat: np.ndarray) -> None:
     lesson = learned(flat, PREDICTED)
-    assert lesson.beliefs == Beliefs()
+    assert lesson.beliefs == Estimates()
     assert np.isnan(lesson.found["measured_rate"])
     assert "teaches nothing" in lesson.notes[0]
 
@@ -95,7 +95,7 @@ def test_units_and_pistons_cancel(seed: int, factor: float, piston: float) -> No
 
 def test_what_is_withheld_is_still_told() -> None:
     lesson = learned(PREDICTED, 0.8 * PREDICTED, tells_rate=False)
-    assert lesson.beliefs == Beliefs()
+    assert lesson.beliefs == Estimates()
     assert lesson.found["measured_rate"] == pytest.approx(0.8)
     assert re.match(r"a rate of 0\.8 \+- \S+ was fitted, but this pass could not show", lesson.notes[0])
 

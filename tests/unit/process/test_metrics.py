@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import Grid
 from polishd.process.metrics import band_rms, polynomial, radial_psd, split_bands, surface_stats, without
 from tests.unit.process.gaussian import rough
@@ -169,9 +169,9 @@ def test_a_polynomial_is_fitted_exactly(degree: int) -> None:
 
 def test_refusals() -> None:
     height = rough(GRID)
-    with pytest.raises(BadMap, match="no sample"):
+    with pytest.raises(MapError, match="no sample"):
         surface_stats(height, ~ALL, 1.0, lsf_period_mm=33)
-    with pytest.raises(BadMap, match="1 samples inside the mask have no data"):
+    with pytest.raises(MapError, match="1 samples inside the mask have no data"):
         surface_stats(np.where((X == 0.5) & (Y == 0.5), np.nan, height), DISC, 1.0, lsf_period_mm=33)
-    with pytest.raises(BadMap, match="its mask"):
+    with pytest.raises(MapError, match="its mask"):
         radial_psd(height, DISC[1:], 1.0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrics import band_rms, compare, iso10110, pv_rms, radial_psd, slope, slope_map, without
 from tests.unit.process.gaussian import rough
@@ -63,7 +63,7 @@ class TestIso10110:
         assert where.rms_a_nm < iso10110.irregularity(zone, DISC).rms_a_nm / 1.8
 
     def test_refusals(self) -> None:
-        with pytest.raises(BadMap, match="no sample"):
+        with pytest.raises(MapError, match="no sample"):
             iso10110.irregularity(X, ~(DISC | ~DISC))
 
 
@@ -116,7 +116,7 @@ class TestSlope:
         with pytest.raises(ValueError, match="integration length"):
             slope(X, DISC, 0.5, 0.0)
         for length in (79.0, 500.0):
-            with pytest.raises(BadMap, match="nowhere as wide"):
+            with pytest.raises(MapError, match="nowhere as wide"):
                 slope(X, R < 0.5, 0.5, length)
 
 
@@ -157,7 +157,7 @@ class TestComparison:
 
     def test_one_mask_for_both(self) -> None:
         height = rough(GRID)
-        with pytest.raises(BadMap, match="no data"):
+        with pytest.raises(MapError, match="no data"):
             compare(height, np.where(R < 0.5, np.nan, height), DISC, 0.5)
-        with pytest.raises(BadMap, match="its mask"):
+        with pytest.raises(MapError, match="its mask"):
             compare(height, height[1:], DISC, 0.5)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import Grid
 from polishd.process.metrics import RadialPsd, radial_psd, without
 from polishd.process.metrics.psd import Window
@@ -113,7 +113,7 @@ def test_refusals() -> None:
     height, mask = np.ones((20, 20)), np.ones((20, 20), dtype=bool)
     with pytest.raises(ValueError, match="extended, mask, taper"):
         radial_psd(height, mask, 1.0, "hann")  # type: ignore[arg-type]
-    with pytest.raises(BadMap, match="no sample"):
+    with pytest.raises(MapError, match="no sample"):
         radial_psd(height, ~mask, 1.0)
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.process import metrics
@@ -110,13 +110,13 @@ def test_no_trim_is_a_copy_of_the_mask() -> None:
 
 def test_refusals() -> None:
     height, mask = surface(3), MASKS["circle"]
-    with pytest.raises(BadMap, match="no sample"):
+    with pytest.raises(MapError, match="no sample"):
         spread(height, mask, trim_px=60)
     broken = height.copy()
     broken[tuple(np.argwhere(mask)[100])] = np.inf
-    with pytest.raises(BadMap, match="1 samples inside the mask have no data"):
+    with pytest.raises(MapError, match="1 samples inside the mask have no data"):
         metrics.pv_rms(broken, mask)
-    with pytest.raises(BadMap, match="its mask"):
+    with pytest.raises(MapError, match="its mask"):
         metrics.without(height[1:], mask, "tilt")
     with pytest.raises(ValueError, match="0 or more"):
         metrics.trimmed(mask, -1)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.metrics import pvr, zernike
 from polishd.process.metrics.zernike_terms import FIRST, Norm, Ordering, order, values
@@ -140,7 +140,7 @@ def test_the_enclosing_circle() -> None:
     assert zernike.enclosing(mask) == (4.0, 4.0, 2.0)
     mask[4, 1:8] = True
     assert zernike.enclosing(mask) == (4.0, 4.0, 3.0)
-    with pytest.raises(BadMap, match="no sample"):
+    with pytest.raises(MapError, match="no sample"):
         zernike.enclosing(np.zeros((3, 3), dtype=bool))
 
 
@@ -149,15 +149,15 @@ def test_what_cannot_be_told_apart_is_refused() -> None:
     line, ring = np.zeros(GRID.shape, dtype=bool), np.abs(GRID.radius_mm() - 50) < 0.4
     line[70, :] = True
     for mask in (line, ring):
-        with pytest.raises(BadMap, match="cannot be told apart"):
+        with pytest.raises(MapError, match="cannot be told apart"):
             zernike.fit(height, mask, 37)
-    with pytest.raises(BadMap, match="cannot be told apart"):  # a spot in a large circle
+    with pytest.raises(MapError, match="cannot be told apart"):  # a spot in a large circle
         zernike.fit(height, GRID.radius_mm() < 6, 37, circle_px=(75.0, 70.0, 500.0))
     few = np.zeros(GRID.shape, dtype=bool)
     few[:4, :5] = True
-    with pytest.raises(BadMap, match="20 samples are too few for 37"):
+    with pytest.raises(MapError, match="20 samples are too few for 37"):
         zernike.fit(height, few, 37)
-    with pytest.raises(BadMap, match="no data"):
+    with pytest.raises(MapError, match="no data"):
         zernike.fit(np.where(MASKS["circle"], np.nan, height), MASKS["circle"])
     with pytest.raises(ValueError, match="noll, fringe, ansi"):
         zernike.fit(height, MASKS["circle"], 6, "born")  # type: ignore[arg-type]

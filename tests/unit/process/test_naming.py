@@ -7,27 +7,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polishd.model.beliefs import Belief
-from polishd.model.cause import CAUSES, Named
+from polishd.model.beliefs import Estimate
+from polishd.model.cause import CAUSES, Diagnosis
 from polishd.process import naming
-from polishd.process.gate import Verdict, judge
-from polishd.process.leftover import Leftover, leftover
+from polishd.process.gate import RemovalCheckResult, judge
+from polishd.process.leftover import ResidualFit, leftover
 from tests.unit.process.test_leftover import MASK, POWER, TREFOIL, noise, removal
 
-NOTHING = Leftover(Belief(1.0, 0.002), Belief(0.01, 0.01), Belief(0.05, 0.02), Belief(0.05, 0.02), Belief(0.0, 0.02))
+NOTHING = ResidualFit(
+    Estimate(1.0, 0.002), Estimate(0.01, 0.01), Estimate(0.05, 0.02), Estimate(0.05, 0.02), Estimate(0.0, 0.02)
+)
 
 
-def judged(measured: np.ndarray) -> Verdict:
+def judged(measured: np.ndarray) -> RemovalCheckResult:
     return judge(np.where(MASK, removal(), 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
 
 
-def named(measured: np.ndarray, again: tuple[Named, ...] | None = None) -> tuple[Named, ...]:
+def named(measured: np.ndarray, again: tuple[Diagnosis, ...] | None = None) -> tuple[Diagnosis, ...]:
     """Of a pass that should have removed ``removal()``."""
     left = leftover(np.where(MASK, measured, 0.0), MASK, 1.0, removal())
-    return naming.of_pass(judged(measured), left, 62.0, again)
+    return naming.diagnose_pass(judged(measured), left, 62.0, again)
 
 
-def causes(found: tuple[Named, ...]) -> list[str]:
+def causes(found: tuple[Diagnosis, ...]) -> list[str]:
     return [one.cause for one in found]
 
 
@@ -67,7 +69,7 @@ def test_what_low_orders_do_to_the_gate_is_not_believed() -> None:
     verdict = judged(removal() - 12.0 * POWER + noise(0.2))
     left = leftover(removal() - 12.0 * POWER + noise(0.2), MASK, 1.0, removal())
     stopped = replace(verdict, stop="the removal lies 1.00 +- 0.01 mm from where it was predicted")
-    (found,) = naming.of_pass(stopped, left, 62.0)
+    (found,) = naming.diagnose_pass(stopped, left, 62.0)
     assert (found.cause, found.again) == ("settling", True)
 
 
@@ -75,30 +77,30 @@ def test_a_limit_is_of_the_removal_or_of_the_noise() -> None:
     """A part of a rate that changes by 1 % over it shows so much of a low order; a noisy map eight of its errors."""
     for sigma, limit in ((0.02, 0.62), (0.5, 4.0)):
         for size, told in ((0.98 * limit, []), (1.02 * limit, ["mount"])):
-            left = replace(NOTHING, trefoil_nm=Belief(size, sigma))
-            assert causes(naming.of_pass(judged(removal()), left, 62.0)) == told
+            left = replace(NOTHING, trefoil_nm=Estimate(size, sigma))
+            assert causes(naming.diagnose_pass(judged(removal()), left, 62.0)) == told
 
 
 def test_no_cause_is_named_by_a_pass_that_shows_none() -> None:
     weak = judge(0.01 * removal(), 0.01 * removal(), MASK, 1.0)
-    left = replace(NOTHING, rate=Belief(0.2, 0.001), shift_mm=Belief(3.0, 0.01))
-    assert naming.of_pass(weak, left, 0.6) == ()
-    assert naming.of_pass(weak, None, 0.6) == ()
+    left = replace(NOTHING, rate=Estimate(0.2, 0.001), shift_mm=Estimate(3.0, 0.01))
+    assert naming.diagnose_pass(weak, left, 0.6) == ()
+    assert naming.diagnose_pass(weak, None, 0.6) == ()
 
 
 def test_what_settles_is_waited_for_and_a_mount_is_not() -> None:
     changes = [-5.0 * POWER, -2.0 * POWER, -0.04 * POWER, 2.0 * TREFOIL]
-    found = [naming.of_change(leftover(one + noise(0.05), MASK, 1.0)) for one in changes]
+    found = [naming.diagnose_change(leftover(one + noise(0.05), MASK, 1.0)) for one in changes]
     before = [(), *found[:-1]]
-    assert [naming.settles(*pair) for pair in zip(found, before, strict=True)] == [True, True, False, False]
-    assert not naming.settles(found[0], found[1]), "a set-up that is another each time does not come nearer"
+    assert [naming.is_settling(*pair) for pair in zip(found, before, strict=True)] == [True, True, False, False]
+    assert not naming.is_settling(found[0], found[1]), "a set-up that is another each time does not come nearer"
     assert [causes(one) for one in found] == [["settling"], ["settling"], [], ["mount"]]
-    (lasting,) = naming.lasting([*found[1], *found[0]])
+    (lasting,) = naming.persistent([*found[1], *found[0]])
     assert lasting.size == pytest.approx(5.0, abs=0.1), "each cause once, where it was largest"
 
 
 def test_what_the_tolerance_bears_holds_nobody_up() -> None:
-    (mount,) = naming.of_change(leftover(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
+    (mount,) = naming.diagnose_change(leftover(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
     assert naming.harmful((mount,), 1.5) == (mount,)
     assert naming.harmful((mount,), 3.0) == ()
 
@@ -111,10 +113,10 @@ def test_words_say_how_large_what_else_it_may_be_and_what_is_done() -> None:
 
 
 def test_beside_a_shift_that_first_order_does_not_tell_no_rate_is_named() -> None:
-    far = replace(NOTHING, rate=Belief(0.4, 0.01), shift_mm=Belief(1.8, 0.05))
+    far = replace(NOTHING, rate=Estimate(0.4, 0.01), shift_mm=Estimate(1.8, 0.05))
     verdict = replace(judged(removal() + noise(0.2)), stop="")
-    assert causes(naming.of_pass(verdict, far, 62.0, most_shift_mm=3.0)) == ["shift"]
-    assert causes(naming.of_pass(verdict, replace(far, shift_mm=Belief(0.3, 0.05)), 62.0)) == ["shift", "rate"]
+    assert causes(naming.diagnose_pass(verdict, far, 62.0, most_shift_mm=3.0)) == ["shift"]
+    assert causes(naming.diagnose_pass(verdict, replace(far, shift_mm=Estimate(0.3, 0.05)), 62.0)) == ["shift", "rate"]
 
 
 def test_a_figure_that_is_nearly_its_own_mirror_image_is_mirrored_and_not_far_aside() -> None:
@@ -124,5 +126,5 @@ def test_a_figure_that_is_nearly_its_own_mirror_image_is_mirrored_and_not_far_as
     measured = ridge[:, ::-1] + noise(0.1)
     verdict = judge(np.where(MASK, ridge, 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
     aside = judge(np.where(MASK, ridge, 0.0), np.where(MASK, np.roll(ridge, 3, axis=1) + noise(0.1), 0.0), MASK, 1.0)
-    assert naming.of_gate(verdict).cause == "map"
-    assert naming.of_gate(aside).cause == "shift", "what truly lies aside is called so"
+    assert naming.diagnose_removal(verdict).cause == "map"
+    assert naming.diagnose_removal(aside).cause == "shift", "what truly lies aside is called so"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.nominal import less_nominal
 from polishd.process.registration.record import Registration
@@ -42,5 +42,5 @@ def test_where_the_form_says_nothing_there_is_no_error() -> None:
 def test_both_need_a_scale() -> None:
     flat = SurfaceMap(np.zeros((9, 9)), 1.0)
     for surface, nominal in ((flat, SurfaceMap(np.zeros((9, 9)), None)), (SurfaceMap(np.zeros((9, 9)), None), flat)):
-        with pytest.raises(BadMap, match="lateral scale"):
+        with pytest.raises(MapError, match="lateral scale"):
             less_nominal(surface, nominal, Registration())

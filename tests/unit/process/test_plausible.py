@@ -8,11 +8,11 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.instrument import as_profiled
-from polishd.process.plausible import plausible
+from polishd.process.plausible import is_plausible
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 WRITTEN = NOW - timedelta(hours=1)
@@ -20,7 +20,7 @@ MAP = SurfaceMap(np.zeros((40, 64)), 0.5, taken_at=NOW - timedelta(days=30))
 
 
 def found(surface: SurfaceMap) -> SurfaceMap:
-    return plausible(surface, NOW, WRITTEN)
+    return is_plausible(surface, NOW, WRITTEN)
 
 
 def test_a_map_that_may_be_is_as_it_was() -> None:
@@ -89,5 +89,5 @@ def test_the_largest_and_the_smallest_scale(pitch_mm: float) -> None:
 
 
 def test_a_profile_cannot_give_such_a_scale_either() -> None:
-    with pytest.raises(BadMap, match=r"profile 'shop' gives it a pitch of 312\.6 mm.*more than 20 m"):
+    with pytest.raises(MapError, match=r"profile 'shop' gives it a pitch of 312\.6 mm.*more than 20 m"):
         as_profiled(replace(MAP, pitch_mm=None, unsaid=frozenset({"pitch"})), Instrument("shop", pitch_mm=312.6))

@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import Grid
 from polishd.process.registration import Registration, fiducials
 from tests.unit.process.placed_parts import MARKS_MM, seen_px
@@ -89,30 +89,30 @@ def test_a_mark_that_is_off_within_the_tolerance_does_not_draw_the_others(nomina
 
 def test_too_few_and_too_many_are_refused() -> None:
     true = seen_px(SEVEN_MM, MAP)
-    with pytest.raises(BadMap, match="at least 5 are needed"):
+    with pytest.raises(MapError, match="at least 5 are needed"):
         fit(true[:4], SEVEN_MM)
-    with pytest.raises(BadMap, match="0 marks found"):
+    with pytest.raises(MapError, match="0 marks found"):
         fit(true[:0])
-    with pytest.raises(BadMap, match="dirt rather than marks"):
+    with pytest.raises(MapError, match="dirt rather than marks"):
         fit(np.random.default_rng(0).uniform(0, 1000, (41, 2)))
 
 
 def test_a_mirror_image_is_refused_by_name() -> None:
     true = seen_px(MARKS_MM, MAP, 1.0, (0.2, 0.1))
-    with pytest.raises(BadMap, match="mirror image"):
+    with pytest.raises(MapError, match="mirror image"):
         fit(np.column_stack([true[:, 0], MAP.nx - 1 - true[:, 1]]))
-    with pytest.raises(BadMap, match="mirror image"):
+    with pytest.raises(MapError, match="mirror image"):
         fit(true[:, ::-1])
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.02, 2.0])
 def test_another_scale_is_refused_by_name(scale: float) -> None:
-    with pytest.raises(BadMap, match=f"{scale:.4f} times .* pitch"):
+    with pytest.raises(MapError, match=f"{scale:.4f} times .* pitch"):
         fit(seen_px(np.array(MARKS_MM) * scale, MAP, 0.3))
 
 
 def test_a_small_scale_error_passes_the_tolerance_but_not_the_check() -> None:
-    with pytest.raises(BadMap, match=r"1\.0080 times as far apart"):
+    with pytest.raises(MapError, match=r"1\.0080 times as far apart"):
         fit(seen_px(np.array(MARKS_MM) * 1.008, MAP))
     assert fit(seen_px(np.array(MARKS_MM) * 1.002, MAP)).scale == pytest.approx(1.002)
 
@@ -121,7 +121,7 @@ def test_two_ways_to_lie_are_refused() -> None:
     square_and_one = ((30.0, 30.0), (-30.0, 30.0), (-30.0, -30.0), (30.0, -30.0), (12.0, 5.0))
     true = seen_px(square_and_one, MAP, 0.5)
     assert fit(true, square_and_one).used == 5
-    with pytest.raises(BadMap, match=r"fit in \d ways"):
+    with pytest.raises(MapError, match=r"fit in \d ways"):
         fit(true[:4], square_and_one)
 
 
@@ -129,7 +129,7 @@ def test_three_coarse_matches_could_be_chance() -> None:
     rng = np.random.default_rng(4)
     near = seen_px(MARKS_MM[:3], MAP) + np.array([(2, 3), (-3, 1), (1, -4)])
     crowd = np.vstack([near, rng.uniform(0, 1023, (25, 2))])
-    with pytest.raises(BadMap, match="chance"):
+    with pytest.raises(MapError, match="chance"):
         fit(crowd, MARKS_MM[:3])
 
 
@@ -175,7 +175,7 @@ def test_no_wrong_set_is_accepted(rounds: int) -> None:
     for _ in range(rounds):
         for found in wrong_sets(rng):
             tried += 1
-            with suppress(BadMap):  # as it should be: what is not refused is counted
+            with suppress(MapError):  # as it should be: what is not refused is counted
                 accepted.append(fit(found, SEVEN_MM[:6]))
     assert tried == 5 * rounds
     assert accepted == []

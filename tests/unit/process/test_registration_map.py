@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
@@ -98,7 +98,7 @@ def test_a_frame_that_cuts_the_part_is_no_rim() -> None:
     [(100.0, 102.0, r"100\.\d+ mm across, 102 mm expected"), (97, 100, "across")],
 )
 def test_another_diameter_is_refused(diameter_mm: float, expected_mm: float, match: str) -> None:
-    with pytest.raises(BadMap, match=match):
+    with pytest.raises(MapError, match=match):
         outline.fit_circle(disc(GRID, diameter_mm), GRID.pitch_mm, expected_mm, 1.0)
 
 
@@ -125,17 +125,17 @@ def test_what_has_a_round_rim_is_placed_by_it(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["ellipse", "rectangle", "square", "rounded square"])
 def test_what_is_not_round_is_said_to_be_no_circle(name: str) -> None:
-    with pytest.raises(BadMap, match=r"is no circle.*register by fiducials"):
+    with pytest.raises(MapError, match=r"is no circle.*register by fiducials"):
         outline.fit_circle(np.where(apertures()[name], 0.0, np.nan), GRID.pitch_mm, 100.0, 1.0)
 
 
 def test_too_little_rim_is_refused() -> None:
     height = disc(GRID, 100.0)
     height[:300] = np.nan
-    with pytest.raises(BadMap, match="of the part's rim is seen"):
+    with pytest.raises(MapError, match="of the part's rim is seen"):
         outline.fit_circle(height, GRID.pitch_mm, 100.0, 1.0)
     for nothing in (np.zeros(GRID.shape), np.full(GRID.shape, np.nan)):
-        with pytest.raises(BadMap, match="too few to place it"):
+        with pytest.raises(MapError, match="too few to place it"):
             outline.fit_circle(nothing, GRID.pitch_mm, 100.0, 1.0)
 
 
@@ -160,7 +160,7 @@ def test_marks_that_the_file_lists_are_taken_first() -> None:
     listed = tuple((float(r), float(c)) for r, c in seen_px(MARKS_MM, GRID, 1.5, (0.2, 0.1)))
     found = register(replace(part(), fiducials_px=listed), replace(PROFILE, register_by="fiducials"), Circle(52.0))
     assert found.rotation_deg == pytest.approx(1.5)
-    with pytest.raises(BadMap, match="by its outline"):
+    with pytest.raises(MapError, match="by its outline"):
         register(replace(part(), fiducials_px=tuple((r - 4, c) for r, c in listed)), PROFILE, Circle(52.0))
 
 
@@ -169,26 +169,26 @@ def test_marks_that_the_file_lists_are_taken_first() -> None:
     [(2.6, (0, 0), r"turned by 2\.6\d? deg.*2 deg"), (90, (0, 0), "rotation_deg"), (0, (1.6, -1.6), "centre the part")],
 )
 def test_limits(turn_deg: float, shift_mm: tuple[float, float], match: str) -> None:
-    with pytest.raises(BadMap, match=match):
+    with pytest.raises(MapError, match=match):
         register(part(turn_deg, shift_mm), PROFILE, Circle(52.0))
 
 
 def test_a_mirrored_map_is_named() -> None:
     seen = part()
-    with pytest.raises(BadMap, match="mirror image"):
+    with pytest.raises(MapError, match="mirror image"):
         register(seen.with_height(seen.height_nm[:, ::-1]), PROFILE, Circle(52.0))
 
 
 def test_drift_is_judged_against_the_last_map() -> None:
     last = register(part(), PROFILE, Circle(52.0))
     assert register(part(0.8, (0.7, -0.5)), PROFILE, Circle(52.0), last).drift_mm(last) == pytest.approx(0.29, abs=0.03)
-    with pytest.raises(BadMap, match=r"0\.6\d\d mm from where the last map"):
+    with pytest.raises(MapError, match=r"0\.6\d\d mm from where the last map"):
         register(part(0.8, (1.0, -0.3)), PROFILE, Circle(52.0), last)
     assert register(part(0.8, (1.0, -0.3)), PROFILE, Circle(52.0), Registration()).distance_mm > 1
 
 
 def test_without_a_scale_nothing_is_registered() -> None:
-    with pytest.raises(BadMap, match="lateral scale"):
+    with pytest.raises(MapError, match="lateral scale"):
         register(replace(part(), pitch_mm=None), PROFILE, Circle(52.0))
 
 

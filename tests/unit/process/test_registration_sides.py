@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle, Polygon, hexagon, polygon, rectangle
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
@@ -73,15 +73,15 @@ def test_what_is_missing_moves_it_little(what: str) -> None:
     ],
 )
 def test_another_part_is_refused(shown: Polygon, says: str) -> None:
-    with pytest.raises(BadMap, match=says):
+    with pytest.raises(MapError, match=says):
         fit_polygon(seen(shown), GRID.pitch_mm, PARTS["rectangle"], 1.0)
 
 
 def test_two_sides_that_say_nothing_along_them_are_refused() -> None:
     strip = seen(rectangle(100, 24), 0.0, (0.0, 0.0))
-    with pytest.raises(BadMap, match="does not say where the part lies in all directions"):
+    with pytest.raises(MapError, match="does not say where the part lies in all directions"):
         fit_polygon(strip, GRID.pitch_mm, rectangle(100, 24), 1.0)
-    with pytest.raises(BadMap, match="too few to place it"):
+    with pytest.raises(MapError, match="too few to place it"):
         fit_polygon(np.zeros(GRID.shape), GRID.pitch_mm, rectangle(100, 24), 1.0)
 
 
@@ -89,7 +89,7 @@ def test_a_profile_registers_by_the_parts_own_outline_unless_it_names_a_diameter
     part = PARTS["hexagon"]
     by_outline = Instrument("shop", register_by="aperture", max_turn_deg=2.0)
     assert off(register(SurfaceMap(seen(part), GRID.pitch_mm), by_outline, part)) < 0.15
-    with pytest.raises(BadMap, match="is turned by 2"):
+    with pytest.raises(MapError, match="is turned by 2"):
         register(SurfaceMap(seen(part, 2.5), GRID.pitch_mm), by_outline, part)
     stop = np.where(Circle(18.0).contains(*GRID.axes_mm), 0.0, np.nan)
     through_stop = Instrument("shop", register_by="aperture", aperture_mm=36.0)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.repeats import average
 from tests.unit.process.gaussian import rough
@@ -103,16 +103,16 @@ def test_only_samples_that_all_have_count_unless_a_mask_is_given() -> None:
 
 def test_refusals() -> None:
     maps = [repeat(i) for i in range(4)]
-    with pytest.raises(BadMap, match="2 repeats are too few"):
+    with pytest.raises(MapError, match="2 repeats are too few"):
         average(maps[:2])
-    with pytest.raises(BadMap, match=r"2\.dat has 59 x 64 samples"):
+    with pytest.raises(MapError, match=r"2\.dat has 59 x 64 samples"):
         average([*maps[:2], maps[2].with_height(maps[2].height_nm[1:]), maps[3]])
-    with pytest.raises(BadMap, match=r"pitch of 0\.25 mm"):
+    with pytest.raises(MapError, match=r"pitch of 0\.25 mm"):
         average([*maps[:2], replace(maps[2], pitch_mm=0.25)])
-    with pytest.raises(BadMap, match="no sample"):
+    with pytest.raises(MapError, match="no sample"):
         average([maps[0], maps[1], maps[2].with_height(np.full(GRID.shape, np.nan))])
     bend = 300 * GRID.x_mm[None, :] ** 2 * np.ones(GRID.shape)
-    with pytest.raises(BadMap, match=r"only 2 of 3 repeats agree \(2\.dat deviate\)"):
+    with pytest.raises(MapError, match=r"only 2 of 3 repeats agree \(2\.dat deviate\)"):
         average([repeat(0), repeat(1), repeat(2, extra=bend)])
 
 

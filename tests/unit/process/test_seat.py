@@ -8,12 +8,12 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from polishd.model.errors import ComputeError
-from polishd.model.handling import Seat, TouchOff
+from polishd.model.handling import PartSeat, TouchOff
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray
 from polishd.process import optics
-from polishd.process.seat import rim_places_mm, seat_of, told_apart
+from polishd.process.seat import rim_places_mm, seat_of, separate_seat_terms
 
 RIM_MM, EDGE_MM = 50.0, 3.0
 OPTICS = {
@@ -94,12 +94,12 @@ def test_of_a_part_that_is_not_round_they_lie_in_the_middle_of_its_rim_too(outli
 )
 def test_three_places_on_a_line_say_no_tilt(places: list[list[float]]) -> None:
     off = asked(FLAT, np.array(places, dtype=np.float64))
-    assert not told_apart(off)
+    assert not separate_seat_terms(off)
     with pytest.raises(ComputeError, match="lie on a line"):
         seat_of(off, np.zeros(3))
 
 
 def test_a_seat_that_is_off_by_less_than_is_printed_is_no_note() -> None:
-    assert Seat(0.0004, (0.0003, -0.0002), (0.0, 0.0, 0.0), 0.0004).is_level
-    assert not Seat(-0.0006, (0.0, 0.0), (0.0, 0.0, 0.0), 0.0006).is_level
-    assert not Seat(0.0, (0.0, 0.0006), (0.0, 0.0, 0.0), 0.0006).is_level
+    assert PartSeat(0.0004, (0.0003, -0.0002), (0.0, 0.0, 0.0), 0.0004).is_level
+    assert not PartSeat(-0.0006, (0.0, 0.0), (0.0, 0.0, 0.0), 0.0006).is_level
+    assert not PartSeat(0.0, (0.0, 0.0006), (0.0, 0.0, 0.0), 0.0006).is_level

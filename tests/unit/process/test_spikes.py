@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.plugins.interferometer.formats.metropro import METROPRO
@@ -56,7 +56,7 @@ def test_too_many_are_a_bad_map() -> None:
     rows, columns = np.nonzero(DISC)
     some = np.random.default_rng(1).choice(rows.size, rows.size // 40, replace=False)
     height[rows[some], columns[some]] += 5000
-    with pytest.raises(BadMap, match=r"samples stand more than .* nm off the surface, more than 1\.0% of the map"):
+    with pytest.raises(MapError, match=r"samples stand more than .* nm off the surface, more than 1\.0% of the map"):
         without_spikes(height)
     assert without_spikes(height, most=0.05)[1] == some.size
 

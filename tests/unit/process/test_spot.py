@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.process import contact
-from polishd.process.spot import MOST_PATCH, PATCH, HertzSpot, hertz_spot, turned
-from polishd.process.spreading.blocks import Blocks, effect_row
+from polishd.process.spot import MOST_PATCH, PATCH, HertzSpot, hertz_spot, rotate_spot
+from polishd.process.spreading.blocks import PathBlocks, effect_row
 from tests.unit.process.shared_out import overlap
 
 PAPER = ToolProcess()
@@ -103,7 +103,7 @@ def test_the_resolved_force_makes_the_hertz_spot_wider() -> None:
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.4, 3.0, -1.9])
 def test_the_tools_frame_is_right_handed_with_y_where_the_spindle_leans(azimuth: float) -> None:
-    x, y = turned(1.0, 0.0, np.array([azimuth]))[0], turned(0.0, 1.0, np.array([azimuth]))[0]
+    x, y = rotate_spot(1.0, 0.0, np.array([azimuth]))[0], rotate_spot(0.0, 1.0, np.array([azimuth]))[0]
     np.testing.assert_allclose(y, [np.cos(azimuth), np.sin(azimuth)], atol=1e-15)
     assert x[0] * y[1] - x[1] * y[0] == pytest.approx(1.0)
 
@@ -112,8 +112,8 @@ def test_the_offset_of_the_hertz_spot_holds_the_dissipative_shift() -> None:
     azimuth = np.array([0.0, 2.0])
     moved = dataclasses.replace(PAPER, spot_offset_mm=(0.3, -0.1))
     shift = contact.dissipative_shift_mm(PAPER, DEPTH)
-    np.testing.assert_allclose(HertzSpot(PAPER).offset_mm(np.ones(2), azimuth), turned(shift, 0.0, azimuth))
-    np.testing.assert_allclose(HertzSpot(moved).offset_mm(np.ones(2), azimuth), turned(0.3 + shift, -0.1, azimuth))
+    np.testing.assert_allclose(HertzSpot(PAPER).offset_mm(np.ones(2), azimuth), rotate_spot(shift, 0.0, azimuth))
+    np.testing.assert_allclose(HertzSpot(moved).offset_mm(np.ones(2), azimuth), rotate_spot(0.3 + shift, -0.1, azimuth))
 
 
 def test_squares_are_a_quarter_of_a_cell_where_the_spot_is_large() -> None:
@@ -128,7 +128,7 @@ def test_squares_are_a_quarter_of_a_cell_where_the_spot_is_large() -> None:
 def test_more_squares_bring_a_large_spot_nearer_to_what_very_many_give() -> None:
     large = dataclasses.replace(PAPER, tool_radius_mm=200.0, force_n=120.0)
     places = np.random.default_rng(0).uniform(-8, 8, (60, 2))
-    blocks = Blocks(places, places, np.linspace(0, 6, 60), np.full(60, 0.9), np.ones(60))
+    blocks = PathBlocks(places, places, np.linspace(0, 6, 60), np.full(60, 0.9), np.ones(60))
     coarse, chosen, truth = (
         effect_row(spot, blocks, np.zeros(2), 0.5)
         for spot in (HertzSpot(large), hertz_spot(large, 0.5), HertzSpot(large, 512))

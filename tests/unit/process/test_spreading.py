@@ -17,13 +17,13 @@ from polishd.model.outline import Circle
 from polishd.model.process import Optic, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.curved import Curved, on_curved
+from polishd.process.curved import CurvedContact, on_curved
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.dwell.setup import regularisation_from_rho
-from polishd.process.dynamic_tif import CorrectedSpot, corrected_spot, effect_matrix
-from polishd.process.edge.edge_tif import sunk_at_rim
+from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix, tif_at_point
+from polishd.process.edge.edge_tif import rim_depth_mm
 from polishd.process.effect import Effect, SparseEffect
 from polishd.process.spot import HertzSpot, Spot, hertz_spot
 from polishd.process.spot_path import SpotPath
@@ -152,7 +152,7 @@ def test_blocks_over_a_free_rim_are_sunk_there_too() -> None:
     rim, path = Circle(22.0), moves()
     inside = rim.inside_mm(*path.end_mm[:, :2].T) > -3.0
     path = inward_program(path.start_mm[inside, :2], path.end_mm[inside, :2])
-    sunk, _ = sunk_at_rim(CorrectedSpot(gamma_of(path), np.ones(path.n)), rim, LARGE, SPOT, path)
+    sunk, _ = rim_depth_mm(CorrectedSpot(gamma_of(path), np.ones(path.n)), rim, LARGE, SPOT, path)
     assert (sunk.depth_ratio > 1.05 * gamma_of(path)).mean() > 0.2
     quick, exact = both(path, gamma=sunk.depth_ratio)
     assert quick.error <= 1e-3
@@ -169,7 +169,7 @@ CURVED = {
 }
 
 
-def on_part(optic: Optic, path: Program) -> tuple[SpotPath, Curved]:
+def on_part(optic: Optic, path: Program) -> tuple[SpotPath, CurvedContact]:
     """The bonnet along a path over it."""
     curved = on_curved(BONNET, optic, path.end_mm)
     assert curved is not None
@@ -183,7 +183,7 @@ def test_on_a_curved_part_each_block_has_its_own_contact(kind: str) -> None:
     """Up to 1 % wider, askew by 3 %: as near to the matrix that has each of them as is asked, its transpose exact."""
     path = moves(2000)
     along, curved = on_part(CURVED[kind], path)
-    spots, _ = along.on_part(corrected_spot("exact", gamma_of(path, (0.8, 0.95))))
+    spots, _ = along.on_part(tif_at_point("exact", gamma_of(path, (0.8, 0.95))))
     quick, exact = along.without_matrix(GRID, spots, 2e-3), along.matrix(GRID, spots)
     assert quick.error <= 2e-3
     assert off(quick, exact) < 3e-3
@@ -201,7 +201,7 @@ def test_on_a_curved_part_each_block_has_its_own_contact(kind: str) -> None:
 def test_contacts_that_differ_by_a_fifth_are_left_to_the_matrix() -> None:
     path = moves(2000)
     along, _ = on_part(CURVED["aspheric"], path)
-    spots, _ = along.on_part(corrected_spot("exact", gamma_of(path, (0.8, 0.95))))
+    spots, _ = along.on_part(tif_at_point("exact", gamma_of(path, (0.8, 0.95))))
     with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 2.0e-03 is asked for"):
         along.without_matrix(GRID, spots, 2e-3)
 
@@ -209,7 +209,7 @@ def test_contacts_that_differ_by_a_fifth_are_left_to_the_matrix() -> None:
 def test_exact_rows_are_those_of_the_matrix_on_a_curved_part_too() -> None:
     path = moves(300, move_mm=5.0)
     along, curved = on_part(CURVED["off axis"], path)
-    spots, _ = along.on_part(corrected_spot("exact", gamma_of(path)))
+    spots, _ = along.on_part(tif_at_point("exact", gamma_of(path)))
     matrix = along.matrix(GRID, spots).matrix.toarray()
     bent = np.column_stack([curved.wider, curved.askew])
     blocks = blocks_of(path, spots.depth_ratio, spots.factor, bent)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from polishd.model.surface import FloatArray
-from polishd.process.identification.forward import Forward, forward
-from polishd.process.identification.parameters import Knowledge
+from polishd.process.identification.forward import ForwardModel, forward
+from polishd.process.identification.parameters import PriorKnowledge
 from polishd.process.identification.touch import after, design
 from tests.unit.process.identified import PROCESS, RADIUS_MM, Polished, disc, knowing, polished, spot
 
@@ -25,7 +25,7 @@ def tracks(seconds: FloatArray | None = None) -> Polished:
     return replace(whole, place=place, time=time, azimuth=np.repeat(LEANS, 2), gamma=np.full(12, 0.85))
 
 
-def model_of(one: Polished, known: Knowledge) -> Forward:
+def model_of(one: Polished, known: PriorKnowledge) -> ForwardModel:
     grid, mask = disc()
     shown = {"parameters": known.parameters, "projection": "linear", "radius_mm": RADIUS_MM}
     return forward(one.blocks(), grid, mask, spot(), PROCESS, **shown)  # type: ignore[arg-type]

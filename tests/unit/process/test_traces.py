@@ -9,12 +9,12 @@ import pytest
 
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
-from polishd.process.edge.correctable import Transfer
+from polishd.process.edge.correctable import SpotTransferFunction
 from polishd.process.effect import SparseEffect
 from polishd.process.findings import SIGMAS
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.raster import raster
-from polishd.process.traces import Traces, half_width_mm, traces
+from polishd.process.traces import WearIndicators, half_width_mm, traces
 from tests.unit.process.gaussian import dwell_problem, spot_effect
 
 SPOT_MM = 0.9
@@ -30,7 +30,7 @@ class Passed:
     noise_nm: float = 0.15
     figure_nm: float = 18.5
 
-    def shows(self) -> Traces:
+    def shows(self) -> WearIndicators:
         rng = np.random.default_rng(self.seed)
         problem = dwell_problem(20.0, self.seed)
         grid, scale = problem.effect.grid, self.figure_nm / 18.5
@@ -84,7 +84,7 @@ def test_a_spot_of_another_width_is_seen(width: float) -> None:
 
 
 def test_a_pass_that_removes_nothing_uneven_shows_nothing() -> None:
-    assert Passed(1, figure_nm=0.5).shows() == Traces()
+    assert Passed(1, figure_nm=0.5).shows() == WearIndicators()
 
 
 @pytest.mark.parametrize("seeds", [12, pytest.param(160, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])])
@@ -99,5 +99,5 @@ def test_how_often_a_good_pass_shows_what_is_not_there(seeds: int) -> None:
 def test_the_half_width_of_a_transfer_function() -> None:
     frequency = np.linspace(0.0, 1.0, 400)
     gaussian = np.exp(-((2 * np.pi * frequency * SPOT_MM) ** 2) / 2)
-    assert half_width_mm(Transfer(frequency, gaussian, 0.05, 2.0, None)) == pytest.approx(SPOT_MM, rel=0.03)
-    assert half_width_mm(Transfer(np.zeros(1), np.ones(1), 0.05, 5.0, None)) == 0.0
+    assert half_width_mm(SpotTransferFunction(frequency, gaussian, 0.05, 2.0, None)) == pytest.approx(SPOT_MM, rel=0.03)
+    assert half_width_mm(SpotTransferFunction(np.zeros(1), np.ones(1), 0.05, 5.0, None)) == 0.0

@@ -11,7 +11,7 @@ from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell import splitting as module
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.splitting import splitting
-from polishd.process.transforms.butterflies import back, forth, inline, length
+from polishd.process.transforms.butterflies import forward_fft, inline, inverse_fft, length
 from polishd.process.transforms.lanes import COUNT, load, store
 from polishd.process.transforms.plane import columns_back, columns_forth, plane, rows_back, rows_forth
 from tests.unit.process.lattices import lattice_problem
@@ -26,10 +26,10 @@ def test_a_transform_is_numpys_in_its_own_order(n: int) -> None:
     plan, frequency = length(n)
     whole = (noise(n, COUNT) + 1j * noise(COUNT, n).T).astype(np.complex64)
     re, im = whole.real.copy(), whole.imag.copy()
-    forth(re, im, plan)
+    forward_fft(re, im, plan)
     wanted = np.fft.fft(whole, axis=0)
     np.testing.assert_allclose(re + 1j * im, wanted[frequency], atol=1e-6 * np.abs(wanted).max())
-    back(re, im, plan)
+    inverse_fft(re, im, plan)
     np.testing.assert_allclose((re + 1j * im) / n, whole, atol=3e-6)
 
 
@@ -103,5 +103,5 @@ def test_the_compiled_iteration_is_the_plain_one(
 
 
 class _Start:
-    def __init__(self, work: module.Splitting) -> None:
+    def __init__(self, work: module.SplittingState) -> None:
         self.state, self.time_s = work.state, work.time_s

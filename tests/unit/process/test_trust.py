@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
-from polishd.process.absolute import Pose, Told, separate
+from polishd.process.absolute import AbsoluteTestResult, PartPose, separate
 from polishd.process.metrics import pv_rms, without
-from polishd.process.trust import Errors, Noise, of_told, true_figure_bound, true_rms_bound
+from polishd.process.trust import MapErrors, MapNoise, errors_from_system_map, true_figure_bound, true_rms_bound
 from tests.unit.process.turned_maps import PITCH_MM, maps, part_nm, true_nm, turns
 
 SIDE, PITCH = 41, 2.5
@@ -35,7 +35,7 @@ SHAPES: Mapping[tuple[int, int], FloatArray] = {
 }
 
 
-def correlated(noise: Noise, rng: np.random.Generator) -> FloatArray:
+def correlated(noise: MapNoise, rng: np.random.Generator) -> FloatArray:
     """By the Fourier transform of exp(-d^2 / 2 L^2), on a plane much larger than the map."""
     side = 160
     step = np.minimum(np.arange(side), side - np.arange(side)) * PITCH
@@ -46,7 +46,7 @@ def correlated(noise: Noise, rng: np.random.Generator) -> FloatArray:
 
 
 def draw(
-    seed: int, noise: Noise, known_nm: Mapping[tuple[int, int], float], unseen_nm: Mapping[tuple[int, int], float]
+    seed: int, noise: MapNoise, known_nm: Mapping[tuple[int, int], float], unseen_nm: Mapping[tuple[int, int], float]
 ) -> tuple[FloatArray, FloatArray]:
     """A part that was polished by this instrument, so that it has its error with the other sign; and its map."""
     rng = np.random.default_rng(seed)
@@ -60,9 +60,9 @@ def draw(
 
 
 def errors(
-    noise: Noise, known_nm: Mapping[tuple[int, int], float], unseen_nm: Mapping[tuple[int, int], float]
-) -> Errors:
-    return Errors(noise, 8, tuple(known_nm), np.diag([sd**2 for sd in known_nm.values()]), unseen_nm)
+    noise: MapNoise, known_nm: Mapping[tuple[int, int], float], unseen_nm: Mapping[tuple[int, int], float]
+) -> MapErrors:
+    return MapErrors(noise, 8, tuple(known_nm), np.diag([sd**2 for sd in known_nm.values()]), unseen_nm)
 
 
 def rms(height_nm: FloatArray, removed: str = "tilt") -> float:
@@ -70,10 +70,10 @@ def rms(height_nm: FloatArray, removed: str = "tilt") -> float:
 
 
 CASES = {
-    "white noise": (Noise(0.5), {}, {}),
-    "air": (Noise(0.5, 1.0, 12.0), {}, {}),
-    "5 nm of power": (Noise(0.5), {ASTIGMATISM: 0.3, (2, -2): 0.3}, {POWER: 5.0}),
-    "all": (Noise(0.5, 0.6, 12.0), {(3, 1): 0.5, (3, 3): 0.4}, {POWER: 2.0, SPHERICAL: 1.0, (4, 4): 0.5}),
+    "white noise": (MapNoise(0.5), {}, {}),
+    "air": (MapNoise(0.5, 1.0, 12.0), {}, {}),
+    "5 nm of power": (MapNoise(0.5), {ASTIGMATISM: 0.3, (2, -2): 0.3}, {POWER: 5.0}),
+    "all": (MapNoise(0.5, 0.6, 12.0), {(3, 1): 0.5, (3, 3): 0.4}, {POWER: 2.0, SPHERICAL: 1.0, (4, 4): 0.5}),
 }
 
 
@@ -103,14 +103,14 @@ def test_of_40_parts_few_are_above_their_bound() -> None:
     for seed in range(40):
         true, measured = draw(seed, *given)
         over += rms(true) > true_rms_bound(measured, MASK, PITCH, errors(*given), samples=1000).bound
-        naive += rms(true) > true_rms_bound(measured, MASK, PITCH, errors(Noise(0.5), {}, {}), samples=1000).bound
+        naive += rms(true) > true_rms_bound(measured, MASK, PITCH, errors(MapNoise(0.5), {}, {}), samples=1000).bound
     assert over <= 6
     assert naive >= 20
 
 
 def test_noise_is_not_counted_as_figure() -> None:
     """A flat part in 2 nm of noise measures 2 nm; its bound is far below."""
-    noise = Noise(2.0)
+    noise = MapNoise(2.0)
     flat = np.where(MASK, np.random.default_rng(0).normal(0, 2.0, MASK.shape), np.nan)
     assert rms(flat) == pytest.approx(2.0, rel=0.1)
     assert true_rms_bound(flat, MASK, PITCH, errors(noise, {}, {})).bound < 0.8
@@ -136,7 +136,7 @@ def test_power_that_nobody_saw_demands_a_reference() -> None:
 
 def test_terms_of_the_instrument_add_in_squares() -> None:
     """Of 0.3 and 0.4 nm: contributions as given, and the wider the bound."""
-    noise = Noise(0.1)
+    noise = MapNoise(0.1)
     _, measured = draw(3, noise, {}, {})
     alone = true_rms_bound(measured, MASK, PITCH, errors(noise, {}, {}))
     both = true_rms_bound(measured, MASK, PITCH, errors(noise, {ASTIGMATISM: 0.3, (4, 4): 0.4}, {}))
@@ -148,7 +148,7 @@ def test_terms_of_the_instrument_add_in_squares() -> None:
 
 def test_shorter_waves_that_no_pose_told_add_in_squares() -> None:
     """1 nm of them: in the bound with and without power, and too much for a tolerance of 0.8 nm."""
-    noise = Noise(0.1)
+    noise = MapNoise(0.1)
     _, measured = draw(3, noise, {}, {})
     alone = true_rms_bound(measured, MASK, PITCH, errors(noise, {}, {}))
     given = replace(errors(noise, {}, {}), unseen_rest_nm=1.0)
@@ -174,13 +174,15 @@ def test_a_print_that_four_turns_leave_is_in_the_bound() -> None:
             return np.asarray(sum(waves) / 6**0.5)
 
         found = separate(maps(turns(4), 0.1, instrument=print_nm, seed=seed), turns(4), PITCH_MM)
-        seen = maps([Pose(0)], 0.1, part=lambda x, y: 0.3 * x * y, instrument=lambda x, y: 0 * x, seed=100 + seed)[0]
+        seen = maps([PartPose(0)], 0.1, part=lambda x, y: 0.3 * x * y, instrument=lambda x, y: 0 * x, seed=100 + seed)[
+            0
+        ]
         height = seen - found.instrument_nm
         mask = np.isfinite(height)
         true = np.where(mask, true_nm(lambda x, y: 0.3 * x * y) - true_nm(print_nm), np.nan)
         rms_nm = pv_rms(without(true, mask, "tilt"), mask)[1]
         for kept, prior in ((below, None), (naive, 0.0)):
-            given = of_told(Told.of(found), Noise(0.1), {}, prior)
+            given = errors_from_system_map(AbsoluteTestResult.of(found), MapNoise(0.1), {}, prior)
             bound = true_rms_bound(height, mask, PITCH_MM, given, samples=500, circle_px=found.circle_px).bound
             kept.append(bool(rms_nm <= bound))
     assert np.mean(below) >= 0.85
@@ -217,13 +219,15 @@ def test_any_figure_has_a_bound() -> None:
 
 @pytest.mark.full
 def test_what_the_poses_told_is_taken_from_them() -> None:
-    poses = [*turns(4), Pose(45)]
+    poses = [*turns(4), PartPose(45)]
     found = separate(maps(poses), poses, PITCH_MM)
-    given = of_told(Told.of(found), Noise(0.3), {POWER: 5.0, ASTIGMATISM: 5.0, SPHERICAL: 1.0})
+    given = errors_from_system_map(
+        AbsoluteTestResult.of(found), MapNoise(0.3), {POWER: 5.0, ASTIGMATISM: 5.0, SPHERICAL: 1.0}
+    )
     assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was told
     assert given.unseen_nm[POWER] == pytest.approx(5.0)
     assert given.covariance.shape == (len(given.terms),) * 2
-    measured = maps([Pose(0)], 0.3, seed=9)[0] - found.instrument_nm
+    measured = maps([PartPose(0)], 0.3, seed=9)[0] - found.instrument_nm
     mask = np.isfinite(measured)
     true = without(np.where(mask, true_nm(part_nm), np.nan), mask, "tilt")[mask].std()
     bound = true_rms_bound(measured, mask, PITCH_MM, given, tolerance_nm=2.0, circle_px=found.circle_px)
@@ -237,5 +241,5 @@ def test_what_the_poses_told_is_taken_from_them() -> None:
 
 def test_terms_above_the_order_are_refused() -> None:
     _, measured = draw(0, *CASES["white noise"])
-    with pytest.raises(BadMap, match="above order 4"):
-        true_rms_bound(measured, MASK, PITCH, Errors(Noise(0.5), 4, unseen_nm={(6, 0): 1.0}))
+    with pytest.raises(MapError, match="above order 4"):
+        true_rms_bound(measured, MASK, PITCH, MapErrors(MapNoise(0.5), 4, unseen_nm={(6, 0): 1.0}))

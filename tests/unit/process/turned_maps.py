@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.absolute import Pose
+from polishd.process.absolute import PartPose
 
 RADIUS_MM, PITCH_MM, SIDE = 38.0, 1.0, 89
 Shape = Callable[[FloatArray, FloatArray], FloatArray]
@@ -30,7 +30,7 @@ def instrument_nm(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def maps(
-    poses: Sequence[Pose],
+    poses: Sequence[PartPose],
     noise_nm: float = 0.3,
     *,
     part: Shape = part_nm,
@@ -65,6 +65,6 @@ def rms_nm(height_nm: FloatArray, inside: float = 0.95, *, without: Sequence[Sha
     return float(np.std(values - away @ np.linalg.lstsq(away, values, rcond=None)[0]))
 
 
-def turns(count: int) -> list[Pose]:
+def turns(count: int) -> list[PartPose]:
     """So many equal ones."""
-    return [Pose(360 * k / count) for k in range(count)]
+    return [PartPose(360 * k / count) for k in range(count)]

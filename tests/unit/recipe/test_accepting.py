@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap, ConfigError
-from polishd.model.instrument import Instrument, Unseen
+from polishd.model.errors import ConfigError, MapError
+from polishd.model.instrument import Instrument, UnmeasuredTerms
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.model.tolerance import Judged
-from polishd.process.absolute import SystemMap, Told
+from polishd.process.absolute import AbsoluteTestResult, SystemMap
 from polishd.process.absolute.poses import LEVEL, terms
 from polishd.recipe import accepting, steps
 from polishd.recipe.recipe import Recipe
 from tests.unit.daemon.small import small_map, small_recipe
 
-KNOWN = Unseen(0.1, 0.1, 0.1, 0.1, 0.1, 0.1)
+KNOWN = UnmeasuredTerms(0.1, 0.1, 0.1, 0.1, 0.1, 0.1)
 SEEN = terms(4)[LEVEL:]
 
 
@@ -26,7 +26,7 @@ def system(map_: SurfaceMap, height_nm: FloatArray | float, unknown: dict[tuple[
     """Of the frame of that map."""
     rows, columns = map_.height_nm.shape
     circle = ((rows - 1) / 2, (columns - 1) / 2, (rows - 1) / 2)
-    told = Told(4, SEEN, np.eye(len(SEEN)) * 0.01**2, unknown, 0.0, circle)
+    told = AbsoluteTestResult(4, SEEN, np.eye(len(SEEN)) * 0.01**2, unknown, 0.0, circle)
     return SystemMap(replace(map_, sha256="5" * 64).with_height(0 * map_.height_nm + height_nm), told)
 
 
@@ -95,7 +95,7 @@ def test_the_system_map_is_off_and_recorded(surface: SurfaceMap) -> None:
     assert measured.stats.rms_nm == pytest.approx(steps.condition(of(), surface).stats.rms_nm)
     assert measured.facts()["system"] == "5" * 64
     assert steps.condition(of(), surface).facts()["system"] == ""
-    with pytest.raises(BadMap, match="system map"):
+    with pytest.raises(MapError, match="system map"):
         steps.condition(of(system=system(small_map(), 0.0, {})), surface.with_height(surface.height_nm[:-1]))
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from polishd.daemon.watching import watch
-from polishd.model.beliefs import Belief
+from polishd.model.beliefs import Estimate
 from polishd.model.cycle import Outcome
 from polishd.model.dwell import AS_PROGRAMMED
-from polishd.model.finding import Finding, Series, Shown
+from polishd.model.finding import Finding, PassIndicators, PassSeries
 from polishd.model.tolerance import Judged
-from polishd.process.findings import findings, followed
+from polishd.process.findings import extend_series, findings
 from polishd.recipe import steps
 from polishd.recipe.decisions import (
     Accept,
@@ -28,7 +28,7 @@ from polishd.recipe.decisions import (
     decide,
 )
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 from polishd.workbench.studies.loop import decision_of
 from tests.unit.daemon.small import open_journal, small_job, small_map, small_recipe
 
@@ -43,11 +43,11 @@ def recipe() -> Recipe:
 
 
 @pytest.fixture(scope="module")
-def measured(recipe: Recipe) -> Measured:
+def measured(recipe: Recipe) -> MeasureResult:
     return steps.condition(recipe, small_map())
 
 
-def at(measured: Measured, rms_nm: float) -> Measured:
+def at(measured: MeasureResult, rms_nm: float) -> MeasureResult:
     """The same surface at another RMS, and whether that is in tolerance."""
     judged = (Judged("RMS", rms_nm, TOLERANCE_NM, "nm"),)
     return replace(measured, stats=replace(measured.stats, rms_nm=rms_nm), judged=judged)
@@ -68,7 +68,7 @@ def at(measured: Measured, rms_nm: float) -> Measured:
 )
 def test_the_first_that_fits_holds(
     recipe: Recipe,
-    measured: Measured,
+    measured: MeasureResult,
     history: Sequence[float],
     rms_nm: float,
     found: Sequence[Finding],
@@ -88,13 +88,13 @@ def test_the_first_that_fits_holds(
     ],
 )
 def test_a_job_that_teaches_ends_when_its_passes_are_made(
-    measured: Measured, rms_nm: float, found: Sequence[Finding], left: int, decision: Decision
+    measured: MeasureResult, rms_nm: float, found: Sequence[Finding], left: int, decision: Decision
 ) -> None:
     teaches = small_recipe(tolerance_nm=TOLERANCE_NM, choose=AS_PROGRAMMED)
     assert decide(teaches, (2.0,), at(measured, rms_nm), found, left) == decision
 
 
-def histories(count: int) -> list[tuple[int, list[float], list[Shown]]]:
+def histories(count: int) -> list[tuple[int, list[float], list[PassIndicators]]]:
     """Passes that a job may make, RMS in nm of each measurement, and what each pass shows."""
     draw = np.random.default_rng(37)
     found = []
@@ -108,13 +108,15 @@ def histories(count: int) -> list[tuple[int, list[float], list[Shown]]]:
             rate *= float(draw.choice([1.0, 1.0, 1.0, 0.6]))
             figures.append(after)
             promised = before * (1.0 - gain)
-            shown.append(Shown(before, promised, after, None, 600.0, Belief(rate, 0.01), Belief(0.0, 0.02), None))
+            shown.append(
+                PassIndicators(before, promised, after, None, 600.0, Estimate(rate, 0.01), Estimate(0.0, 0.02), None)
+            )
         found.append((passes, figures, shown))
     return found
 
 
 def of_daemon(
-    folder: Path, recipe: Recipe, surfaces: Sequence[Measured], shown: Sequence[Shown], passes: int
+    folder: Path, recipe: Recipe, surfaces: Sequence[MeasureResult], shown: Sequence[PassIndicators], passes: int
 ) -> list[Decision]:
     """A job's decisions by its journal, until one ends it."""
     said: list[Decision] = []
@@ -133,13 +135,15 @@ def of_daemon(
     return said
 
 
-def of_study(recipe: Recipe, surfaces: Sequence[Measured], shown: Sequence[Shown], passes: int) -> list[Decision]:
+def of_study(
+    recipe: Recipe, surfaces: Sequence[MeasureResult], shown: Sequence[PassIndicators], passes: int
+) -> list[Decision]:
     """A closed loop's decisions, until one ends it."""
-    said, series = list[Decision](), Series("")
+    said, series = list[Decision](), PassSeries("")
     for cycle, surface in enumerate(surfaces):
         found: tuple[Finding, ...] = ()
         if cycle:
-            series = followed(series, shown[cycle - 1])
+            series = extend_series(series, shown[cycle - 1])
             found = findings(series, shown[:cycle], recipe.finding)
         rms_nm = [one.figure_nm for one in surfaces[: cycle + 1]]
         said.append(decision_of(recipe, surface, rms_nm, found, passes))
@@ -149,7 +153,7 @@ def of_study(recipe: Recipe, surfaces: Sequence[Measured], shown: Sequence[Shown
 
 
 def test_the_daemon_and_a_study_decide_alike_on_the_same_histories(
-    tmp_path: Path, recipe: Recipe, measured: Measured
+    tmp_path: Path, recipe: Recipe, measured: MeasureResult
 ) -> None:
     ends = set()
     for number, (passes, figures, shown) in enumerate(histories(60)):

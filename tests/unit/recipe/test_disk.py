@@ -11,7 +11,7 @@ import pytest
 
 from polishd.model.errors import HostFault
 from polishd.recipe import disk
-from polishd.recipe.disk import SPARE_MB, Writes
+from polishd.recipe.disk import SPARE_MB, SpaceNeeded
 
 
 @pytest.fixture
@@ -29,19 +29,19 @@ def left_mb(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
 
 
 def test_two_million_blocks() -> None:
-    writes = Writes.of(2_000_000)
+    writes = SpaceNeeded.of(2_000_000)
     assert writes.state_mb == pytest.approx(SPARE_MB + 200)
     assert writes.run_mb == pytest.approx(SPARE_MB + 360)
 
 
 def test_what_is_recorded_is_written_into_the_run_folder_only_at_the_end() -> None:
-    writes = Writes.of(2_000_000, done=2_000_000, before=1_000_000)
+    writes = SpaceNeeded.of(2_000_000, done=2_000_000, before=1_000_000)
     assert writes.state_mb == pytest.approx(SPARE_MB)
     assert writes.run_mb == pytest.approx(SPARE_MB + 360 + 100), "the copy has the job's earlier passes, too"
 
 
 def test_on_one_disk_it_is_the_sum(tmp_path: Path, left_mb: dict[str, float]) -> None:
-    state, run = disk.rooms(tmp_path, tmp_path / "runs" / "later", Writes.of(1_000_000))
+    state, run = disk.free_space(tmp_path, tmp_path / "runs" / "later", SpaceNeeded.of(1_000_000))
     assert (state.name, run.name) == ("state_disk_mb", "run_disk_mb")
     assert state.folder == run.folder == tmp_path, "the nearest that exists"
     assert state.needed_mb == run.needed_mb == pytest.approx(2 * SPARE_MB + 280)
@@ -86,7 +86,7 @@ def test_a_file_system_without_a_number_of_inodes_refuses_nothing(tmp_path: Path
     """As btrfs, which reports 0 inodes in total and 0 that are free."""
     left_mb |= {f"{tmp_path.name} inodes": 0, "inodes in all": 0}
     disk.require_room(tmp_path, tmp_path, 1000)
-    assert [room.left_files for room in disk.rooms(tmp_path, tmp_path, Writes.of(0))] == [None, None]
+    assert [room.left_files for room in disk.free_space(tmp_path, tmp_path, SpaceNeeded.of(0))] == [None, None]
 
 
 def test_a_disk_that_cannot_be_asked_refuses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

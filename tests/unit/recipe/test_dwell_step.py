@@ -13,13 +13,13 @@ import pytest
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError, PlanRefused
-from polishd.model.tolerance import Line
+from polishd.model.tolerance import ToleranceLine
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.edge.correctable import Transfer
+from polishd.process.edge.correctable import SpotTransferFunction
 from polishd.recipe import dwell_step, foresight, steps
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 from polishd.recipe.rim import EXTENDED_WEIGHT
 from tests.unit.daemon.small import (
     APERTURE_MM,
@@ -31,14 +31,14 @@ from tests.unit.daemon.small import (
 )
 
 
-def short_sighted(recipe: Recipe, lost_mm: float) -> Measured:
+def short_sighted(recipe: Recipe, lost_mm: float) -> MeasureResult:
     """A measurement whose map ends so far before the part's rim."""
     surface = small_map()
     seen = surface.grid.radius_mm() <= APERTURE_MM / 2 - lost_mm
     return steps.condition(recipe, surface.with_height(np.where(seen, surface.height_nm, np.nan)))
 
 
-def asked(recipe: Recipe, measured: Measured) -> DwellProblem:
+def asked(recipe: Recipe, measured: MeasureResult) -> DwellProblem:
     """The problem that the recipe's solver is given first."""
     given: list[DwellProblem] = []
 
@@ -108,9 +108,16 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
 
 def test_the_certificate_says_what_is_out_of_reach() -> None:
     def short(request: RemovalRequest) -> RemovalAnswer:
-        return replace(gaussian_effect(request), transfer=Transfer(np.zeros(1), np.ones(1), 0.05, 5.0, None))
+        return replace(
+            gaussian_effect(request), transfer=SpotTransferFunction(np.zeros(1), np.ones(1), 0.05, 5.0, None)
+        )
 
-    lines = (Line("rms", 0.5), Line("rms", 500.0), Line("pv", 1.0), Line("rms", 0.5, above_mm=8.0))
+    lines = (
+        ToleranceLine("rms", 0.5),
+        ToleranceLine("rms", 500.0),
+        ToleranceLine("pv", 1.0),
+        ToleranceLine("rms", 0.5, above_mm=8.0),
+    )
     recipe = small_recipe(model=RemovalModel("short", short), tolerance_nm=None, tolerance=lines)
     measured = steps.condition(recipe, small_map())
     note, *unreached = dwell_step.solve(recipe, small_program(), measured).dwell.certificate.notes

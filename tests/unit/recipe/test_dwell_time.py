@@ -16,7 +16,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.dwell_step import require_certificate
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured, Solved
+from polishd.recipe.records import MeasureResult, SolveResult
 from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
@@ -43,8 +43,8 @@ class Costly:
         return small_recipe(**({"solver": DwellSolver("costly", self.solve)} | changes))
 
 
-def solved(recipe: Recipe) -> Solved:
-    measured: Measured = steps.condition(recipe, small_map())
+def solved(recipe: Recipe) -> SolveResult:
+    measured: MeasureResult = steps.condition(recipe, small_map())
     return dwell_step.solve(recipe, small_program(), measured)
 
 

@@ -9,41 +9,41 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from polishd.model.beliefs import Belief, Beliefs
+from polishd.model.beliefs import Estimate, Estimates
 from polishd.model.errors import ConfigError
 from polishd.recipe.encoding import arrays_of, as_json, facts_of, npz, record_of, table
 
-LEVEL = Belief(0.0, unit="1/mm")
+LEVEL = Estimate(0.0, unit="1/mm")
 
 
 @dataclass(frozen=True)
-class Field(Beliefs):
+class Field(Estimates):
     """What a model of somebody else may believe."""
 
-    tilt: Belief = LEVEL
+    tilt: Estimate = LEVEL
     modes: tuple[tuple[str, float], ...] = ()
     map_nm: np.ndarray | None = None
 
 
-FIELD = Field(Belief(0.9, 0.01), Belief(1e-3, 2e-4, "1/mm"), (("coma", 0.5), ("trefoil", float("inf"))), np.eye(2))
+FIELD = Field(Estimate(0.9, 0.01), Estimate(1e-3, 2e-4, "1/mm"), (("coma", 0.5), ("trefoil", float("inf"))), np.eye(2))
 
 
 def test_a_record_is_made_again_from_its_facts_as_json_and_its_arrays() -> None:
     again = record_of(Field, json.loads(as_json(facts_of(FIELD))), arrays_of(FIELD))
     assert facts_of(again) == facts_of(FIELD)
     assert np.array_equal(again.map_nm, FIELD.map_nm)
-    assert isinstance(again.rate, Belief)
+    assert isinstance(again.rate, Estimate)
 
 
 def test_what_it_has_no_field_for_is_left_and_what_is_missing_is_the_default() -> None:
-    assert record_of(Field, {"rate": {"value": 0.8}, "wear": 3}) == Field(Belief(0.8))
+    assert record_of(Field, {"rate": {"value": 0.8}, "wear": 3}) == Field(Estimate(0.8))
 
 
 def test_a_fact_of_another_kind_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"what was kept as Beliefs cannot be read: .*value.*; finish the job with"):
-        record_of(Beliefs, {"rate": {"value": "fast"}})
+        record_of(Estimates, {"rate": {"value": "fast"}})
     with pytest.raises(ConfigError, match=r"Belief cannot be read: .*missing .* 'value'"):
-        record_of(Belief, {"sigma": 1.0})
+        record_of(Estimate, {"sigma": 1.0})
 
 
 def test_arrays() -> None:

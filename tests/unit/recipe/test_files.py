@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from polishd.hookspecs import SurfaceReader
-from polishd.model.errors import BadMap, ProgramError, StaleMap
+from polishd.model.errors import MapError, ProgramError, StaleMap
 from polishd.model.surface import SurfaceMap
 from polishd.recipe.files import SNIFF_BYTES, read_map, read_program_bytes
 from tests.unit.daemon.small import small_map
@@ -59,9 +59,9 @@ def test_the_first_reader_that_knows_the_file_reads_it(tmp_path: Path) -> None:
 def test_a_map_that_nobody_knows(tmp_path: Path) -> None:
     path = tmp_path / "m.dat"
     path.write_bytes(b"?")
-    with pytest.raises(BadMap, match=r"no loaded reader knows this file \(tried: x, y\)"):
+    with pytest.raises(MapError, match=r"no loaded reader knows this file \(tried: x, y\)"):
         read_map(path, [reader("x", b"X"), reader("y", b"Y")])
-    with pytest.raises(BadMap, match="tried: none"):
+    with pytest.raises(MapError, match="tried: none"):
         read_map(path, [])
 
 
@@ -82,25 +82,25 @@ def test_a_text_under_another_name_is_told_its_own(tmp_path: Path) -> None:
     path = tmp_path / "m.dat"
     path.write_bytes(b"1 2 3")
     with pytest.raises(
-        BadMap,
+        MapError,
         match=r"\(tried: odd, named, lists\); it looks like lists: name it \*\.pts \(or polishd map --format pts\)$",
     ):
         read_map(path, readers)
     path.write_bytes(b"x y")
-    with pytest.raises(BadMap, match=r"; the reader 'odd' failed on it \(IndexError: .*\): mend its plugin$"):
+    with pytest.raises(MapError, match=r"; the reader 'odd' failed on it \(IndexError: .*\): mend its plugin$"):
         read_map(path, readers)
     for content in (b"x y z", b"1 2\0"):
         path.write_bytes(content)
-        with pytest.raises(BadMap, match=r"\(tried: odd, named, lists\)$"):
+        with pytest.raises(MapError, match=r"\(tried: odd, named, lists\)$"):
             read_map(path, readers)
 
 
 def test_a_map_that_is_empty_or_gone(tmp_path: Path) -> None:
     path = tmp_path / "m.dat"
-    with pytest.raises(BadMap, match="cannot be read: No such file"):
+    with pytest.raises(MapError, match="cannot be read: No such file"):
         read_map(path, [reader("any", b"")])
     path.touch()
-    with pytest.raises(BadMap, match="the file is empty"):
+    with pytest.raises(MapError, match="the file is empty"):
         read_map(path, [reader("any", b"")])
 
 
@@ -123,7 +123,7 @@ def test_whatever_a_reader_does_is_a_bad_map_that_names_it(tmp_path: Path) -> No
         (SurfaceReader("odd", lambda head, path: raises(IndexError("head")), small_map), "IndexError: head"),
         (SurfaceReader("odd", lambda head, path: True, lambda path: None), "gave NoneType, no SurfaceMap"),  # type: ignore[arg-type,return-value]
     ]:
-        with pytest.raises(BadMap, match=rf"m\.dat: the reader 'odd' .*{says}"):
+        with pytest.raises(MapError, match=rf"m\.dat: the reader 'odd' .*{says}"):
             read_map(path, [broken, reader("any", b"")])
     stale = SurfaceReader("odd", lambda head, path: True, lambda path: raises(StaleMap("older")))
     with pytest.raises(StaleMap, match=r"^older$"):

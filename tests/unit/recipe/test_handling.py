@@ -12,7 +12,7 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import write_demo
 from polishd.hooks.loader import Hooks, load_own
 from polishd.model.errors import ConfigError, PlanRefused
-from polishd.model.handling import Step, TouchOff
+from polishd.model.handling import HandlingStep, TouchOff
 from polishd.process.contact import contact_radius_mm, hertz_depth_mm
 from polishd.recipe import touch_off
 from polishd.recipe.making import make_recipe
@@ -119,7 +119,7 @@ def test_steps_as_they_are_written(cell: Cell, hooks: Hooks, tmp_path: Path) -> 
     profile = tmp_path / "instrument.toml"
     profile.write_text(with_keys(profile.read_text(), {"repeatability": {"rms_nm": 0.4}}))
     between = make_recipe(config, hooks).between
-    assert between.clean == Step(command=("./wash.sh", "hard"), folder=tmp_path)
+    assert between.clean == HandlingStep(command=("./wash.sh", "hard"), folder=tmp_path)
     assert between.settle is not None
     assert (between.settle.limit_nm, between.settle.maps, between.settle.wait_s) == (0.8, 5, 60.0)
 

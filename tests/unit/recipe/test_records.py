@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from polishd.hookspecs import RemovalModel
-from polishd.model.beliefs import Belief, Beliefs, MachineBeliefs, MapPixels
+from polishd.model.beliefs import Estimate, Estimates, MachineEstimates, MapPixels
 from polishd.model.errors import ComputeError
 from polishd.model.program import Program
 from polishd.model.surface import Grid
@@ -21,8 +21,16 @@ from polishd.process.forecast import Forecast
 from polishd.process.registration.record import Registration
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.encoding import npz
-from polishd.recipe.records import Believed, Measured, Pass, Planned, Solved, Taught, figures
-from polishd.recipe.staying import Staying
+from polishd.recipe.records import (
+    EstimatesInUse,
+    ExecutedPass,
+    LearnResult,
+    MeasureResult,
+    PlanResult,
+    SolveResult,
+    figures,
+)
+from polishd.recipe.staying import CachedEffect
 from tests.unit.daemon.small import at_rate, gaussian_effect, small_map, small_program, small_recipe
 
 LIES = Registration(0.1, (0.3, -0.2), residual_mm=0.01, used=7, by="fiducials", scale=1.001)
@@ -37,20 +45,20 @@ def program() -> Program:
 
 
 @pytest.fixture(scope="module")
-def measured() -> Measured:
+def measured() -> MeasureResult:
     plain = steps.condition(small_recipe(tolerance_period_mm=12.0), small_map())
     return replace(plain, registration=LIES, spikes=3, notes=("a tilt",))
 
 
 @pytest.fixture(scope="module")
-def solved(program: Program, measured: Measured) -> Solved:
+def solved(program: Program, measured: MeasureResult) -> SolveResult:
     return dwell_step.solve(small_recipe(curve=True), program, measured, at_rate(0.9))
 
 
 @pytest.fixture(scope="module")
-def planned(program: Program, solved: Solved) -> Planned:
+def planned(program: Program, solved: SolveResult) -> PlanResult:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
-    kept = Planned.of(plan, solved, steps.in_part_frame(small_recipe(), plan.program), EXPECTED)
+    kept = PlanResult.of(plan, solved, steps.in_part_frame(small_recipe(), plan.program), EXPECTED)
     return replace(kept, state={"multipliers": np.arange(3.0)})
 
 
@@ -78,84 +86,84 @@ def assert_same(one: Any, other: Any) -> None:
             assert mine == theirs, field.name
 
 
-def test_a_measurement(measured: Measured) -> None:
-    again = Measured.load(stored(measured.files()["surface.npz"]), journalled(measured.facts()), "none")
+def test_a_measurement(measured: MeasureResult) -> None:
+    again = MeasureResult.load(stored(measured.files()["surface.npz"]), journalled(measured.facts()), "none")
     assert_same(again, measured)
 
 
-def test_a_measurement_of_an_earlier_job_knows_where_the_part_lay(measured: Measured) -> None:
+def test_a_measurement_of_an_earlier_job_knows_where_the_part_lay(measured: MeasureResult) -> None:
     facts = {"sha256": "abc", **{key: measured.facts()[key] for key in ("rms_nm", "pv_nm", "lsf_rms_nm")}}
     arrays = stored(measured.files()["surface.npz"])
-    again = Measured.load(arrays, facts, "aperture")
+    again = MeasureResult.load(arrays, facts, "aperture")
     assert again.registration == Registration(0.1, (0.3, -0.2), by="aperture")
     assert (again.sha256, again.spikes, again.notes) == ("abc", 0, ())
     assert again.map_grid == measured.map_grid
     del arrays["lies"], arrays["map_grid"]
-    assert Measured.load(arrays, facts, "none").registration == Registration()
-    assert Measured.load(arrays, facts, "none").map_grid is None
+    assert MeasureResult.load(arrays, facts, "none").registration == Registration()
+    assert MeasureResult.load(arrays, facts, "none").map_grid is None
 
 
 @pytest.mark.full
-def test_a_plan(planned: Planned) -> None:
+def test_a_plan(planned: PlanResult) -> None:
     files = planned.files()
     start = stored(npz(planned.start()))
-    again = Planned.load(stored(files["plan.npz"]), start, journalled(planned.facts()), Beliefs())
+    again = PlanResult.load(stored(files["plan.npz"]), start, journalled(planned.facts()), Estimates())
     assert_same(again, planned)
     assert np.array_equal(again.kept.time_s, planned.time_s)
     assert files["dwell.csv"].splitlines()[0] == b"point,line,x_mm,y_mm,dwell_s,asked_s,expected_s"
 
 
-def test_a_plan_of_an_earlier_job_believes_the_rate(planned: Planned) -> None:
+def test_a_plan_of_an_earlier_job_believes_the_rate(planned: PlanResult) -> None:
     facts = journalled(planned.facts())
     del facts["removal"]
-    again = Planned.load(stored(planned.files()["plan.npz"]), npz_start(planned), facts, Beliefs())
-    assert again.believed == Believed(Beliefs(Belief(0.9)), 0.0)
+    again = PlanResult.load(stored(planned.files()["plan.npz"]), npz_start(planned), facts, Estimates())
+    assert again.believed == EstimatesInUse(Estimates(Estimate(0.9)), 0.0)
 
 
-def npz_start(planned: Planned) -> dict[str, Any]:
+def npz_start(planned: PlanResult) -> dict[str, Any]:
     return stored(npz(planned.start()))
 
 
-UNWORN = Belief(0.0, unit="1/h")
+UNWORN = Estimate(0.0, unit="1/h")
 
 
 @dataclass(frozen=True, slots=True)
-class Worn(Beliefs):
+class Worn(Estimates):
     """A model of somebody else, which believes in wear, too."""
 
-    wear: Belief = UNWORN
+    wear: Estimate = UNWORN
 
 
 def test_what_a_model_of_somebody_else_believes_is_kept_in_its_own_record() -> None:
-    believed = Believed(Worn(Belief(0.9, 0.01), Belief(0.5, 0.1, "1/h")), 0.004)
-    assert Believed.load(journalled(believed.facts()), Worn()) == believed
-    newer = Believed.load(journalled(at_rate(0.9).facts()), Worn(wear=Belief(0.1)))
-    assert newer.removal == Worn(Belief(0.9), Belief(0.1)), "what it did not know before is as at first"
+    believed = EstimatesInUse(Worn(Estimate(0.9, 0.01), Estimate(0.5, 0.1, "1/h")), 0.004)
+    assert EstimatesInUse.load(journalled(believed.facts()), Worn()) == believed
+    newer = EstimatesInUse.load(journalled(at_rate(0.9).facts()), Worn(wear=Estimate(0.1)))
+    assert newer.removal == Worn(Estimate(0.9), Estimate(0.1)), "what it did not know before is as at first"
     old = {"rate": 0.9, "block_overhead_s": 0.004}
-    assert Believed.load(old, Worn()) == Believed(Worn(Belief(0.9)), 0.004)
+    assert EstimatesInUse.load(old, Worn()) == EstimatesInUse(Worn(Estimate(0.9)), 0.004)
 
 
 def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
-    from polishd.api import Evidence, Lesson, RemovalAnswer, RemovalRequest, learn_rate
+    from polishd.api import EstimateUpdate, PassEvidence, RemovalAnswer, RemovalRequest, learn_rate
 
-    asked: list[Beliefs] = []
+    asked: list[Estimates] = []
 
     def effect(request: RemovalRequest) -> RemovalAnswer:
         asked.append(request.beliefs)
         return gaussian_effect(request)
 
-    def learn(request: RemovalRequest, evidence: Evidence) -> Lesson:
+    def learn(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
         lesson = learn_rate(request, evidence)
         assert isinstance(lesson.beliefs, Worn)
-        return replace(lesson, beliefs=replace(lesson.beliefs, wear=Belief(evidence.executed_s.sum(), None, "s")))
+        return replace(lesson, beliefs=replace(lesson.beliefs, wear=Estimate(evidence.executed_s.sum(), None, "s")))
 
     recipe = small_recipe(model=RemovalModel("worn", effect, beliefs=Worn(), learn=learn))
-    believed = steps.believed_at_first(recipe)
+    believed = steps.initial_estimates(recipe)
     removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
     after = replace(measured, height_nm=measured.height_nm - 0.9 * removal)
-    taught = steps.learn(recipe, program, Pass(measured, after, solved.asked_s, solved.expected_s), believed)
+    taught = steps.learn(recipe, program, ExecutedPass(measured, after, solved.asked_s, solved.expected_s), believed)
     assert set(asked) == {Worn()}
     assert taught.believed.rate == pytest.approx(0.9, rel=1e-3)
     assert taught.believed.facts()["removal"]["wear"]["value"] == pytest.approx(solved.expected_s.sum())
@@ -174,57 +182,59 @@ def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
     ],
 )
 def test_a_model_is_told_which_samples_the_maps_had(
-    program: Program, measured: Measured, solved: Solved, then: dict[str, Any], alike: bool
+    program: Program, measured: MeasureResult, solved: SolveResult, then: dict[str, Any], alike: bool
 ) -> None:
-    from polishd.api import Evidence, Lesson, RemovalRequest, learn_rate
+    from polishd.api import EstimateUpdate, PassEvidence, RemovalRequest, learn_rate
 
-    heard: list[Evidence] = []
+    heard: list[PassEvidence] = []
 
-    def learn(request: RemovalRequest, evidence: Evidence) -> Lesson:
+    def learn(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
         heard.append(evidence)
         return learn_rate(request, evidence)
 
     recipe = small_recipe(model=RemovalModel("hears", gaussian_effect, learn=learn))
     removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
     after = replace(measured, height_nm=measured.height_nm - removal, **then)
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
-    steps.learn(recipe, program, done, steps.believed_at_first(recipe))
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
+    steps.learn(recipe, program, done, steps.initial_estimates(recipe))
     grid = small_map().grid
     lies = after.registration
     assert heard[0].pixels == (MapPixels(grid, lies.rotation_deg, lies.shift_mm) if alike else None)
 
 
 def test_what_a_model_will_not_go_on_after_stops_and_teaches_nothing(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
-    from polishd.api import Evidence, Lesson, RemovalRequest, learn_rate
+    from polishd.api import EstimateUpdate, PassEvidence, RemovalRequest, learn_rate
 
-    def learn(request: RemovalRequest, evidence: Evidence) -> Lesson:
+    def learn(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
         return replace(learn_rate(request, evidence), stop="the spot is 3 mm off", notes=("look at the tool",))
 
     recipe = small_recipe(model=RemovalModel("stops", gaussian_effect, learn=learn))
     removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
     after = replace(measured, height_nm=measured.height_nm - 0.9 * removal)
-    believed = steps.believed_at_first(recipe)
-    taught = steps.learn(recipe, program, Pass(measured, after, solved.asked_s, solved.expected_s), believed)
+    believed = steps.initial_estimates(recipe)
+    taught = steps.learn(recipe, program, ExecutedPass(measured, after, solved.asked_s, solved.expected_s), believed)
     assert taught.verdict.stop == "the spot is 3 mm off"
     assert taught.believed == believed
     assert taught.notes == ("look at the tool",)
 
 
 def test_what_is_known_of_a_machine_is_kept() -> None:
-    removal = MachineBeliefs(
-        Belief(0.93, 0.02),
+    removal = MachineEstimates(
+        Estimate(0.93, 0.02),
         applied={"width": 0.03},
         mean={"rate": -0.07, "width": 0.03},
         covariance=((4e-4, 1e-5), (1e-5, 1e-6)),
         odds={"believed": 0.0},
         pass_h=0.2,
     )
-    assert Believed.load(journalled(Believed(removal).facts()), MachineBeliefs()) == Believed(removal)
+    assert EstimatesInUse.load(journalled(EstimatesInUse(removal).facts()), MachineEstimates()) == EstimatesInUse(
+        removal
+    )
 
 
-def test_a_summary_says_what_was_measured_and_planned(measured: Measured, planned: Planned) -> None:
+def test_a_summary_says_what_was_measured_and_planned(measured: MeasureResult, planned: PlanResult) -> None:
     entry = figures(measured.facts(), planned.facts())
     assert entry["band_rms_nm"] == measured.figure_nm == measured.stats.band_rms_nm
     assert entry["dwell_s"] == pytest.approx(planned.expected_s.sum())
@@ -235,11 +245,13 @@ def test_a_summary_says_what_was_measured_and_planned(measured: Measured, planne
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_what_a_pass_taught_leaves(program: Program, measured: Measured, solved: Solved, turned: bool) -> None:
+def test_what_a_pass_taught_leaves(
+    program: Program, measured: MeasureResult, solved: SolveResult, turned: bool
+) -> None:
     removal = steps.effect_of(small_recipe(), program, measured.grid).removal_nm(solved.expected_s)
     after = replace(measured, height_nm=measured.height_nm - 0.9 * (removal[:, ::-1] if turned else removal))
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
-    taught: Taught = steps.learn(small_recipe(), program, done, Believed())
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
+    taught: LearnResult = steps.learn(small_recipe(), program, done, EstimatesInUse())
     files = taught.files()
     gate = json.loads(files["gate.json"])
     assert bool(gate["stop"]) is turned
@@ -260,25 +272,25 @@ def test_what_a_pass_taught_leaves(program: Program, measured: Measured, solved:
 # the effect stays
 
 
-def sent(solved: Solved) -> Solved:
-    found: Solved = pickle.loads(pickle.dumps(solved))
+def sent(solved: SolveResult) -> SolveResult:
+    found: SolveResult = pickle.loads(pickle.dumps(solved))
     return found
 
 
-def test_an_effect_is_found_again_where_it_was_made(program: Program, solved: Solved) -> None:
+def test_an_effect_is_found_again_where_it_was_made(program: Program, solved: SolveResult) -> None:
     content = pickle.dumps(solved)
     assert len(content) < 0.2 * len(pickle.dumps(gaussian_effect_of(program, solved)))
     back = pickle.loads(content)
-    assert isinstance(back.answer.effect, Staying)
+    assert isinstance(back.answer.effect, CachedEffect)
     assert back.answer.effect.here
     assert back.answer.effect.n == program.n
 
 
-def gaussian_effect_of(program: Program, solved: Solved) -> Any:
+def gaussian_effect_of(program: Program, solved: SolveResult) -> Any:
     return steps.effect_of(small_recipe(), program, solved.answer.effect.grid).effect
 
 
-def test_elsewhere_it_is_a_name_and_a_new_worker_makes_it_again(program: Program, solved: Solved) -> None:
+def test_elsewhere_it_is_a_name_and_a_new_worker_makes_it_again(program: Program, solved: SolveResult) -> None:
     here = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     content = pickle.dumps(solved)
     pickle.loads(content)  # found once, and no more

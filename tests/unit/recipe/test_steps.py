@@ -11,7 +11,7 @@ import pytest
 
 from polishd.hookspecs import DwellSolver, ProgramFormat, RemovalModel
 from polishd.model.dwell import DwellSolution
-from polishd.model.errors import BadMap, ComputeError, ProgramError
+from polishd.model.errors import ComputeError, MapError, ProgramError
 from polishd.model.instrument import Instrument
 from polishd.model.process import ComplianceOptions, MeasuredTif, Optic, Placement
 from polishd.model.program import Program
@@ -23,7 +23,7 @@ from polishd.process.frames import dips_deg, surface_normals
 from polishd.recipe import dwell_step, steps
 from polishd.recipe.forecasting import forecast_of
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Believed, Measured, Pass, Solved
+from polishd.recipe.records import EstimatesInUse, ExecutedPass, MeasureResult, SolveResult
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
     APERTURE_MM,
@@ -46,12 +46,12 @@ def program() -> Program:
 
 
 @pytest.fixture(scope="module")
-def measured() -> Measured:
+def measured() -> MeasureResult:
     return steps.condition(small_recipe(), small_map())
 
 
 @pytest.fixture(scope="module")
-def solved(program: Program, measured: Measured) -> Solved:
+def solved(program: Program, measured: MeasureResult) -> SolveResult:
     return dwell_step.solve(small_recipe(), program, measured)
 
 
@@ -81,7 +81,7 @@ def test_no_rotation_and_no_offset_change_nothing(program: Program) -> None:
     assert np.array_equal(steps.in_part_frame(small_recipe(), program).end_mm, program.end_mm)
 
 
-def test_effect_lies_where_the_part_frame_says(program: Program, measured: Measured) -> None:
+def test_effect_lies_where_the_part_frame_says(program: Program, measured: MeasureResult) -> None:
     """A program that covers the upper half of the part, turned by 180 degrees, works the lower half."""
     upper = program.end_mm[:, 1] > 4
     time = upper.astype(float)
@@ -93,7 +93,7 @@ def test_effect_lies_where_the_part_frame_says(program: Program, measured: Measu
     assert other[~above].sum() > 50 * other[above].sum()
 
 
-def test_effect_follows_the_rate(program: Program, measured: Measured) -> None:
+def test_effect_follows_the_rate(program: Program, measured: MeasureResult) -> None:
     one, two = (
         steps.effect_of(small_recipe(), program, measured.grid, at_rate(rate)).effect.removal_nm(program.time_s)
         for rate in (1.0, 1.2)
@@ -103,17 +103,17 @@ def test_effect_follows_the_rate(program: Program, measured: Measured) -> None:
 
 def test_a_program_without_an_axis_is_dipped_inward(program: Program) -> None:
     dipped = small_recipe(process=replace(small_recipe().process, dip_deg=15.0))
-    axis = steps.as_polished(dipped, program).axis
+    axis = steps.executed_surface(dipped, program).axis
     assert axis[:, 2] == pytest.approx(np.cos(np.radians(15.0)))
     stated = replace(program, axis=np.tile([0.6, 0.0, 0.8], (program.n, 1)))
-    assert np.array_equal(steps.as_polished(dipped, stated).axis, stated.axis)
-    assert np.array_equal(steps.as_polished(small_recipe(), program).axis, program.axis), "no dip, no tilt"
+    assert np.array_equal(steps.executed_surface(dipped, stated).axis, stated.axis)
+    assert np.array_equal(steps.executed_surface(small_recipe(), program).axis, program.axis), "no dip, no tilt"
 
 
 # measure
 
 
-def test_condition_states_figures_and_freezes_masks(measured: Measured) -> None:
+def test_condition_states_figures_and_freezes_masks(measured: MeasureResult) -> None:
     assert measured.stats.rms_nm == pytest.approx(20.0, rel=0.3)
     assert measured.stats.band_rms_nm is None
     assert np.isfinite(measured.height_nm).all()
@@ -124,8 +124,8 @@ def test_condition_states_figures_and_freezes_masks(measured: Measured) -> None:
     assert np.array_equal(again.solve_mask, measured.solve_mask)
 
 
-def test_condition_refuses_masks_of_another_grid(measured: Measured) -> None:
-    with pytest.raises(BadMap, match="masks"):
+def test_condition_refuses_masks_of_another_grid(measured: MeasureResult) -> None:
+    with pytest.raises(MapError, match="masks"):
         steps.condition(small_recipe(grid_mm=2.0), small_map(), measured.masks)
 
 
@@ -145,7 +145,7 @@ def test_tilt_is_figure_unless_it_is_alignment() -> None:
     assert levelled.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=1e-6), "the figure has no alignment in it"
 
 
-def test_power_may_be_alignment_too(program: Program, measured: Measured, solved: Solved) -> None:
+def test_power_may_be_alignment_too(program: Program, measured: MeasureResult, solved: SolveResult) -> None:
     recipe = small_recipe(alignment="power")
     surface = small_map()
     bowl = surface.with_height(surface.height_nm + 3.0 * surface.grid.radius_mm() ** 2)
@@ -154,7 +154,9 @@ def test_power_may_be_alignment_too(program: Program, measured: Measured, solved
     plan = steps.rewrite(recipe, program, solved, "p.rnc")
     lost = 2.0 * measured.grid.radius_mm() ** 2  # the next alignment hides or shows as much
     after = replace(measured, height_nm=measured.height_nm - 0.9 * plan.predicted_removal_nm + lost)
-    taught = steps.learn(recipe, program, Pass(measured, after, solved.asked_s, plan.expected_time_s), Believed())
+    taught = steps.learn(
+        recipe, program, ExecutedPass(measured, after, solved.asked_s, plan.expected_time_s), EstimatesInUse()
+    )
     assert not taught.verdict.stop
     assert taught.believed.rate == pytest.approx(0.9, abs=0.01)
 
@@ -175,7 +177,7 @@ def test_spikes_and_the_nominal_form_are_taken_off() -> None:
 # solve
 
 
-def test_solve_makes_the_surface_flat(solved: Solved) -> None:
+def test_solve_makes_the_surface_flat(solved: SolveResult) -> None:
     certificate = solved.dwell.certificate
     assert certificate.kkt_residual <= 1e-4
     assert certificate.predicted_rms_nm < 2.0
@@ -188,7 +190,7 @@ POINTWISE = RemovalModel("pointwise", pointwise_effect)
 
 
 def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
-    program: Program, measured: Measured
+    program: Program, measured: MeasureResult
 ) -> None:
     recipe = small_recipe(model=POINTWISE, envelope=replace(small_recipe().envelope, accel_mm_s2=1e9))
     solved = dwell_step.solve(recipe, program, measured)
@@ -205,7 +207,7 @@ def test_pointwise_is_the_static_dwell_divided_by_gamma_within_the_real_bounds(
 
 
 def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     pointwise = dwell_step.solve(small_recipe(model=POINTWISE), program, measured)
     assert pointwise.dwell.certificate.predicted_rms_nm < 1.5 * solved.dwell.certificate.predicted_rms_nm
@@ -213,17 +215,19 @@ def test_pointwise_asks_for_the_same_flat_surface_in_more_time(
     assert 1.1 < more < 1.4
 
 
-def test_what_was_planned_and_learned_pointwise_knows_of_the_division(program: Program, measured: Measured) -> None:
+def test_what_was_planned_and_learned_pointwise_knows_of_the_division(
+    program: Program, measured: MeasureResult
+) -> None:
     recipe = small_recipe(model=POINTWISE)
     solved = dwell_step.solve(recipe, program, measured)
     plan = steps.rewrite(recipe, program, solved, "p.rnc")
     np.testing.assert_allclose(plan.predicted_removal_nm, solved.answer.removal_nm(plan.expected_time_s), rtol=1e-12)
     after = replace(measured, height_nm=measured.height_nm - 0.93 * plan.predicted_removal_nm)
-    done = Pass(measured, after, solved.asked_s, plan.expected_time_s)
-    assert steps.learn(recipe, program, done, Believed()).believed.rate == pytest.approx(0.93, rel=1e-3)
+    done = ExecutedPass(measured, after, solved.asked_s, plan.expected_time_s)
+    assert steps.learn(recipe, program, done, EstimatesInUse()).believed.rate == pytest.approx(0.93, rel=1e-3)
 
 
-def test_the_physics_of_the_recipe_reaches_the_removal_model(program: Program, measured: Measured) -> None:
+def test_the_physics_of_the_recipe_reaches_the_removal_model(program: Program, measured: MeasureResult) -> None:
     asked: list[object] = []
 
     def ask(request: object) -> object:
@@ -241,27 +245,29 @@ def test_the_physics_of_the_recipe_reaches_the_removal_model(program: Program, m
 def test_a_program_without_an_axis_is_dipped_as_the_cell_dips(program: Program) -> None:
     process = replace(small_recipe().process, dip_deg=15.0)
     fixed = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=40.0)
-    part = steps.as_polished(small_recipe(process=process, options=fixed, optic=Optic(500.0)), program)
+    part = steps.executed_surface(small_recipe(process=process, options=fixed, optic=Optic(500.0)), program)
     normal = surface_normals(HOME, part.end_mm, Optic(500.0))
     assert dips_deg(part.axis, normal) == pytest.approx(15.0)
     middle = np.argmin(np.hypot(*part.end_mm[:, :2].T))
     assert np.degrees(np.arctan2(part.axis[middle, 1], part.axis[middle, 0])) == pytest.approx(40.0, abs=1.0)
 
 
-def test_a_path_that_covers_half_the_part_is_refused(measured: Measured) -> None:
+def test_a_path_that_covers_half_the_part_is_refused(measured: MeasureResult) -> None:
     with pytest.raises(ProgramError, match=r"small\.rnc: the path reaches \d+% of the clear aperture"):
         dwell_step.solve(small_recipe(), small_program(3.0), measured)
 
 
-def test_a_program_in_another_frame_is_refused(program: Program, measured: Measured) -> None:
+def test_a_program_in_another_frame_is_refused(program: Program, measured: MeasureResult) -> None:
     away = small_recipe(offset_mm=(15.0, 0.0, 0.0))
     with pytest.raises(ProgramError, match="offset_mm"):
         dwell_step.solve(away, program, measured)
 
 
-def test_the_overhead_is_taken_off_what_is_asked(program: Program, measured: Measured, solved: Solved) -> None:
+def test_the_overhead_is_taken_off_what_is_asked(
+    program: Program, measured: MeasureResult, solved: SolveResult
+) -> None:
     overhead = 0.02
-    late = dwell_step.solve(small_recipe(), program, measured, Believed(block_overhead_s=overhead))
+    late = dwell_step.solve(small_recipe(), program, measured, EstimatesInUse(block_overhead_s=overhead))
     assert late.asked_s == pytest.approx(np.maximum(late.dwell.time_s - overhead, 0.0))
     assert (late.dwell.lower_s >= overhead).all(), "no block is done sooner"
     assert (late.expected_s >= overhead).all()
@@ -269,7 +275,7 @@ def test_the_overhead_is_taken_off_what_is_asked(program: Program, measured: Mea
 
 
 def test_what_acceleration_delivers_is_known_to_the_optimum(
-    program: Program, measured: Measured, solved: Solved, monkeypatch: pytest.MonkeyPatch
+    program: Program, measured: MeasureResult, solved: SolveResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dwell_step, "ENVELOPE_ROUNDS", 0)
     naive = dwell_step.solve(small_recipe(), program, measured)
@@ -278,28 +284,28 @@ def test_what_acceleration_delivers_is_known_to_the_optimum(
     assert solved.expected_s.sum() == pytest.approx(solved.dwell.time_s.sum(), rel=0.01)
 
 
-def test_beliefs_come_before_the_data_sheet(program: Program, measured: Measured) -> None:
+def test_beliefs_come_before_the_data_sheet(program: Program, measured: MeasureResult) -> None:
     recipe = small_recipe(envelope=replace(small_recipe().envelope, block_overhead_s=0.05))
     stated = dwell_step.solve(recipe, program, measured)
-    learned = dwell_step.solve(recipe, program, measured, Believed(block_overhead_s=0.01))
+    learned = dwell_step.solve(recipe, program, measured, EstimatesInUse(block_overhead_s=0.01))
     assert stated.dwell.lower_s.min() >= 0.05 > learned.dwell.lower_s.min() >= 0.01
 
 
 # the cross-check
 
 
-def checked(recipe: Recipe, program: Program, measured: Measured) -> DwellSolution:
+def checked(recipe: Recipe, program: Program, measured: MeasureResult) -> DwellSolution:
     return dwell_step.solve(recipe, program, measured).dwell
 
 
-def test_an_independent_solver_agrees(program: Program, measured: Measured) -> None:
+def test_an_independent_solver_agrees(program: Program, measured: MeasureResult) -> None:
     recipe = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=0.0)
     certificate = checked(recipe, program, measured).certificate
     assert certificate.cross_check == "qp"
     assert certificate.cross_check_gap == pytest.approx(0.0, abs=1e-3)
 
 
-def test_the_gap_says_by_how_much_the_other_is_better(program: Program, measured: Measured) -> None:
+def test_the_gap_says_by_how_much_the_other_is_better(program: Program, measured: MeasureResult) -> None:
     def better(problem: DwellProblem, within_s: float) -> DwellSolution:
         found = newton_cg.solve(problem, within_s)
         return replace(found, certificate=replace(found.certificate, objective=found.certificate.objective / 1.25))
@@ -311,7 +317,7 @@ def test_the_gap_says_by_how_much_the_other_is_better(program: Program, measured
     assert certificate.cross_check_gap == pytest.approx(0.25)
 
 
-def test_nobody_is_asked_about_what_is_proved(program: Program, measured: Measured) -> None:
+def test_nobody_is_asked_about_what_is_proved(program: Program, measured: MeasureResult) -> None:
     def never(problem: DwellProblem, within_s: float) -> DwellSolution:
         raise AssertionError("was asked")
 
@@ -328,7 +334,7 @@ def test_nobody_is_asked_about_what_is_proved(program: Program, measured: Measur
     assert checked(doubtful, program, measured).certificate.cross_check == "qp"
 
 
-def test_a_cross_check_that_fails_is_noted(program: Program, measured: Measured) -> None:
+def test_a_cross_check_that_fails_is_noted(program: Program, measured: MeasureResult) -> None:
     def fails(problem: DwellProblem, within_s: float) -> DwellSolution:
         raise ComputeError("out of time")
 
@@ -342,7 +348,7 @@ def test_a_cross_check_that_fails_is_noted(program: Program, measured: Measured)
 # rewrite
 
 
-def test_rewrite_reads_back(program: Program, solved: Solved) -> None:
+def test_rewrite_reads_back(program: Program, solved: SolveResult) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     assert plan.program.time_s == pytest.approx(solved.asked_s, rel=0.02, abs=0.01)
     assert plan.program.sha256 != program.sha256
@@ -352,7 +358,7 @@ def test_rewrite_reads_back(program: Program, solved: Solved) -> None:
     assert plan.predicted_removal_nm == pytest.approx(solved.answer.effect.removal_nm(plan.expected_time_s))
 
 
-def test_segments_have_no_line_ends(measured: Measured) -> None:
+def test_segments_have_no_line_ends(measured: MeasureResult) -> None:
     program = RS274.read(small_text().replace(b"\n", b"\r\n"), "dos.rnc")
     solved = dwell_step.solve(small_recipe(), program, measured)
     plan = steps.rewrite(small_recipe(), program, solved, "dos.rnc")
@@ -360,7 +366,9 @@ def test_segments_have_no_line_ends(measured: Measured) -> None:
 
 
 @pytest.mark.parametrize("change", [b"X0.5", b"drop"])
-def test_a_rewritten_program_with_another_path_is_not_sent(program: Program, solved: Solved, change: bytes) -> None:
+def test_a_rewritten_program_with_another_path_is_not_sent(
+    program: Program, solved: SolveResult, change: bytes
+) -> None:
     def rewrite(original: Program, time_s: np.ndarray) -> bytes:
         lines = RS274.rewrite(original, time_s).split(b"\n")
         where = int(original.block[7])
@@ -385,11 +393,11 @@ def test_the_moves_of_a_dwelling_program_take_time(tmp_path: Path) -> None:
 # what forbids to run
 
 
-def test_landing_beside_the_part_is_fine(program: Program, solved: Solved) -> None:
+def test_landing_beside_the_part_is_fine(program: Program, solved: SolveResult) -> None:
     assert steps.violations(small_recipe(), steps.rewrite(small_recipe(), program, solved, "small.rnc")) == []
 
 
-def test_landing_on_the_part_is_named(program: Program, solved: Solved) -> None:
+def test_landing_on_the_part_is_named(program: Program, solved: SolveResult) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     starts, ends = steps.violations(small_recipe(aperture_mm=60.0), plan)
     first, last = program.line[0], program.line[-1]
@@ -398,14 +406,14 @@ def test_landing_on_the_part_is_named(program: Program, solved: Solved) -> None:
     assert "digs a pit" in ends
 
 
-def test_the_landing_is_judged_in_the_parts_frame(program: Program, solved: Solved) -> None:
+def test_the_landing_is_judged_in_the_parts_frame(program: Program, solved: SolveResult) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     x, y = program.start_mm[0, :2]
     (only,) = steps.violations(small_recipe(offset_mm=(-float(x), -float(y), 0.0)), plan)
     assert "starts at 0.00, 0.00 mm" in only.replace("-0.00", "0.00")
 
 
-def test_a_program_without_an_axis_cannot_be_run(program: Program, solved: Solved) -> None:
+def test_a_program_without_an_axis_cannot_be_run(program: Program, solved: SolveResult) -> None:
     plan = steps.rewrite(small_recipe(), program, solved, "small.rnc")
     (only,) = steps.violations(small_recipe(process=replace(small_recipe().process, dip_deg=15.0)), plan)
     assert "states no tool axis" in only
@@ -414,18 +422,20 @@ def test_a_program_without_an_axis_cannot_be_run(program: Program, solved: Solve
 # learn
 
 
-def polished(before: Measured, removal_nm: np.ndarray) -> Measured:
+def polished(before: MeasureResult, removal_nm: np.ndarray) -> MeasureResult:
     return replace(before, height_nm=before.height_nm - removal_nm)
 
 
-def removed(program: Program, measured: Measured, solved: Solved, rate: float) -> np.ndarray:
+def removed(program: Program, measured: MeasureResult, solved: SolveResult, rate: float) -> np.ndarray:
     return rate * steps.effect_of(small_recipe(), program, measured.grid).effect.removal_nm(solved.expected_s)
 
 
 @pytest.mark.parametrize(("believed", "true"), [(1.0, 0.9), (0.9, 0.95), (1.0, 1.3)])
-def test_learn_the_rate(program: Program, measured: Measured, solved: Solved, believed: float, true: float) -> None:
+def test_learn_the_rate(
+    program: Program, measured: MeasureResult, solved: SolveResult, believed: float, true: float
+) -> None:
     after = polished(measured, removed(program, measured, solved, true))
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
     taught = steps.learn(small_recipe(), program, done, at_rate(believed))
     assert taught.believed.rate == pytest.approx(true, rel=1e-3), "relative to the model, not to the last belief"
     assert taught.verdict.stop == ""
@@ -434,15 +444,15 @@ def test_learn_the_rate(program: Program, measured: Measured, solved: Solved, be
     assert taught.believed.removal.rate.sigma == pytest.approx(believed * taught.found["rate_sigma"])
 
 
-def test_learn_the_overhead(program: Program, measured: Measured, solved: Solved) -> None:
+def test_learn_the_overhead(program: Program, measured: MeasureResult, solved: SolveResult) -> None:
     after = polished(measured, removed(program, measured, solved, 1.0))
-    done = Pass(measured, after, solved.asked_s, solved.expected_s + 0.007)
-    believed = steps.learn(small_recipe(), program, done, Believed()).believed
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s + 0.007)
+    believed = steps.learn(small_recipe(), program, done, EstimatesInUse()).believed
     assert believed.block_overhead_s == pytest.approx(0.007, rel=0.05)
 
 
 def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     """A ripple between tracks: the map's own samples show it, the process grid does not."""
     recipe, removal = small_recipe(), removed(program, measured, solved, 1.0)
@@ -452,10 +462,10 @@ def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
     rippled, smooth = (replace(flat, stats=replace(flat.stats, rms_nm=float(np.hypot(grid_nm, f)))) for f in (1.5, 0.0))
     told = []
     for after in (rippled, smooth):
-        done = Pass(
+        done = ExecutedPass(
             replace(measured, stats=replace(measured.stats, rms_nm=0.0)), after, solved.asked_s, solved.expected_s
         )
-        believed = steps.learn(recipe, program, done, Believed()).believed
+        believed = steps.learn(recipe, program, done, EstimatesInUse()).believed
         told.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
     removed_nm = float(np.sqrt(np.mean(removal[measured.metric_mask] ** 2)))
     assert told[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
@@ -466,21 +476,21 @@ def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
 
 @pytest.mark.parametrize("true", [0.75, 1.25])
 def test_a_rate_far_from_the_model_is_a_reason_to_stop(
-    program: Program, measured: Measured, solved: Solved, true: float
+    program: Program, measured: MeasureResult, solved: SolveResult, true: float
 ) -> None:
     after = polished(measured, removed(program, measured, solved, true))
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
-    taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, Believed())
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, EstimatesInUse())
     assert f"removal is {true:g} +- " in taught.verdict.stop
     assert "limits.max_rate_change" in taught.verdict.stop
     assert taught.found is None
 
 
 def test_a_flipped_map_stops_at_the_gate_and_teaches_nothing(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     after = polished(measured, removed(program, measured, solved, 1.0)[:, ::-1])
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
     taught = steps.learn(small_recipe(), program, done, at_rate(0.9))
     assert "flipped left-right" in taught.verdict.stop
     assert taught.found is None
@@ -490,7 +500,7 @@ def test_a_flipped_map_stops_at_the_gate_and_teaches_nothing(
 @pytest.mark.parametrize("alignment", ["piston", "tilt", "power"])
 @pytest.mark.parametrize("true", [0.4, 1.6])
 def test_nothing_is_learned_from_what_the_gate_cannot_tell(
-    program: Program, measured: Measured, alignment: str, true: float
+    program: Program, measured: MeasureResult, alignment: str, true: float
 ) -> None:
     """A pass that removed a wedge: the next set-up's tilt is as large, and says nothing of the rate."""
     recipe = small_recipe(alignment=alignment)
@@ -498,7 +508,7 @@ def test_nothing_is_learned_from_what_the_gate_cannot_tell(
     wedge = steps.effect_of(recipe, program, measured.grid).effect.removal_nm(time_s)
     plane = metrics.fitted(wedge, measured.metric_mask, "tilt")
     after = polished(measured, true * plane + wedge - plane)
-    taught = steps.learn(recipe, program, Pass(measured, after, time_s, time_s + 0.007), at_rate(0.9))
+    taught = steps.learn(recipe, program, ExecutedPass(measured, after, time_s, time_s + 0.007), at_rate(0.9))
     assert "scaled" in taught.verdict.undecidable
     assert taught.believed.rate == 0.9
     assert taught.believed.block_overhead_s > 0, "what the machine took is known all the same"
@@ -506,13 +516,13 @@ def test_nothing_is_learned_from_what_the_gate_cannot_tell(
 
 
 def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_taken(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     weak = 0.15 * solved.expected_s
     removal = steps.effect_of(small_recipe(), program, measured.grid).effect.removal_nm(weak)
     ripple = rough(measured.grid, 0.6 * removal[measured.metric_mask].std(), seed=3, cut_mm=6)
-    done = Pass(measured, polished(measured, 1.4 * removal + ripple), weak, weak)
-    taught = steps.learn(small_recipe(), program, done, Believed())
+    done = ExecutedPass(measured, polished(measured, 1.4 * removal + ripple), weak, weak)
+    taught = steps.learn(small_recipe(), program, done, EstimatesInUse())
     assert taught.verdict.stop == ""
     assert "scaled" in taught.verdict.undecidable
     assert taught.found is not None
@@ -524,12 +534,12 @@ def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_take
 
 
 def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     ripple = rough(measured.grid, 0.05 * measured.stats.rms_nm, seed=3, cut_mm=6)
     after = polished(measured, removed(program, measured, solved, 1.205) + ripple)
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
-    taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, Believed())
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
+    taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, EstimatesInUse())
     assert taught.verdict.stop == ""
     assert taught.believed.rate == 1.2
     assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.notes[-1]
@@ -552,7 +562,7 @@ def test_a_part_that_lies_off_the_centre_is_conditioned_as_if_it_did_not() -> No
     assert moved.stats.rms_nm == pytest.approx(plain.stats.rms_nm, rel=0.02)
     inside = moved.metric_mask & plain.metric_mask
     assert np.abs((moved.height_nm - straight.height_nm)[inside]).max() < 1.0
-    with pytest.raises(BadMap, match="last map"):
+    with pytest.raises(MapError, match="last map"):
         steps.condition(recipe, surface.with_height(np.roll(wide, (-3, 2), (0, 1))), None, straight.registration)
 
 
@@ -566,9 +576,9 @@ def test_a_profile_is_applied_before_anything_else() -> None:
     assert seen.stats.rms_nm == pytest.approx(plain.stats.rms_nm)
 
 
-def test_everything_pickles(solved: Solved, measured: Measured) -> None:
+def test_everything_pickles(solved: SolveResult, measured: MeasureResult) -> None:
     """The worker is another process."""
-    for value in (small_recipe(), solved, measured, Believed()):
+    for value in (small_recipe(), solved, measured, EstimatesInUse()):
         assert type(pickle.loads(pickle.dumps(value))) is type(value)
 
 
@@ -589,24 +599,24 @@ def test_as_programmed_no_time_is_changed() -> None:
 
 
 def test_low_orders_are_doubted_before_anything_is_learned(
-    program: Program, measured: Measured, solved: Solved
+    program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     """A rim that stands 12 nm higher: of the pass, or warm? Maps since tell, and then the rate is learned beside it."""
     warm = 12.0 * (measured.grid.radius_mm() / 12.0) ** 2
     after = polished(measured, removed(program, measured, solved, 0.95) - warm)
-    done = Pass(measured, after, solved.asked_s, solved.expected_s)
-    first = steps.learn(small_recipe(), program, done, Believed())
+    done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
+    first = steps.learn(small_recipe(), program, done, EstimatesInUse())
     assert first.doubted
-    assert (first.believed, first.found) == (Believed(), None)
+    assert (first.believed, first.found) == (EstimatesInUse(), None)
     assert [(one.cause, one.again) for one in first.named] == [("settling", True)]
-    stays = steps.learn(small_recipe(), program, replace(done, again=()), Believed())
+    stays = steps.learn(small_recipe(), program, replace(done, again=()), EstimatesInUse())
     assert not stays.doubted
     assert [one.cause for one in stays.named] == ["field"]
     cooled = polished(measured, removed(program, measured, solved, 0.95))
-    seen = steps.changed(small_recipe(), after, cooled)
-    settled = steps.learn(small_recipe(), program, replace(done, after=cooled, again=seen), Believed())
+    seen = steps.map_changes(small_recipe(), after, cooled)
+    settled = steps.learn(small_recipe(), program, replace(done, after=cooled, again=seen), EstimatesInUse())
     assert [one.cause for one in settled.named] == ["settling"]
     assert settled.believed.rate == pytest.approx(0.95, rel=1e-3)
     assert "warm still" in settled.notes[0]
-    assert steps.harmful(small_recipe(tolerance_nm=2.0), seen) == seen
-    assert steps.harmful(small_recipe(tolerance_nm=20.0), seen) == ()
+    assert steps.harmful_changes(small_recipe(tolerance_nm=2.0), seen) == seen
+    assert steps.harmful_changes(small_recipe(tolerance_nm=20.0), seen) == ()

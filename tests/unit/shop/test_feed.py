@@ -12,7 +12,7 @@ import pytest
 from polishd.model.errors import ConfigError
 from polishd.shop import feed, views
 from polishd.shop.database import Database
-from polishd.shop.feed import Report
+from polishd.shop.feed import CellReport
 
 
 @pytest.fixture
@@ -21,15 +21,15 @@ def shop(tmp_path: Path) -> Iterator[Database]:
         yield found
 
 
-def told(first: int, last: int, **more: Any) -> Report:
+def told(first: int, last: int, **more: Any) -> CellReport:
     events = [(seq, 1, 100.0 + seq, None, "held", f'{{"n": {seq}}}') for seq in range(first, last + 1)]
-    return Report(
+    return CellReport(
         journal="J", first=first, last=last, before=f"h{first - 1}" if first > 1 else "", tail=f"h{last}",
         now={"state": "idle"}, events=events, **more,
     )  # fmt: skip
 
 
-def take(shop: Database, report: Report, cell: str = "north") -> int:
+def take(shop: Database, report: CellReport, cell: str = "north") -> int:
     with shop.transaction() as sql:
         return feed.take(sql, cell, report)
 

@@ -28,9 +28,9 @@ from polishd.shop import parts
 from polishd.shop.app import application, cells_of, people_of
 from polishd.shop.database import Database
 from polishd.shop.jobs import digests, part_of
-from polishd.shop.link import Link
+from polishd.shop.link import ShopLink
 from polishd.shop.schema import DATABASE_NAME
-from polishd.shop.wire import Wire
+from polishd.shop.wire import ShopClient
 from tests.killed import Steps, killed_at
 from tests.unit.shop.test_app import write_shop
 from tests.unit.shop.test_link import HELD, SECTION, Desk
@@ -184,7 +184,7 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
     with Database.open(shop.state_dir) as database, database.transaction() as sql:
         parts.add(sql, new, "ada", [digests(one) for one in new])
     with Journal.of_cell(config.state_dir) as journal:
-        for event in (HELD, events.Progress(block=3), HELD):
+        for event in (HELD, events.PassProgressed(block=3), HELD):
             journal.record_event(event)
     hooks = plugins_of(config)
     clean = tmp_path / "clean"
@@ -195,18 +195,18 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
         with Database.open(shop.state_dir) as database:
             client = TestClient(application(shop, database), base_url=URL)
 
-            def post(_wire: Wire, path: str, body: bytes, token: str) -> tuple[int, bytes]:
+            def post(_wire: ShopClient, path: str, body: bytes, token: str) -> tuple[int, bytes]:
                 found = client.post(path, content=body, headers={"Authorization": f"Bearer {token}"})
                 return found.status_code, found.content
 
             assert config.shop is not None
             with monkeypatch.context() as patched:
-                patched.setattr(link_module, "judged_jobs", lambda *_: [])
-                patched.setattr(Wire, "_post", steps.around(post))
+                patched.setattr(link_module, "check_jobs", lambda *_: [])
+                patched.setattr(ShopClient, "_post", steps.around(post))
                 patched.setattr(link_module.client, "request", steps.around(desk))  # type: ignore[attr-defined]
                 patched.setattr(link_module, "write_atomic", steps.around(link_module.write_atomic))
-                patched.setattr(Link, "_settled", steps.around(Link._settled))
-                Link(config, hooks, config.shop).run(Few(4))
+                patched.setattr(ShopLink, "_settled", steps.around(ShopLink._settled))
+                ShopLink(config, hooks, config.shop).run(Few(4))
 
     number = looked_up = 0
     while True:

@@ -24,8 +24,8 @@ from polishd.shop import link as module
 from polishd.shop import told
 from polishd.shop.app import application, cells_of
 from polishd.shop.database import Database
-from polishd.shop.link import Link
-from polishd.shop.wire import Wire
+from polishd.shop.link import ShopLink
+from polishd.shop.wire import ShopClient
 from tests.unit.shop.test_app import write_shop
 
 SECTION = '\n[shop]\nurl = "http://127.0.0.1:9"\ntoken = "file:shop.token"\n'
@@ -108,15 +108,15 @@ class Desk:
 class Rig:
     def __init__(self, config: CellConfig, monkeypatch: pytest.MonkeyPatch) -> None:
         self.config, self.office, self.desk = config, Office(), Desk(config)
-        monkeypatch.setattr(Wire, "ask", lambda _, path, said: self.office.ask(path, said))
+        monkeypatch.setattr(ShopClient, "ask", lambda _, path, said: self.office.ask(path, said))
         monkeypatch.setattr(module.client, "request", self.desk)
-        monkeypatch.setattr(module, "judged_jobs", lambda *_: [])
+        monkeypatch.setattr(module, "check_jobs", lambda *_: [])
         self.link = self.again()
 
-    def again(self) -> Link:
+    def again(self) -> ShopLink:
         """As after a kill."""
         assert self.config.shop is not None
-        self.link = Link(self.config, plugins_of(self.config), self.config.shop)
+        self.link = ShopLink(self.config, plugins_of(self.config), self.config.shop)
         return self.link
 
     def happens(self, *told: Event) -> None:
@@ -137,13 +137,13 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return Rig(config, monkeypatch)
 
 
-HELD = events.Held(error="a scratch", kind="SafetyStop")
+HELD = events.CellHeld(error="a scratch", kind="SafetyStop")
 
 
 def test_what_the_journal_says_is_told_by_its_own_numbers_and_progress_is_left_out(rig: Rig) -> None:
     assert rig.link.turn() is False
     assert rig.office.asked == [], "the cell has no journal yet"
-    rig.happens(HELD, events.Progress(block=3), HELD)
+    rig.happens(HELD, events.PassProgressed(block=3), HELD)
     rig.desk.state = "held"
     rig.link.turn()
     rig.happens(HELD)
@@ -214,7 +214,7 @@ def test_what_was_added_just_before_a_kill_is_not_asked_for_again(rig: Rig, monk
     rig.happens(HELD)
     rig.office.parts = ["lens", "disc"]
     with monkeypatch.context() as killed:
-        killed.setattr(Link, "_settled", lambda _: (_ for _ in ()).throw(RuntimeError("killed")))
+        killed.setattr(ShopLink, "_settled", lambda _: (_ for _ in ()).throw(RuntimeError("killed")))
         with pytest.raises(RuntimeError, match="killed"):
             rig.link.turn()
     with Queue.at_rest(rig.config.state_dir) as queue:
@@ -230,7 +230,7 @@ def test_a_part_that_this_cell_cannot_work_is_refused_with_the_reason(
     def judged(*_: Any) -> list[Any]:
         raise PolishdError("it does not reach the rim")
 
-    monkeypatch.setattr(module, "judged_jobs", judged)
+    monkeypatch.setattr(module, "check_jobs", judged)
     rig.happens(HELD)
     rig.office.parts = ["lens"]
     rig.link.turn()
@@ -260,7 +260,7 @@ def test_the_daemon_hears_the_shops_word_and_what_others_have_learned(rig: Rig) 
     rig.link.turn()
     assert rig.desk.asked[0] == ("shop_word", {"stands": ["a"], "back": ["b"], "lost": ["c"]})
     assert rig.desk.asked[1] == ("shop_offer", {"offers": [OFFER]})
-    rig.happens(events.RateOffered(**OFFER))  # type: ignore[arg-type]
+    rig.happens(events.ShopRateReceived(**OFFER))  # type: ignore[arg-type]
     rig.link.turn()
     assert [verb for verb, _ in rig.desk.asked].count("shop_offer") == 1, "it was offered"
     claims = rig.office.of("report")[-1]["claims"]
@@ -299,12 +299,12 @@ def test_a_token_that_is_refused_is_not_tried_again_until_there_is_another_one(
     with Database.open(shop.state_dir) as database:
         client = TestClient(application(shop, database), base_url="http://127.0.0.1:8760")
 
-        def post(_wire: Wire, path: str, body: bytes, token: str) -> tuple[int, bytes]:
+        def post(_wire: ShopClient, path: str, body: bytes, token: str) -> tuple[int, bytes]:
             found = client.post(path, content=body, headers={"Authorization": f"Bearer {token}"})
             asked.append(found.status_code)
             return found.status_code, found.content
 
-        monkeypatch.setattr(Wire, "_post", post)
+        monkeypatch.setattr(ShopClient, "_post", post)
         file.write_text(cells_of(shop).add("north", Role.WATCH))
 
         class Days(threading.Event):
@@ -340,17 +340,17 @@ def test_a_token_that_is_refused_is_not_tried_again_until_there_is_another_one(
 def test_a_token_that_is_refused_is_tried_again_after_a_while(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """A shop whose file of tokens was away for a while has the old one again."""
     monkeypatch.setattr(module, "REFUSED_S", 0.0)
-    monkeypatch.setattr(Wire, "has_new_token", lambda _: False)
+    monkeypatch.setattr(ShopClient, "has_new_token", lambda _: False)
     answers = [TokenRefused("no"), None]
 
-    def ask(_wire: Wire, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
+    def ask(_wire: ShopClient, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
         if (error := answers.pop(0)) is not None:
             raise error
         return rig.office.ask(path, said)
 
-    monkeypatch.setattr(Wire, "ask", ask)
+    monkeypatch.setattr(ShopClient, "ask", ask)
     stop = threading.Event()
-    monkeypatch.setattr(Link, "_heed", lambda *_: stop.set())
+    monkeypatch.setattr(ShopLink, "_heed", lambda *_: stop.set())
     rig.happens(HELD)
     rig.desk.state = "held"
     rig.link.run(stop)

@@ -12,7 +12,7 @@ import pytest
 from polishd.model.errors import ConfigError
 from polishd.shop import parts, views
 from polishd.shop.database import Database
-from polishd.shop.parts import NewPart, Word
+from polishd.shop.parts import AssignmentAnswer, NewPart
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def claim(shop: Database, cell: str, request: str) -> Any:
     return None if found["part"] is None else found["part"]["job"]
 
 
-def report(shop: Database, cell: str, journal: str = "J", **claims: str) -> Word:
+def report(shop: Database, cell: str, journal: str = "J", **claims: str) -> AssignmentAnswer:
     with shop.transaction() as sql:
         return parts.report(sql, cell, journal, {key: {"state": state} for key, state in claims.items()})
 
@@ -112,9 +112,9 @@ def test_a_part_from_its_claim_to_its_end(shop: Database) -> None:
     assert report(shop, "north", **{"1": "waiting"}).stands == ["1"]
     assert report(shop, "north", **{"1": "under way"}).stands == ["1"]
     assert states(shop) == {"a": "begun"}
-    assert report(shop, "north", **{"1": "accepted"}) == Word()
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer()
     assert states(shop) == {"a": "done"}
-    assert report(shop, "north", **{"1": "accepted"}) == Word(), "told once more: nothing new"
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer(), "told once more: nothing new"
     assert words(shop) == ["added", "claimed", "begun", "accepted"]
     with pytest.raises(ConfigError, match="'a' is done"):
         release(shop, "a")
@@ -158,9 +158,9 @@ def test_a_released_part_stays_with_its_cell_until_that_has_given_it_back(shop: 
     report(shop, "north", **{"1": "waiting"})
     assert "keeps it until it has" in release(shop, "a")
     assert claim(shop, "south", "2") is None
-    assert report(shop, "north", **{"1": "waiting"}) == Word(back=["1"])
+    assert report(shop, "north", **{"1": "waiting"}) == AssignmentAnswer(back=["1"])
     assert claim(shop, "south", "2") is None
-    assert report(shop, "north", **{"1": "removed"}) == Word()
+    assert report(shop, "north", **{"1": "removed"}) == AssignmentAnswer()
     assert claim(shop, "north", "3") is None, "it was wanted for another one"
     assert claim(shop, "south", "2") == "a"
 
@@ -170,10 +170,10 @@ def test_what_begins_before_the_release_reaches_its_cell_goes_on(shop: Database)
     claim(shop, "north", "1")
     report(shop, "north", **{"1": "waiting"})
     release(shop, "a")
-    assert report(shop, "north", **{"1": "under way"}) == Word(stands=["1"])
+    assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(stands=["1"])
     with pytest.raises(ConfigError, match="north has begun it"):
         release(shop, "a")
-    assert report(shop, "north", **{"1": "accepted"}) == Word()
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer()
     assert states(shop) == {"a": "done"}
 
 
@@ -185,7 +185,7 @@ def test_a_claim_that_never_reached_its_cell_is_given_back_by_asking_or_by_not_k
     release(shop, "b")
     with shop.transaction() as sql:
         assert parts.claim(sql, "north", "1") == {"part": None, "over": True}
-    assert report(shop, "south", **{"2": "unknown"}) == Word()
+    assert report(shop, "south", **{"2": "unknown"}) == AssignmentAnswer()
     assert states(shop) == {"a": "waiting", "b": "waiting"}
 
 
@@ -206,10 +206,10 @@ def test_a_cell_that_is_gone_learns_that_it_has_lost_its_part(shop: Database) ->
     report(shop, "north", **{"1": "under way"})
     assert "may not begin it any more" in release(shop, "a", gone=True)
     assert claim(shop, "south", "2") == "a"
-    assert report(shop, "north", **{"1": "under way"}) == Word(lost=["1"])
-    assert report(shop, "north", **{"1": "under way"}) == Word(lost=["1"])
+    assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
+    assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
     assert words(shop)[2:] == ["begun", "cell is gone", "gone", "claimed", "came back, and had begun it"]
-    assert report(shop, "south", **{"2": "waiting"}) == Word(stands=["2"])
+    assert report(shop, "south", **{"2": "waiting"}) == AssignmentAnswer(stands=["2"])
 
 
 def test_what_was_put_aside_waits_for_a_person(shop: Database) -> None:
@@ -233,7 +233,7 @@ def test_what_was_put_aside_waits_for_a_person(shop: Database) -> None:
 def test_a_cell_hears_nothing_of_claims_that_are_not_its_own(shop: Database) -> None:
     add(shop, "a")
     claim(shop, "north", "1")
-    assert report(shop, "south", **{"1": "waiting"}) == Word(lost=["1"])
+    assert report(shop, "south", **{"1": "waiting"}) == AssignmentAnswer(lost=["1"])
     assert states(shop) == {"a": "claimed"}
 
 

@@ -18,7 +18,7 @@ import pytest
 from polishd.config.shop_link import ShopLinkSection
 from polishd.model.errors import ConfigError, LinkError, TokenRefused
 from polishd.shop import wire as module
-from polishd.shop.wire import Wire
+from polishd.shop.wire import ShopClient
 from tests.certificates import DAY_S, Authority
 
 TOKEN = "not-to-be-told"
@@ -52,11 +52,11 @@ def serving(status: int, body: bytes, context: ssl.SSLContext | None = None) -> 
             server.shutdown()
 
 
-def wire(folder: Path, port: int, scheme: str = "http", host: str = "127.0.0.1", **more: Any) -> Wire:
+def wire(folder: Path, port: int, scheme: str = "http", host: str = "127.0.0.1", **more: Any) -> ShopClient:
     token = folder / "shop.token"
     token.write_text(TOKEN + "\n")
     token.chmod(0o600)
-    return Wire(ShopLinkSection(url=f"{scheme}://{host}:{port}", token="file:shop.token", **more), folder)
+    return ShopClient(ShopLinkSection(url=f"{scheme}://{host}:{port}", token="file:shop.token", **more), folder)
 
 
 def test_it_brings_its_token_and_reads_json(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from rich.console import Group
 from rich.table import Table
 
 from polishd.console.progress import progress
-from polishd.daemon.endings import standing
+from polishd.daemon.endings import safety_of
 from polishd.model.tolerance import Judged
 from polishd.show.tables import (
     Terminal,
@@ -136,7 +136,7 @@ def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
         ("pass_begun", 0, {"blocks": 100, "dwell_s": 60.0}),
         ("progress", 0, {"block": 50}),
         ("pass_ended", 0, {"executed_s": 61.0}),
-        ("state", None, standing("held", "by [order]", ("robot: [deaf]",)).data),
+        ("state", None, safety_of("held", "by [order]", ("robot: [deaf]",)).data),
         ("state", None, {"state": "polishing", "reason": ""}),
         ("failed", None, {"kind": "LinkError", "error": "[gone]"}),
         ("job_finished", None, {}),

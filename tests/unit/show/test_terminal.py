@@ -20,7 +20,7 @@ from polishd.daemon.journal import Journal
 from polishd.daemon.log import LOG_NAME, logging_to
 from polishd.model.concern import NOT_ASKED, Severity
 from polishd.model.errors import DeviceRefused
-from polishd.model.events import Ordered, PartWanted
+from polishd.model.events import CommandReceived, PartRequested
 from polishd.model.notification import Notification
 from polishd.model.text import printable
 from polishd.recipe.encoding import table
@@ -62,8 +62,8 @@ def test_reasons_and_names_of_parts_reach_terminal_and_json(polishd: Polishd, ce
     name = f"a{OSC}b"
     config.state_dir.mkdir()
     with Journal.open(config.state_dir, job=name, part_id=name, terms={}) as journal:
-        journal.record_event(PartWanted(job=name, part_id=name, standing=NOT_ASKED))
-        journal.record_event(Ordered(order="hold", reason=name, by=name))
+        journal.record_event(PartRequested(job=name, part_id=name, standing=NOT_ASKED))
+        journal.record_event(CommandReceived(order="hold", reason=name, by=name))
         journal.flush()
     require_shown(polishd("events", cell).out)
     require_shown(polishd("events", cell, "--json").out)

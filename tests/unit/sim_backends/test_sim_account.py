@@ -17,7 +17,7 @@ import pytest
 from polishd.config.simulator import Plant, SimConfig, load_simulator
 from polishd.sim_backends import bus
 from polishd.sim_backends.plant import part as parts
-from polishd.sim_backends.plant.account import Account
+from polishd.sim_backends.plant.account import DwellAccount
 from polishd.sim_backends.plant.server import PlantServer, build
 from polishd.sim_backends.runtime import Start
 from tests.patience import SOON_S
@@ -26,7 +26,7 @@ SMALL = SimConfig(plant=Plant(aperture_mm=10.0, ring_mm=4.0))
 
 
 def test_blocks_are_booked_on_the_program_they_belong_to() -> None:
-    book = Account()
+    book = DwellAccount()
     book.load("a", 4)
     book.dwell("a", np.array([1.0, 1.0, 3.0]), np.array([0.25, 0.5, 2.0]))
     book.load("b", 2)
@@ -38,7 +38,7 @@ def test_blocks_are_booked_on_the_program_they_belong_to() -> None:
 
 
 def test_a_program_loaded_again_is_counted_and_keeps_its_seconds() -> None:
-    book = Account()
+    book = DwellAccount()
     book.load("a", 2)
     book.dwell("a", np.array([1.0]), np.array([4.0]))
     book.load("a", 2)
@@ -48,7 +48,7 @@ def test_a_program_loaded_again_is_counted_and_keeps_its_seconds() -> None:
 
 
 def test_standing_in_one_place_is_one_stand() -> None:
-    book = Account()
+    book = DwellAccount()
     for k in range(5):
         book.stand(1.0, 2.0, 10.0 + 0.1 * k, 0.1)
     book.stand(1.5, 2.0, 10.5, 0.1)
@@ -60,7 +60,7 @@ def test_standing_in_one_place_is_one_stand() -> None:
 def test_it_is_written_whole_beside_the_truth(tmp_path: Path) -> None:
     part = parts.make(SMALL.plant, 1)
     part.height_nm -= 5.0
-    book = Account()
+    book = DwellAccount()
     book.load("a", 3)
     book.dwell("a", np.array([2.0]), np.array([1.5]))
     book.write(tmp_path, part, 42.0, 7.0)

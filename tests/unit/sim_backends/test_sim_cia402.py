@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.config.simulator import Fault
+from polishd.config.simulator import FaultSection
 from polishd.sim_backends.actuator.coil import VoiceCoil
 from polishd.sim_backends.cia402 import power as stage
 from polishd.sim_backends.cia402.motor import Motor
@@ -115,7 +115,7 @@ def test_the_rotor_follows_the_ramps_and_stops_on_that_of_the_quick_stop() -> No
 
 def test_with_two_phases_exchanged_its_encoder_reads_the_other_way() -> None:
     bench, motor = spindle()
-    motor.suffer(Fault(device="spindle", what="reverse", at_s=0.0), True)
+    motor.suffer(FaultSection(device="spindle", what="reverse", at_s=0.0), True)
     bench.enable(3)
     bench.write(0x60FF, 10_000)
     bench.until(1.5)
@@ -129,7 +129,7 @@ def test_the_coil_spikes_and_its_torque_shows_it() -> None:
     bench.write(0x6071, 280)  # 14 N, 2 of them against the spring
     bench.until(0.5)
     assert coil.force_n == pytest.approx(12.0)
-    coil.suffer(Fault(device="actuator", what="spike", at_s=0.0, force_n=36.0), True)
+    coil.suffer(FaultSection(device="actuator", what="spike", at_s=0.0, force_n=36.0), True)
     bench.until(0.55)
     assert coil.force_n == pytest.approx(48.0)
     assert bench.node.objects[0x6077] * 0.05 - 2.0 == pytest.approx(48.0, rel=0.1)

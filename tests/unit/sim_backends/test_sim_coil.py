@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator_faults import Fault
+from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
-from polishd.sim_backends.actuator.coil import CONTACT, EXTENDING, FAULT, RETRACTED, RETRACTING, Pace, VoiceCoil
-from polishd.sim_backends.actuator.modbus import Registers, RtuSlave, TcpSlave, crc16, rtu
+from polishd.sim_backends.actuator.coil import CONTACT, EXTENDING, FAULT, RETRACTED, RETRACTING, CoilDynamics, VoiceCoil
+from polishd.sim_backends.actuator.modbus import CoilRegisters, RtuSlave, TcpSlave, crc16, rtu
 from tests.unit.sim_backends.vectors import vectors
 
 
@@ -126,7 +126,7 @@ def test_a_part_that_goes_away_takes_the_force_with_it() -> None:
 
 def test_a_force_that_sticks_falls_until_it_lets_go() -> None:
     bench = Bench().pressed()
-    stick = Fault(device="actuator", what="stick", at_s=0.0)
+    stick = FaultSection(device="actuator", what="stick", at_s=0.0)
     bench.coil.suffer(stick, True)
     bench.until(1.0)
     assert bench.coil.force_n == pytest.approx(7.2)
@@ -141,8 +141,8 @@ def test_a_force_that_sticks_falls_until_it_lets_go() -> None:
     assert bench.coil.state == RETRACTED
 
 
-def fault(what: str, **keys: float) -> Fault:
-    return Fault.model_validate({"device": "actuator", "what": what, "at_s": 0.0, **keys})
+def fault(what: str, **keys: float) -> FaultSection:
+    return FaultSection.model_validate({"device": "actuator", "what": what, "at_s": 0.0, **keys})
 
 
 def test_a_spike_acts_at_once_is_read_and_goes_with_its_time() -> None:
@@ -203,8 +203,8 @@ def test_ranges(force: float) -> None:
     assert Bench().coil.set_watchdog(99) == "range"
 
 
-def registers(coil: VoiceCoil) -> Registers:
-    return Registers(coil, "polishd", "VC50", "S-1", "1.0", 70000)
+def registers(coil: VoiceCoil) -> CoilRegisters:
+    return CoilRegisters(coil, "polishd", "VC50", "S-1", "1.0", 70000)
 
 
 def test_modbus_vectors() -> None:
@@ -328,7 +328,7 @@ def test_status_does_not_feed_the_watchdog_and_a_heartbeat_does() -> None:
     assert bench.coil.faults == 1
 
 
-SLOW = Pace(land_s=2.0, lift_s=4.0, cling=0.5, rest_n=0.1)
+SLOW = CoilDynamics(land_s=2.0, lift_s=4.0, cling=0.5, rest_n=0.1)
 
 
 def test_landing_and_lifting_take_the_time_that_hardware_takes() -> None:
@@ -360,7 +360,7 @@ def test_firmware_that_hangs_goes_on_pressing() -> None:
 
 def test_a_frozen_sensor_tells_the_same_whatever_acts() -> None:
     bench = Bench().pressed()
-    freeze = Fault(device="actuator", what="freeze", at_s=0.0)
+    freeze = FaultSection(device="actuator", what="freeze", at_s=0.0)
     bench.coil.suffer(freeze, True)
     bench.coil.set_force(5.0)
     bench.until(1.0)
@@ -373,7 +373,7 @@ def test_a_frozen_sensor_tells_the_same_whatever_acts() -> None:
 def test_one_whose_sensor_drifts_regulates_by_it_and_still_reads_so_at_rest() -> None:
     bench = Bench().pressed()
     coil = bench.coil
-    drift = Fault(device="actuator", what="drift", at_s=0.0, drift_n_s=2.0)
+    drift = FaultSection(device="actuator", what="drift", at_s=0.0, drift_n_s=2.0)
     coil.suffer(drift, True)
     bench.until(2.2)
     coil.suffer(drift, False)

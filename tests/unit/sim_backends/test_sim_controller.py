@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.robot.clients import Client
-from polishd.sim_backends.robot.controller import Controller
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.controller import SimRobotController
+from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.path import Limits
 
 LIMITS = Limits(accel_mm_s2=1000.0, overhead_s=0.0, corner_deg=30.0, rapid_mm_s=100.0, max_feed_mm_s=100.0, speed=1.0)
@@ -28,9 +28,9 @@ class Bench:
 
     def __init__(self, **config: Any) -> None:
         self.log = []
-        motion = Motion(LIMITS, (0.0, 0.0, 50.0, 0.0, 0.0))
-        self.controller = Controller(
-            Robot(**{"watchdog_s": 1.0, "window": 4096, **config}),
+        motion = SimMotion(LIMITS, (0.0, 0.0, 50.0, 0.0, 0.0))
+        self.controller = SimRobotController(
+            SimRobotSection(**{"watchdog_s": 1.0, "window": 4096, **config}),
             motion,
             {"boot_id": "b1", "vendor": "v", "model": "m", "serial": "s", "firmware": "f"},
             lambda blocks: np.array([abs(block.end[1]) < 100.0 for block in blocks], dtype=bool),

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from polishd.config.simulator import Plant, SimConfig, Truth
 from polishd.config.simulator_effects import Effects
-from polishd.model.errors import BadRequestError
+from polishd.model.errors import BatchRequestError
 from polishd.model.robot import HybridRobot
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch.plant import BatchPlant
@@ -231,7 +231,7 @@ def test_a_turned_map_is_the_turned_truth() -> None:
     straight, turned = made.measure(0.0, 0.0, (0, 0)), made.measure(0.0, 90.0, (2, 0))
     assert np.array_equal(turned[:, 2:], np.rot90(straight)[:, :-2], equal_nan=True)
     assert np.isnan(turned[:, :2]).all()
-    with pytest.raises(BadRequestError, match="quarter turn"):
+    with pytest.raises(BatchRequestError, match="quarter turn"):
         made.measure(0.0, 45.0, (0, 0))
 
 

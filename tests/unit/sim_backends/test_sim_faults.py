@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 
 from polishd.config.simulator import SimConfig, load_simulator
-from polishd.config.simulator_faults import Fault
+from polishd.config.simulator_faults import FaultSection
 from polishd.model.errors import ConfigError
 from polishd.sim_backends import bus
 from polishd.sim_backends.actuator.ascii import line
 from polishd.sim_backends.actuator.modbus import rtu
 from polishd.sim_backends.faults.links import protocols
-from polishd.sim_backends.faults.outlet import Outlet
+from polishd.sim_backends.faults.outlet import FaultyLink
 from polishd.sim_backends.faults.protocols import PROTOCOLS
-from polishd.sim_backends.faults.script import Fate, Script, Way
+from polishd.sim_backends.faults.script import FaultScript, FrameAction, LinkDirection
 from polishd.sim_backends.robot import frames
 from polishd.sim_backends.runtime import read_config
 from polishd.sim_backends.wire import PtyPort
 from tests.patience import SOON_S
 
 FORGED = ("wrong_unit", "exception")
-HOST = Way("", "numbered lines", "to_host")
-DEVICE = Way("", "numbered lines", "to_device")
+HOST = LinkDirection("", "numbered lines", "to_host")
+DEVICE = LinkDirection("", "numbered lines", "to_device")
 
 
 class Bench:
@@ -37,20 +37,20 @@ class Bench:
 
     def __init__(self, *faults: dict[str, Any], device: str = "actuator") -> None:
         self.told: list[tuple[str, Any]] = []
-        self.script = Script(device, 1, self.tell)
-        made = [Fault.model_validate({"device": device, **fault}) for fault in faults]
+        self.script = FaultScript(device, 1, self.tell)
+        made = [FaultSection.model_validate({"device": device, **fault}) for fault in faults]
         self.script.set(made, now_s=0.0)
 
     def tell(self, event: str, **data: Any) -> None:
         self.told.append((event, data["what"]))
 
-    def at(self, now_s: float, frame: bytes = b"abcd", way: Way = HOST) -> Fate:
+    def at(self, now_s: float, frame: bytes = b"abcd", way: LinkDirection = HOST) -> FrameAction:
         """What becomes of a frame."""
         return self.script.treat(frame, way, now_s)
 
 
 def test_without_faults_frames_pass() -> None:
-    assert Bench().at(0.0) == Fate(b"abcd")
+    assert Bench().at(0.0) == FrameAction(b"abcd")
 
 
 def test_rates_are_kept_and_each_blow_is_told() -> None:
@@ -114,13 +114,13 @@ def test_faults_add_up() -> None:
         {"what": "dribble", "rate": 1.0, "by_s": 0.01},
         {"what": "late_reply", "rate": 1.0, "by_s": 0.7},
     )
-    assert bench.at(0.0) == Fate(b"abcd", delay_s=pytest.approx(0.3), late_s=0.7, copies=2, byte_s=0.01)
+    assert bench.at(0.0) == FrameAction(b"abcd", delay_s=pytest.approx(0.3), late_s=0.7, copies=2, byte_s=0.01)
 
 
 def test_only_one_link_of_several_suffers() -> None:
     bench = Bench({"what": "hang", "link": "rtde", "at_s": 0.0}, device="robot")
     links = ("rtde", "dashboard")
-    assert [bench.at(1.0, way=Way(link, link, "to_host")).data for link in links] == [b"", b"abcd"]
+    assert [bench.at(1.0, way=LinkDirection(link, link, "to_host")).data for link in links] == [b"", b"abcd"]
 
 
 def test_time_in_contact_is_counted_while_the_tool_presses(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,7 +144,7 @@ def test_a_reboot_is_not_repeated_by_the_device_that_was_rebooted() -> None:
     for rebooted in (False, True):
         bench = Bench()
         bench.script.reboot = lambda rebooted=rebooted: reboots.append(rebooted)
-        bench.script.set([Fault(device="actuator", what="reboot", at_s=1.0)], 0.0, rebooted=rebooted)
+        bench.script.set([FaultSection(device="actuator", what="reboot", at_s=1.0)], 0.0, rebooted=rebooted)
         bench.script.look(1.5)
         bench.script.look(2.5)
     assert reboots == [False]
@@ -185,7 +185,7 @@ def test_a_forged_reply_is_sound_in_its_protocol(case: str) -> None:
     protocol, _, what = case.rpartition(" ")
     for reply, forged in REPLIES[case]:
         bench = Bench({"what": what, "frame": 1})
-        assert bench.at(0.0, reply, Way("", protocol, "to_host")).data == (forged or reply)
+        assert bench.at(0.0, reply, LinkDirection("", protocol, "to_host")).data == (forged or reply)
         assert bench.told == ([("fault_acts", what)] if forged else []), "it waits for one that it can be made of"
 
 
@@ -218,7 +218,7 @@ def test_frames_are_cut_wherever_the_stream_is(protocol: str) -> None:
     assert found == CUTS[protocol]
 
 
-async def paced(outlet: Outlet, frames: list[bytes], written: list[bytes], expected: int) -> float:
+async def paced(outlet: FaultyLink, frames: list[bytes], written: list[bytes], expected: int) -> float:
     """Seconds until all has been written."""
     begin = time.monotonic()
     async with asyncio.timeout(SOON_S), asyncio.TaskGroup() as group:
@@ -233,7 +233,7 @@ async def paced(outlet: Outlet, frames: list[bytes], written: list[bytes], expec
 
 async def test_bytes_take_the_time_of_the_line_and_stay_in_order() -> None:
     written: list[bytes] = []
-    outlet = Outlet(written.append, Bench().script, HOST, byte_s=10.0 / 9600)
+    outlet = FaultyLink(written.append, Bench().script, HOST, byte_s=10.0 / 9600)
     took = await paced(outlet, [b"a" * 50, b"b" * 50], written, 100)
     assert b"".join(written) == b"a" * 50 + b"b" * 50
     assert took >= 100 * 10.0 / 9600 * 0.98
@@ -243,21 +243,21 @@ async def test_late_frames_do_not_overtake() -> None:
     written: list[bytes] = []
     late = Bench({"what": "delay", "rate": 1.0, "jitter_s": 0.01})
     sent = [b"%d\n" % k for k in range(20)]
-    await paced(Outlet(written.append, late.script, HOST), sent, written, len(b"".join(sent)))
+    await paced(FaultyLink(written.append, late.script, HOST), sent, written, len(b"".join(sent)))
     assert b"".join(written) == b"".join(sent)
 
 
 async def test_a_late_reply_is_passed_by_those_behind_it() -> None:
     written: list[bytes] = []
     late = Bench({"what": "late_reply", "frame": 1, "by_s": 0.05})
-    await paced(Outlet(written.append, late.script, HOST), [b"a\n", b"b\n", b"c\n"], written, 6)
+    await paced(FaultyLink(written.append, late.script, HOST), [b"a\n", b"b\n", b"c\n"], written, 6)
     assert written == [b"b\n", b"c\n", b"a\n"]
 
 
 async def test_a_frame_that_dribbles_comes_byte_by_byte() -> None:
     written: list[bytes] = []
     slow = Bench({"what": "dribble", "frame": 1, "by_s": 0.001})
-    took_s = await paced(Outlet(written.append, slow.script, HOST), [b"abc\n", b"def\n"], written, 8)
+    took_s = await paced(FaultyLink(written.append, slow.script, HOST), [b"abc\n", b"def\n"], written, 8)
     assert written == [b"a", b"b", b"c", b"\n", b"def\n"]
     assert took_s >= 0.004 * 0.98
 

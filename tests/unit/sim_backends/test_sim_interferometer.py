@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Artefact, Bump, MapFaults, SimConfig, Truth
-from polishd.config.simulator import Interferometer as Section
-from polishd.config.simulator_faults import Fault
+from polishd.config.simulator import Artefact, BumpSection, MapFaults, SimConfig, Truth
+from polishd.config.simulator import SimInterferometerSection as Section
+from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends import metropro
-from polishd.sim_backends.faults.script import Script
-from polishd.sim_backends.interferometer import Interferometer, write_artefact
-from polishd.sim_backends.seeing import as_seen
-from polishd.sim_backends.wire import Wire
+from polishd.sim_backends.faults.script import FaultScript
+from polishd.sim_backends.interferometer import SimInterferometer, write_artefact
+from polishd.sim_backends.seeing import add_imaging_errors
+from polishd.sim_backends.wire import SimWire
 from tests.patience import SOON_S
 
 TRUE = np.where(np.hypot(*np.mgrid[-8:9, -8:9]) < 8.5, 10.0 * np.mgrid[-8:9, -8:9][0], np.nan)
@@ -41,13 +41,13 @@ class Link:
         self.asked.set()
 
 
-def instrument(folder: Path, *, faults: MapFaults | None = None, **section: Any) -> Interferometer:
+def instrument(folder: Path, *, faults: MapFaults | None = None, **section: Any) -> SimInterferometer:
     config = SimConfig(
         truth=Truth(map_noise_nm=0.5),
         interferometer=Section(write_s=section.pop("write_s", 0.0), faults=faults or MapFaults(), **section),
     )
     runtime: Any = SimpleNamespace(start=SimpleNamespace(config=config), link=Link())
-    return Interferometer(runtime, folder, np.random.default_rng(1))
+    return SimInterferometer(runtime, folder, np.random.default_rng(1))
 
 
 def files(folder: Path) -> list[Path]:
@@ -153,7 +153,7 @@ class Loopback:
         self.start = SimpleNamespace(seed=3, state=tmp_path, config=SimConfig())
         self.server: asyncio.Server | None = None
         self.link = Link()
-        self.script = Script(self.name, 3, self.link.event)
+        self.script = FaultScript(self.name, 3, self.link.event)
 
     async def serve(self, protocol: Any, port: int) -> int:
         """Listen."""
@@ -170,7 +170,7 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
 
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
-        wire = Wire(runtime, feed)
+        wire = SimWire(runtime, feed)
         host, port = (await wire.open_tcp(0, b"hello ")).split(":")
         lines = [await asyncio.open_connection(host, int(port)) for _ in range(2)]
         for number, (reader, writer) in enumerate(lines):
@@ -186,11 +186,11 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
 async def test_a_plug_that_is_out_lets_nobody_in(tmp_path: Path) -> None:
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
-        wire = Wire(runtime, lambda outlet: outlet.send)
+        wire = SimWire(runtime, lambda outlet: outlet.send)
         host, port = (await wire.open_tcp(0)).split(":")
         before = await asyncio.open_connection(host, int(port))
         await until(lambda: wire.cuts)
-        unplug = Fault(device="actuator", what="unplug", at_s=1.0, for_s=2.0)
+        unplug = FaultSection(device="actuator", what="unplug", at_s=1.0, for_s=2.0)
         runtime.script.set([unplug], now_s=0.0)
         runtime.script.look(1.0)
         during = await asyncio.open_connection(host, int(port))
@@ -213,14 +213,14 @@ async def test_a_plug_that_is_out_lets_nobody_in(tmp_path: Path) -> None:
 
 def test_an_instrument_mirrors_first_and_turns_then() -> None:
     height = np.array([[1.0, 2.0], [3.0, 4.0]])
-    assert as_seen(height, MapFaults()).tolist() == height.tolist()
-    assert as_seen(height, MapFaults(mirror=True)).tolist() == [[2.0, 1.0], [4.0, 3.0]]
-    assert as_seen(height, MapFaults(mirror=True, rotation_deg=90)).tolist() == [[1.0, 3.0], [2.0, 4.0]]
-    assert as_seen(height, MapFaults(sign=-1, factor=2.0)).tolist() == [[-2.0, -4.0], [-6.0, -8.0]]
+    assert add_imaging_errors(height, MapFaults()).tolist() == height.tolist()
+    assert add_imaging_errors(height, MapFaults(mirror=True)).tolist() == [[2.0, 1.0], [4.0, 3.0]]
+    assert add_imaging_errors(height, MapFaults(mirror=True, rotation_deg=90)).tolist() == [[1.0, 3.0], [2.0, 4.0]]
+    assert add_imaging_errors(height, MapFaults(sign=-1, factor=2.0)).tolist() == [[-2.0, -4.0], [-6.0, -8.0]]
 
 
 def test_the_artefact_has_its_bump_where_it_says(tmp_path: Path) -> None:
-    bump = Bump(x_mm=5.0, y_mm=8.0, sigma_x_mm=3.0, sigma_y_mm=1.5, height_nm=100.0)
+    bump = BumpSection(x_mm=5.0, y_mm=8.0, sigma_x_mm=3.0, sigma_y_mm=1.5, height_nm=100.0)
     section = Section(artefact=Artefact(diameter_mm=40.0, bumps=(bump,)))
     config = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section)
     write_artefact(config, tmp_path / "a.dat", np.random.default_rng(1))

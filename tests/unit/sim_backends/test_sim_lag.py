@@ -11,13 +11,15 @@ from polishd.config.simulator import Plant, SimConfig, Truth
 from polishd.config.simulator_effects import Effects
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch.plant import BatchPlant
-from polishd.sim_backends.plant.lag import Lag
+from polishd.sim_backends.plant.lag import ForceDynamics
 
 STIFF = 120.0
 """N/mm."""
 
 
-def truly(lag: Lag, seconds: FloatArray, gap_mm: FloatArray, begin_s: float = 0.0, coil_n: float = 12.0) -> FloatArray:
+def truly(
+    lag: ForceDynamics, seconds: FloatArray, gap_mm: FloatArray, begin_s: float = 0.0, coil_n: float = 12.0
+) -> FloatArray:
     until = begin_s + np.cumsum(seconds)
     full = np.full(len(seconds), coil_n)
     return lag.truly(full, begin_s=until - seconds, lasts_s=seconds, gap_mm=gap_mm, stiff=full * 0.0 + STIFF)
@@ -26,12 +28,12 @@ def truly(lag: Lag, seconds: FloatArray, gap_mm: FloatArray, begin_s: float = 0.
 def test_a_landing_lacks_the_force_times_the_lag_however_it_is_cut() -> None:
     for cut in (1, 7, 400):
         seconds = np.full(cut, 1.0 / cut)
-        lacks = ((12.0 - truly(Lag(0.05), seconds, np.zeros(cut))) * seconds).sum()
+        lacks = ((12.0 - truly(ForceDynamics(0.05), seconds, np.zeros(cut))) * seconds).sum()
         assert lacks == pytest.approx(12.0 * 0.05 * (1.0 - math.exp(-20.0)), rel=1e-9)
 
 
 def test_it_goes_on_from_call_to_call_and_lands_anew_after_a_lift() -> None:
-    lag, one, level = Lag(0.5), np.array([1.0]), np.zeros(1)
+    lag, one, level = ForceDynamics(0.5), np.array([1.0]), np.zeros(1)
     first, second = truly(lag, one, level)[0], truly(lag, one, level, begin_s=1.0)[0]
     assert second > first
     assert truly(lag, one, level, begin_s=3.0)[0] == first
@@ -43,20 +45,20 @@ def test_it_goes_on_from_call_to_call_and_lands_anew_after_a_lift() -> None:
 def test_a_part_that_comes_pushes_and_one_that_goes_is_lost_at_worst(speed_mm_s: float, extra_n: float) -> None:
     seconds = np.full(200, 0.01)
     gap = -speed_mm_s * np.cumsum(seconds)
-    force = truly(Lag(0.02), seconds, gap)
+    force = truly(ForceDynamics(0.02), seconds, gap)
     assert (force >= 0.0).all()
     assert force[-1] - 12.0 == pytest.approx(extra_n, rel=1e-6)
 
 
 def test_no_lag_is_nothing_to_the_last_bit_and_a_short_one_follows() -> None:
     seconds = np.array([0.1, 0.05, 0.2])
-    np.testing.assert_allclose(truly(Lag(1e-9), seconds, np.zeros(3)), 12.0, rtol=1e-6)
+    np.testing.assert_allclose(truly(ForceDynamics(1e-9), seconds, np.zeros(3)), 12.0, rtol=1e-6)
 
 
 def test_a_guide_that_sticks_holds_until_the_friction_is_made_up_and_slides_from_there() -> None:
     """Half a newton is 4 um of the contact; down, up and down again: a hysteresis."""
     way_mm = np.concatenate([np.linspace(0.0, 0.02, 11), np.linspace(0.02, 0.0, 11), np.linspace(0.0, 0.02, 11)])
-    force = truly(Lag(0.0, 0.5), np.full(33, 0.1), way_mm)
+    force = truly(ForceDynamics(0.0, 0.5), np.full(33, 0.1), way_mm)
     assert force[0] == 11.5, "it has come out"
     np.testing.assert_allclose(force[:11], 11.5)
     assert force[12] == pytest.approx(11.5 + 0.002 * STIFF), "it sticks"

@@ -8,7 +8,7 @@ import pytest
 from polishd.sim_backends.placement import tool_axis
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.robot.lift import Lift
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.path import Limits
 from tests.unit.sim_backends.test_sim_controller import Bench, kinds, naks
 from tests.unit.sim_backends.test_sim_motion import HOME, PERFECT, loaded, run
@@ -94,7 +94,7 @@ def test_a_robot_that_stands_lifts_from_there() -> None:
 
 
 def test_without_a_program_it_lifts_too() -> None:
-    motion = Motion(Limits(**PERFECT, speed=1.0), HOME)
+    motion = SimMotion(Limits(**PERFECT, speed=1.0), HOME)
     motion.lift(1.0, 10.0)
     motion.advance(2.0)
     assert motion.pose[2] == pytest.approx(HOME[2] + 10.0)

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.linuxcnc import gate as gate_module
 from polishd.sim_backends.linuxcnc import server
-from polishd.sim_backends.linuxcnc.gate import Gate, Watchdog, address
-from polishd.sim_backends.linuxcnc.machine import AXES, Machine, joints_of, pose_of
-from polishd.sim_backends.linuxcnc.motion import STILL_SAMPLES, Loaded, Sampled
+from polishd.sim_backends.linuxcnc.gate import Gate, HalWatchdog, address
+from polishd.sim_backends.linuxcnc.machine import AXES, LinuxCncConfig, joints_of, pose_of
+from polishd.sim_backends.linuxcnc.motion import STILL_SAMPLES, LinuxCncProgram, Sampled
 from polishd.sim_backends.placement import tool_axis
 from tests.patience import SOON_S
 
@@ -26,11 +26,11 @@ POSE = (1.0, -2.0, 60.0, 15.0, -90.0)
 
 
 @pytest.fixture
-def machine() -> Machine:
-    return Machine(Robot(kind="linuxcnc", port=28999, z_mm=(-3.0, 130.0), watchdog_s=1.5), POSE, 950.0)
+def machine() -> LinuxCncConfig:
+    return LinuxCncConfig(SimRobotSection(kind="linuxcnc", port=28999, z_mm=(-3.0, 130.0), watchdog_s=1.5), POSE, 950.0)
 
 
-def test_the_configuration_has_five_joints_that_stand_where_the_robot_stood(machine: Machine) -> None:
+def test_the_configuration_has_five_joints_that_stand_where_the_robot_stood(machine: LinuxCncConfig) -> None:
     ini = configparser.ConfigParser()
     ini.read_string(machine.ini())
     for joint, axis in enumerate(AXES):
@@ -54,7 +54,7 @@ def test_a_table_has_the_joints_that_bring_the_tool_there_and_back() -> None:
     assert joints_of("tool", POSE) == POSE == pose_of("tool", POSE)
 
 
-def test_the_gate_stands_before_linuxcncrsh_and_holds_motion(machine: Machine, tmp_path: Path) -> None:
+def test_the_gate_stands_before_linuxcncrsh_and_holds_motion(machine: LinuxCncConfig, tmp_path: Path) -> None:
     machine.write(tmp_path / "machine")
     hal = (tmp_path / "machine" / "machine.hal").read_text()
     assert "gate.py 127.0.0.1:28999 127.0.0.1:5007 1.5" in hal
@@ -95,7 +95,7 @@ def test_it_moves_while_a_program_runs_and_until_it_stands() -> None:
 
 
 def test_a_dwell_is_a_rest_within_the_program_and_is_booked_with_the_move_before_it() -> None:
-    sampled = Sampled((0.0,) * 5, 0.0, Loaded("ab", 3, ()))
+    sampled = Sampled((0.0,) * 5, 0.0, LinuxCncProgram("ab", 3, ()))
     sampled.feed(sample(1.0, 1, 1) + sample(2.0, 1, 1), 1.0)
     assert not sampled.rests
     sampled.feed(sample(2.0, 0, 1) * (STILL_SAMPLES - 1), 2.0)
@@ -115,13 +115,13 @@ def test_a_program_file_is_known_without_what_the_driver_put_between(tmp_path: P
     own = [b"G21", b"G1 X1", b"G1 X2", b"M2"]
     path = tmp_path / "p.ngc"
     path.write_bytes(b"\n".join([*own[:2], b"(MSG,polishd ab 2) M0", own[2], b"(MSG,polishd ab 4)", own[3], b""]))
-    program = Loaded.read(path)
+    program = LinuxCncProgram.read(path)
     assert (program.sha256, program.blocks) == (hashlib.sha256(b"\n".join(own)).hexdigest(), 4)
     assert [program.block_at(line) for line in (0, 1, 2, 4, 6)] == [-1, 0, 1, 2, 3]
 
 
 def test_the_watchdog_wakes_with_a_client_holds_without_and_lets_go_when_the_program_is_over() -> None:
-    dog = Watchdog(silent_s=1.0)
+    dog = HalWatchdog(silent_s=1.0)
     assert not dog.look(0.0, idle=False), "a program that nobody watched from afar is the operator's"
     assert not dog.look(9.0, idle=False)
     dog.heard_s = 10.0
@@ -137,7 +137,7 @@ def test_the_watchdog_wakes_with_a_client_holds_without_and_lets_go_when_the_pro
 def served() -> Iterator[tuple[Gate, socket.socket]]:
     server_side = socket.create_server(("127.0.0.1", 0))
     server_side.settimeout(SOON_S)
-    gate = Gate(("127.0.0.1", 0), ("127.0.0.1", server_side.getsockname()[1]), Watchdog(1.0))
+    gate = Gate(("127.0.0.1", 0), ("127.0.0.1", server_side.getsockname()[1]), HalWatchdog(1.0))
     yield gate, server_side
     gate.close()
     server_side.close()
@@ -219,7 +219,7 @@ def test_the_gate_refuses_control_to_a_second_client_while_the_first_lives(
 def test_the_gate_hangs_up_where_nobody_is_behind() -> None:
     with socket.create_server(("127.0.0.1", 0)) as nobody:
         port = nobody.getsockname()[1]
-    gate = Gate(("127.0.0.1", 0), ("127.0.0.1", port), Watchdog(1.0))
+    gate = Gate(("127.0.0.1", 0), ("127.0.0.1", port), HalWatchdog(1.0))
     with socket.create_connection(("127.0.0.1", gate.port), timeout=SOON_S) as client:
         turn(gate)
         assert client.recv(1) == b""

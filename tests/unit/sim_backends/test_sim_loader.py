@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from polishd.config.simulator import LoaderFaults
-from polishd.sim_backends.loader.arm import ANOTHER, DROPPED, FAULT, IDLE, JAMMED, MOVING, STOPPED, Arm
+from polishd.sim_backends.loader.arm import ANOTHER, DROPPED, FAULT, IDLE, JAMMED, MOVING, STOPPED, LoaderArm
 from polishd.sim_backends.loader.device import answering
 from polishd.sim_backends.numbered import NumberedSlave
 from tests.vectors import vectors
@@ -22,7 +22,7 @@ class Bench:
         self.told: list[str] = []
         self.seats: list[str] = []
         values: dict[str, Any] = {"load_s": 2.0, "unload_s": 1.0} | changes
-        self.arm = Arm(lambda name, *_, **__: self.told.append(name), self.seats.append, 0.0, seat, **values)
+        self.arm = LoaderArm(lambda name, *_, **__: self.told.append(name), self.seats.append, 0.0, seat, **values)
 
     def after(self, seconds: float, *, heard: bool = True) -> int:
         """Its state so much later."""

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SEVEN, ForceSensor, SimSignal
-from polishd.config.simulator_faults import Fault
+from polishd.config.simulator import SEVEN, SimForceSensorSection, SimSignal
+from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.actuator.ascii import body
 from polishd.sim_backends.force_sensor import device as sensor_device
 from polishd.sim_backends.force_sensor.cell import FAULT, MEASURING, TARING, LoadCell
@@ -24,7 +24,7 @@ class Bench:
 
     def __init__(self, **config: Any) -> None:
         self.told: list[str] = []
-        whole = ForceSensor(**{"noise_n": 0.0, **config})
+        whole = SimForceSensorSection(**{"noise_n": 0.0, **config})
         self.cell = LoadCell(whole, np.random.default_rng(1), lambda name, *_, **__: self.told.append(name), 100.0)
         self.answer = sensor_device.answering(self.cell, 3)
 
@@ -34,9 +34,9 @@ class Bench:
             self.cell.step(self.cell.now_s + 0.01)
         return float(self.answer("F?").split(",")[3])
 
-    def suffers(self, what: str, **keys: float) -> Fault:
+    def suffers(self, what: str, **keys: float) -> FaultSection:
         """From now on."""
-        fault = Fault.model_validate({"device": "force_sensor", "what": what, "at_s": 0.0, **keys})
+        fault = FaultSection.model_validate({"device": "force_sensor", "what": what, "at_s": 0.0, **keys})
         self.cell.suffer(fault, True)
         return fault
 

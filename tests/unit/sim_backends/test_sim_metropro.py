@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.sim_backends.metropro import HEADER, UNIT_NM, DatMap, pack, read, unpack
 from tests.unit.sim_backends.vectors import vectors
 
@@ -57,7 +57,7 @@ def test_round_trip() -> None:
 @pytest.mark.parametrize("size", [0, 3, 100, 833, 834, 849, 851])
 def test_a_file_of_the_wrong_length_is_refused(size: int) -> None:
     data = (small() + b"\0")[:size]
-    with pytest.raises(BadMap):
+    with pytest.raises(MapError):
         unpack(data)
 
 
@@ -67,7 +67,7 @@ def test_sign_and_resolution_are_applied() -> None:
     struct.pack_into(">h", data, 218, 0)
     assert unpack(bytes(data)).height_nm[0, 0] == pytest.approx(-1000.0 * UNIT_NM * 32, rel=1e-6)
     struct.pack_into(">h", data, 218, 7)
-    with pytest.raises(BadMap, match="resolution"):
+    with pytest.raises(MapError, match="resolution"):
         unpack(bytes(data))
 
 

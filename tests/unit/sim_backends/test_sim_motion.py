@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Reader
 
@@ -17,10 +17,10 @@ PERFECT = {"accel_mm_s2": 1000.0, "overhead_s": 0.0, "corner_deg": 30.0, "rapid_
 
 def loaded(
     lines: list[Any], *, blocks: int | None = None, until: int | None = None, start: bool = True, **limits: Any
-) -> Motion:
+) -> SimMotion:
     """A motion with these blocks, started at wall time 0."""
     reader = Reader(HOME)
-    motion = Motion(Limits(**{**PERFECT, "speed": 1.0, **limits}), HOME)
+    motion = SimMotion(Limits(**{**PERFECT, "speed": 1.0, **limits}), HOME)
     motion.load(blocks or len(lines))
     motion.append(0.0, [reader.read(line.encode()) for line in lines])
     if start:
@@ -28,7 +28,7 @@ def loaded(
     return motion
 
 
-def run(motion: Motion, until_s: float = 1000.0, step_s: float = 0.01) -> np.ndarray:
+def run(motion: SimMotion, until_s: float = 1000.0, step_s: float = 0.01) -> np.ndarray:
     """Run in ticks; all rows of motion."""
     wall = 0.0
     while motion.state == "running" and wall < until_s:

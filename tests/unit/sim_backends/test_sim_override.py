@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Fault, Robot
+from polishd.config.simulator import FaultSection, SimRobotSection
 from polishd.sim_backends.faults.override import SpeedOverride
 from polishd.sim_backends.handover import ads
 from polishd.sim_backends.handover.modbus import ModbusServer
@@ -20,7 +20,7 @@ from polishd.sim_backends.linuxcnc import pendant
 from polishd.sim_backends.plant.world import World
 from polishd.sim_backends.robot import frames as f
 from polishd.sim_backends.universal_robots import fields
-from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.machine import UrController
 from tests.fakes.handover import FakePlc
 from tests.unit.sim_backends.test_sim_controller import Bench
 from tests.unit.sim_backends.test_sim_motion import LINE, loaded
@@ -31,8 +31,8 @@ SECOND = ["G1 X1 F60", "X2", "X3"]
 """A second a block."""
 
 
-def fault(what: str, **keys: Any) -> Fault:
-    return Fault.model_validate({"device": "robot", "what": what, "at_s": 0.0, **keys})
+def fault(what: str, **keys: Any) -> FaultSection:
+    return FaultSection.model_validate({"device": "robot", "what": what, "at_s": 0.0, **keys})
 
 
 def test_an_override_is_there_at_once_or_ramped_and_ends_with_its_fault() -> None:
@@ -141,7 +141,7 @@ def test_a_plc_shows_its_feed_override_over_all_its_links(tmp_path: Path) -> Non
     assert (error, struct.unpack("<d", value)) == (ads.OK, (50.0,))
 
 
-def ur(*faults: Fault) -> Machine:
+def ur(*faults: FaultSection) -> UrController:
     found = machine()
     for one in faults:
         found.override.suffer(one, True)
@@ -203,9 +203,9 @@ def test_the_pendant_of_a_linuxcnc_reads_what_was_turned_last(tmp_path: Path) ->
 
 
 def test_the_configuration_wires_the_pendant(tmp_path: Path) -> None:
-    from polishd.sim_backends.linuxcnc.machine import Machine as LinuxCnc
+    from polishd.sim_backends.linuxcnc.machine import LinuxCncConfig as LinuxCnc
 
-    LinuxCnc(Robot(kind="linuxcnc"), (0.0,) * 5, 900.0).write(tmp_path / "machine")
+    LinuxCnc(SimRobotSection(kind="linuxcnc"), (0.0,) * 5, 900.0).write(tmp_path / "machine")
     hal = (tmp_path / "machine" / "machine.hal").read_text()
     assert "polishd-pendant.counts => halui.feed-override.counts" in hal
     assert "polishd-pendant.inhibit => motion.feed-inhibit" in hal

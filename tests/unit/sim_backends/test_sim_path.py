@@ -11,16 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.sim_backends.robot.legs import Cursor, braking, plan, rows
-from polishd.sim_backends.robot.path import DWELL, MOVE, NONE, PAUSE, Limits, Path
+from polishd.sim_backends.robot.path import DWELL, MOVE, NONE, PAUSE, BlockColumns, Limits
 from polishd.sim_backends.robot.rnc import Pose, Reader
 
 HOME: Pose = (0.0, 0.0, 0.0, 0.0, 0.0)
 ACCEL = 1000.0
 
 
-def path_of(*lines: bytes, batch: int = 1000, corner_deg: float = 30.0) -> Path:
+def path_of(*lines: bytes, batch: int = 1000, corner_deg: float = 30.0) -> BlockColumns:
     """A path with all of these lines accepted, some at a time."""
-    path = Path(len(lines), HOME, Limits(ACCEL, 0.0, corner_deg, rapid_mm_s=100.0, max_feed_mm_s=50.0, speed=1.0))
+    path = BlockColumns(
+        len(lines), HOME, Limits(ACCEL, 0.0, corner_deg, rapid_mm_s=100.0, max_feed_mm_s=50.0, speed=1.0)
+    )
     reader = Reader(HOME)
     blocks = [reader.read(line) for line in lines]
     for at in range(0, len(blocks), batch):
@@ -74,7 +76,7 @@ def test_turning_on_the_spot_takes_time() -> None:
 LENGTHS = st.lists(st.tuples(st.floats(0.01, 5.0), st.floats(60.0, 3000.0)), min_size=1, max_size=12)
 
 
-def straight(chain: list[tuple[float, float]]) -> Path:
+def straight(chain: list[tuple[float, float]]) -> BlockColumns:
     """Feed moves one after the other along X."""
     at = np.cumsum([length for length, _ in chain])
     return path_of(*(b"G1 X%.6f F%.4f" % (x, feed) for x, (_, feed) in zip(at, chain, strict=True)))

@@ -10,7 +10,7 @@ import pytest
 
 from polishd.sim_backends.handover.modbus import ModbusServer
 from polishd.sim_backends.handover.plc import DONE, FAULT, HELD, IDLE, LINES_A_CYCLE, PAUSED, READY, RUNNING, Plc
-from polishd.sim_backends.handover.program import Loaded
+from polishd.sim_backends.handover.program import PlcProgram
 from tests.fakes.handover import FakePlc
 
 PROGRAM = b"G1 X1 F60\nG1 X2\nG4 P0.5 (polishd)\nM0 (polishd)\nG1 X3\nM2\n"
@@ -156,7 +156,7 @@ def test_an_emergency_stop_stays(bench: Bench) -> None:
 
 
 def test_lines_of_the_file_are_the_programs_blocks_without_those_put_in() -> None:
-    loaded = Loaded.of(PROGRAM)
+    loaded = PlcProgram.of(PROGRAM)
     assert loaded.blocks == 4
     assert loaded.blocks_of(loaded.inserted * 0).tolist() == [0.0, 0.0]
     lines = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from polishd.model.errors import ProgramError
-from polishd.sim_backends.robot.rnc import Block, Reader
+from polishd.sim_backends.robot.rnc import Reader, SimProgramBlock
 
 HOME = (0.0, 0.0, 50.0, 0.0, 0.0)
 
 
-def read(*lines: str) -> list[Block]:
+def read(*lines: str) -> list[SimProgramBlock]:
     reader = Reader(HOME)
     return [reader.read(line.encode()) for line in lines]
 
@@ -18,9 +18,9 @@ def read(*lines: str) -> list[Block]:
 def test_modal_motion_and_feed() -> None:
     blocks = read("G21 G90 G94", "G0 X1 Y2", "G1 Z0 F600", "X3")
     assert [block.kind for block in blocks] == ["none", "move", "move", "move"]
-    assert blocks[1] == Block("move", (1.0, 2.0, 50.0, 0.0, 0.0), 0.0)
+    assert blocks[1] == SimProgramBlock("move", (1.0, 2.0, 50.0, 0.0, 0.0), 0.0)
     assert blocks[2].rate == 10.0
-    assert blocks[3] == Block("move", (3.0, 2.0, 0.0, 0.0, 0.0), 10.0)
+    assert blocks[3] == SimProgramBlock("move", (3.0, 2.0, 0.0, 0.0, 0.0), 10.0)
 
 
 def test_rotary_axes() -> None:
@@ -51,12 +51,12 @@ def test_inch_and_incremental() -> None:
 
 @pytest.mark.parametrize("line", ["G4 P0.75", "P.75 G4", "g 4 p 0 . 7 5", "N10 G04 P0.75 (G4 P9)", "G4P+0.75;P9"])
 def test_dwell(line: str) -> None:
-    assert read(line)[0] == Block("dwell", HOME, 0.75)
+    assert read(line)[0] == SimProgramBlock("dwell", HOME, 0.75)
 
 
 @pytest.mark.parametrize("line", ["", "%", "  ", "(only a comment)", "; G1 X5", "N7", "N7 G17 G40 G64"])
 def test_lines_that_do_nothing(line: str) -> None:
-    assert read(line)[0] == Block("none", HOME)
+    assert read(line)[0] == SimProgramBlock("none", HOME)
 
 
 def test_pause_and_end() -> None:

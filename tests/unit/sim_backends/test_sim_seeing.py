@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Interferometer, SimConfig, Truth
+from polishd.config.simulator import SimConfig, SimInterferometerSection, Truth
 from polishd.config.simulator_instrument import InstrumentErrors
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrics import zernike_terms
-from polishd.sim_backends.seeing import as_measured
+from polishd.sim_backends.seeing import add_instrument_errors
 
 GRID = Grid(81, 81, 0.5)
 DISC = GRID.radius_mm() <= 20.0
@@ -19,10 +19,10 @@ X, Y = (np.broadcast_to(a / 20.25, GRID.shape) for a in GRID.axes_mm)
 
 
 def seen(true_nm: FloatArray | float = 0.0, *, quarters: int = 0, noise_nm: float = 0.0, **errors: Any) -> FloatArray:
-    section = Interferometer(errors=InstrumentErrors(**errors))
+    section = SimInterferometerSection(errors=InstrumentErrors(**errors))
     config = SimConfig(truth=Truth(map_noise_nm=noise_nm), interferometer=section)
     part = np.where(DISC, true_nm, np.nan)
-    return as_measured(part, config, GRID.pitch_mm, np.random.default_rng(1), quarters=quarters)
+    return add_instrument_errors(part, config, GRID.pitch_mm, np.random.default_rng(1), quarters=quarters)
 
 
 def rms(values: FloatArray) -> float:
@@ -67,11 +67,11 @@ def test_a_mount_turns_with_the_part_or_does_not(turns: bool) -> None:
 
 @pytest.mark.full
 def test_a_mount_that_presses_anew_is_a_trefoil_of_another_size_and_direction_in_each_map() -> None:
-    section = Interferometer(errors=InstrumentErrors(mount_nm=2.0, mount_anew=True))
+    section = SimInterferometerSection(errors=InstrumentErrors(mount_nm=2.0, mount_anew=True))
     config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
     terms = zernike_terms.values(zernike_terms.order("noll", 11), "rms", X[DISC], Y[DISC]).T
     part = np.where(DISC, 0.0, np.nan)
-    maps = [as_measured(part, config, 0.5, rng)[DISC] for _ in range(300)]
+    maps = [add_instrument_errors(part, config, 0.5, rng)[DISC] for _ in range(300)]
     found = np.linalg.lstsq(terms, np.column_stack(maps), rcond=None)[0]
     trefoil = found[[8, 9]]
     assert abs(np.delete(found, [8, 9], axis=0)).max() < 0.03, "nothing else"
@@ -81,9 +81,9 @@ def test_a_mount_that_presses_anew_is_a_trefoil_of_another_size_and_direction_in
 
 
 def test_tilt_is_another_with_each_map() -> None:
-    section = Interferometer(errors=InstrumentErrors(tilt_nm=50.0))
+    section = SimInterferometerSection(errors=InstrumentErrors(tilt_nm=50.0))
     config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
-    first, second = (as_measured(np.zeros(GRID.shape), config, 0.5, rng) for _ in range(2))
+    first, second = (add_instrument_errors(np.zeros(GRID.shape), config, 0.5, rng) for _ in range(2))
     for one in (first, second):
         plane = np.linalg.lstsq(np.column_stack([X.ravel(), Y.ravel()]), one.ravel(), rcond=None)[0]
         np.testing.assert_allclose(one.ravel(), plane @ [X.ravel(), Y.ravel()], atol=1e-9)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from polishd.config.places import Source
-from polishd.config.simulator import Contact, Plant, SimConfig, Truth
+from polishd.config.places import TomlSource
+from polishd.config.simulator import Plant, SimConfig, SimContactSection, Truth
 from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif, Optic, ToolProcess
 from polishd.model.robot import MeasuredCompliance, SerialRobot
@@ -113,7 +113,7 @@ def test_on_a_slope_the_spot_is_foreshortened_by_the_slopes_cosine() -> None:
 def test_a_bonnet_that_does_not_fit_into_the_part_is_refused() -> None:
     raw = {"plant": {"aperture_mm": 10.0, "ring_mm": 3.0, "curvature_radius_mm": 22.0}}
     with pytest.raises(ConfigError, match="into a radius of 22 mm a bonnet of 20 mm does not fit"):
-        SimConfig.of(raw, Source("sim.toml", ""))
+        SimConfig.of(raw, TomlSource("sim.toml", ""))
 
 
 def test_a_measured_spot_wears_what_was_measured_and_scales_as_hertz_does() -> None:
@@ -172,7 +172,9 @@ def test_every_kind_of_robot_is_drawn_about_its_own_stiffness_and_the_shipped_on
     share = np.array(drawn.joint_stiffness_n_mm_per_rad) / ARM.joint_stiffness_n_mm_per_rad - 1.0
     assert 0.0 < np.abs(share).max() <= 0.10
     assert truth.draw(Truth(), 3) == truth.draw(Truth(), 3, SimConfig().robot_model())
-    assert SimConfig(process=Contact(preston="2e-9 cm2/N")).process.tool().preston_cm2_per_n == pytest.approx(2e-9)
+    assert SimConfig(process=SimContactSection(preston="2e-9 cm2/N")).process.tool().preston_cm2_per_n == pytest.approx(
+        2e-9
+    )
 
 
 def test_a_reversed_spindle_wears_the_mirror_image_of_a_measured_spot() -> None:

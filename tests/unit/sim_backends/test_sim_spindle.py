@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from polishd.config.simulator import Fault
-from polishd.sim_backends.can_hosts import Slcan, Socketcand, slcan_frame, slcan_line
+from polishd.config.simulator import FaultSection
+from polishd.sim_backends.can_hosts import SlcanHost, SocketcandHost, slcan_frame, slcan_line
 from polishd.sim_backends.spindle.drive import Drive
 from tests.unit.sim_backends.vectors import vectors
 
@@ -113,7 +113,7 @@ def test_slcan_line_of_the_page() -> None:
 
 def test_slcan_adapter() -> None:
     heard = []
-    host = Slcan(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
+    host = SlcanHost(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
     assert host.feed(b"t2050\r") == b"\a"
     assert host.send([(0x705, b"\5")]) == b""
     assert host.feed(b"C\rS6\rO") == b"\r\r"
@@ -126,7 +126,7 @@ def test_slcan_adapter() -> None:
 
 def test_socketcand_connection() -> None:
     heard = []
-    host = Socketcand(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
+    host = SocketcandHost(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
     assert host.feed(b"< open can0 >< raw") == b"< ok >"
     assert host.send([(0x705, b"\5")]) == b""
     assert host.feed(b"mode >") == b"< ok >"
@@ -138,7 +138,7 @@ def test_socketcand_connection() -> None:
 
 def test_with_two_phases_exchanged_it_turns_the_other_way_and_its_encoder_reads_that() -> None:
     bench = Bench()
-    bench.drive.suffer(Fault(device="spindle", what="reverse", at_s=0.0), True)
+    bench.drive.suffer(FaultSection(device="spindle", what="reverse", at_s=0.0), True)
     bench.until(0.6, run(1000))
     assert bench.drive.samples[-1][1] == -1000.0
     assert int.from_bytes(bench.drive.status()[1][2:6], "little", signed=True) == -10_000

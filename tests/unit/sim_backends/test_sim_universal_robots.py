@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.placement import tool_axis
 from polishd.sim_backends.universal_robots import controls as m
-from polishd.sim_backends.universal_robots.arm import Arm
+from polishd.sim_backends.universal_robots.arm import UrArm
 from polishd.sim_backends.universal_robots.language import parse
-from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.machine import UrController
 from polishd.sim_backends.universal_robots.primary import ScriptIntake
 from polishd.sim_backends.universal_robots.turning import (
     after,
@@ -31,11 +31,11 @@ FRAME_S = 0.002
 DOWN = "3.14159265, 0, 0"
 
 
-def machine(overhead_s: float = 0.0) -> Machine:
-    return Machine(Robot(), Arm.at((0.0, 0.0, 60.0, 0.0, 0.0)), FRAME_S, overhead_s, 1.0, 0.0)
+def machine(overhead_s: float = 0.0) -> UrController:
+    return UrController(SimRobotSection(), UrArm.at((0.0, 0.0, 60.0, 0.0, 0.0)), FRAME_S, overhead_s, 1.0, 0.0)
 
 
-def run(found: Machine, body: str, most_s: float = 20.0) -> list[tuple[int, str]]:
+def run(found: UrController, body: str, most_s: float = 20.0) -> list[tuple[int, str]]:
     """To its end; what it had to complain of."""
     said: list[tuple[int, str]] = []
     found.complain = lambda line, text: said.append((line, text))
@@ -202,7 +202,7 @@ def test_beyond_its_ranges_it_stops_by_itself_and_waits_for_a_person() -> None:
     assert found.runtime == m.PAUSED
     assert not found.play()
     x = found.arm.place.xyz_mm[0]
-    assert Robot().x_mm[1] < x < Robot().x_mm[1] + 10.0
+    assert SimRobotSection().x_mm[1] < x < SimRobotSection().x_mm[1] + 10.0
     found.unlock()
     assert found.safety_mode == m.NORMAL
 

@@ -14,9 +14,9 @@ from polishd.config.simulator import Plant, SimConfig, Truth
 from polishd.sim_backends import truth
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.timeline import Timeline
-from polishd.sim_backends.plant.witness import Witness
+from polishd.sim_backends.plant.witness import SimEventLog
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.robot.motion import Motion
+from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.path import Limits
 from polishd.sim_backends.robot.rnc import Pose, Reader
 
@@ -43,9 +43,9 @@ def world(hidden: Truth = PERFECT, pose: Pose = HOME, **seat: Any) -> World:
     return made
 
 
-def motion_rows(lines: list[Any], ticks: Any) -> tuple[Motion, list[np.ndarray]]:
+def motion_rows(lines: list[Any], ticks: Any) -> tuple[SimMotion, list[np.ndarray]]:
     """Rows as the robot sends them, one batch a tick (wall times)."""
-    reader, motion = Reader(HOME), Motion(LIMITS, HOME)
+    reader, motion = Reader(HOME), SimMotion(LIMITS, HOME)
     motion.load(len(lines))
     motion.append(0.0, [reader.read(line.encode()) for line in lines])
     motion.resume(0.0, None)
@@ -243,7 +243,7 @@ def test_timeline_forgets_but_keeps_its_value() -> None:
 
 
 def test_the_witness_writes_in_the_order_of_events(tmp_path: Path) -> None:
-    witness = Witness(tmp_path / "sim.log")
+    witness = SimEventLog(tmp_path / "sim.log")
     witness.clock(0.0, 0.0)
     witness.clock(10.0, 600.0)
     witness.add("robot", "motion_stopped", 5.0, detail="hold")

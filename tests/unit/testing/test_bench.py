@@ -10,7 +10,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.model.errors import ConfigError
-from polishd.testing.bench import Asked, Level, foreseen, words
+from polishd.testing.bench import HilRequest, Level, foreseen, words
 from polishd.testing.stand_in import stand_ins
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -24,7 +24,7 @@ def cell(tmp_path: Path) -> Path:
 
 def said(cell: Path, **asked: Any) -> dict[str, str]:
     """What happens to each device."""
-    return {name: happens for name, _, happens in foreseen(Asked(cell=cell, **asked)).does()}
+    return {name: happens for name, _, happens in foreseen(HilRequest(cell=cell, **asked)).does()}
 
 
 def test_to_identify_nothing_moves_but_to_safety(cell: Path) -> None:
@@ -47,16 +47,16 @@ def test_each_level_says_what_it_adds(cell: Path, tmp_path: Path) -> None:
 
 def test_a_robot_moves_only_where_somebody_says(cell: Path, tmp_path: Path) -> None:
     assert "does not move: no --motion" in said(cell, **PRESSES)["robot"]
-    assert foreseen(Asked(cell=cell, **PRESSES)).scope().block is None
+    assert foreseen(HilRequest(cell=cell, **PRESSES)).scope().block is None
     motion = tmp_path / "air.nc"
     motion.write_text("G1 X1\r\n\nG1 X0")
-    block = foreseen(Asked(cell=cell, motion=motion)).scope().block
+    block = foreseen(HilRequest(cell=cell, motion=motion)).scope().block
     assert block is not None
     assert [block(at) for at in range(4)] == [b"G1 X1", b"G1 X0", b"G1 X1", b"G1 X0"]
 
 
 def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
-    told = words(foreseen(Asked(cell=cell, simulate=("spindle",))))
+    told = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
     assert any(line.startswith("spindle (simulated, in place of spindle_can") for line in told)
     assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in told)
 
@@ -73,7 +73,7 @@ def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
 )
 def test_what_cannot_be_tried_is_said_before(cell: Path, asked: dict[str, Any], problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
-        foreseen(Asked(cell=cell, **asked))
+        foreseen(HilRequest(cell=cell, **asked))
 
 
 @pytest.mark.parametrize("text", [None, "\n \n"])
@@ -92,7 +92,7 @@ def test_a_motion_without_blocks_is_said_before(cell: Path, tmp_path: Path, text
 )
 def test_no_level_goes_too_far(cell: Path, mark: str, least: Level) -> None:
     for level in Level:
-        bench = foreseen(Asked(cell=cell, level=level, max_force_n=5.0))
+        bench = foreseen(HilRequest(cell=cell, level=level, max_force_n=5.0))
         assert bench.allows({mark, "asyncio"}) == (level >= least)
         assert bench.allows({"asyncio"})
         for never in ("polishd_cuts", "polishd_mutes", "polishd_fresh"):
@@ -100,12 +100,12 @@ def test_no_level_goes_too_far(cell: Path, mark: str, least: Level) -> None:
 
 
 def test_of_a_cell_what_acts_is_tried_and_never_harder_than_allowed(cell: Path) -> None:
-    bench = foreseen(Asked(cell=cell, **PRESSES))
+    bench = foreseen(HilRequest(cell=cell, **PRESSES))
     assert [case.__name__ for case in bench.cases("any_device")] == ["actuator", "robot", "spindle"]
     (case,) = bench.cases("actuator")
     assert case.scope.force_n == 5.0
     assert case.scope.most_n is None
-    assert foreseen(Asked(cell=cell, level=Level.CONTACT, max_force_n=50.0)).scope().force_n == 12.0
+    assert foreseen(HilRequest(cell=cell, level=Level.CONTACT, max_force_n=50.0)).scope().force_n == 12.0
 
 
 def test_without_stand_ins_nothing_is_laid_over(cell: Path, tmp_path: Path) -> None:

@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from polishd.api import (
     DeviceFault,
+    DeviceIdentity,
     DeviceStatus,
     DeviceType,
-    Identity,
     LinkError,
     PluginError,
     hookimpl,
@@ -54,8 +54,8 @@ class Box:
         self.did.append("close")
         self.is_open = False
 
-    async def identify(self) -> Identity:
-        return Identity("Acme", "box", "1", "1")
+    async def identify(self) -> DeviceIdentity:
+        return DeviceIdentity("Acme", "box", "1", "1")
 
     async def status(self) -> DeviceStatus:
         if not self.is_open:

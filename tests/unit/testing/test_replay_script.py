@@ -10,27 +10,27 @@ import pytest
 from polishd.api import LineReader, LinkError, Tcp, open_stream
 from polishd.drivers.transport.numbered import encode
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Passed, Way
+from polishd.ports.tap import Way, WireMessage
 from polishd.ports.wire_file import header_line, passed_line
 from polishd.testing.replay import replayed
-from polishd.testing.replay_script import Script, exchanges
+from polishd.testing.replay_script import ReplayScript, exchanges
 from tests.patience import SOON_S
 
 Said = list[tuple[Way, bytes]]
 
 
-def passed(said: Said, why: str = "the connection is closed") -> list[tuple[int, Passed]]:
+def passed(said: Said, why: str = "the connection is closed") -> list[tuple[int, WireMessage]]:
     return [
-        (at + 2, Passed(at * 0.1, "tool", "tcp://h:1", way, data, None, why if way == "end" else ""))
+        (at + 2, WireMessage(at * 0.1, "tool", "tcp://h:1", way, data, None, why if way == "end" else ""))
         for at, (way, data) in enumerate(said)
     ]
 
 
-def script(*said: tuple[Way, bytes]) -> Script:
-    return Script("case, tool", exchanges(passed(list(said))))
+def script(*said: tuple[Way, bytes]) -> ReplayScript:
+    return ReplayScript("case, tool", exchanges(passed(list(said))))
 
 
-def answer(of: Script, asked: bytes) -> bytes:
+def answer(of: ReplayScript, asked: bytes) -> bytes:
     exchange = of.asked(asked)
     return of.dialect.answer(b"".join(data for _, data in exchange.came), exchange.out, asked)
 
@@ -83,7 +83,7 @@ def test_a_numbered_line_has_the_number_of_its_request() -> None:
     assert answer(said, encode(9, "ID?")) == encode(2, "LATE") + encode(9, "ID,a")
 
 
-def written(folder: Path, said: list[tuple[int, Passed]]) -> Path:
+def written(folder: Path, said: list[tuple[int, WireMessage]]) -> Path:
     path = folder / "case.jsonl"
     path.write_bytes(header_line("0", "cell", "", {}) + b"".join(passed_line(one, 0.0) for _, one in said))
     return path

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import write_demo
 from polishd.daemon.sockets import SOCKET_NAME
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from polishd.web.app import application
 
 LIVE = {"state": "polishing", "reason": "", "next": "", "told": {}, "approval": "ab" * 32, "signals": {}, "health": {}}
@@ -113,7 +113,7 @@ class Served:
 def served(folder: Path) -> Iterator[Served]:
     """For the time of the block."""
     config = load_config(write_demo(folder / "demo", None, 2.0, 4, None).cell)
-    users = Users(users_path(config))
+    users = UserFile(users_path(config))
     tokens = {role: users.add(f"{role}-person", role) for role in Role}
     with (
         answering(config.state_dir) as daemon,

@@ -13,10 +13,10 @@ import pytest
 from polishd.daemon.journal import Journal
 from polishd.door import limits
 from polishd.door.users import Role
-from polishd.model.events import Acknowledged, Held
+from polishd.model.events import AlarmAcknowledged, CellHeld
 from polishd.web import disk, orders
 from polishd.web.openapi import document, open_path
-from polishd.web.routes import ROUTES, Route
+from polishd.web.routes import ROUTES, ApiRoute
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 
@@ -30,7 +30,7 @@ def web(tmp_path: Path) -> Iterator[Served]:
         yield found
 
 
-def path_of(route: Route) -> str:
+def path_of(route: ApiRoute) -> str:
     """With numbers in it that nobody has."""
     return re.sub(r"{\w+:int}", "9", route.path).replace("{kind}", "measured")
 
@@ -39,7 +39,7 @@ ALL_BUT_THE_STREAM = [one for one in ROUTES if one.path != "/api/events"]
 
 
 @pytest.mark.parametrize("route", ALL_BUT_THE_STREAM, ids=lambda one: one.method + one.path)
-def test_each_endpoint_with_each_role(web: Served, route: Route) -> None:
+def test_each_endpoint_with_each_role(web: Served, route: ApiRoute) -> None:
     """Who may gets an answer that is no refusal of him; who may not is refused before anything is done."""
     body = {name.rstrip("?"): FIELDS[kind] for name, kind in route.fields}
     for role in (None, *Role):
@@ -137,11 +137,11 @@ def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: 
     monkeypatch.setattr(disk, "MOST_ROWS", 3)
     with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
         for number in range(8):
-            journal.record_event(Held(error=f"fault {number}", kind="LinkError"))
+            journal.record_event(CellHeld(error=f"fault {number}", kind="LinkError"))
         journal.flush()
         first = web.ask("GET", "/api/alarms").json()["alarms"]
         assert [one["what"] for one in first] == ["fault 0", "fault 1", "fault 2"]
-        journal.record_event(Acknowledged(alarms=[one["number"] for one in first], by="somebody"))
+        journal.record_event(AlarmAcknowledged(alarms=[one["number"] for one in first], by="somebody"))
         journal.flush()
     assert [one["what"] for one in web.ask("GET", "/api/alarms").json()["alarms"]] == ["fault 3", "fault 4", "fault 5"]
 
@@ -159,7 +159,7 @@ async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobo
 
     monkeypatch.setattr(orders.client, "request", request)
     monkeypatch.setattr(orders, "TOLD_S", 0.01)
-    ours = orders.Orders(tmp_path)
+    ours = orders.CommandForwarder(tmp_path)
     for by in ("anna (web)", "ben (web)", "anna (web)"):
         assert await ours.give("hold", {"by": by}, joined=True) is None
     answer.set()
@@ -176,13 +176,13 @@ def test_what_the_daemon_refuses_is_said_in_its_words(web: Served) -> None:
 
 def test_alarms_stay_until_somebody_has_seen_them_and_the_first_is_named(web: Served) -> None:
     with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
-        journal.record_event(Held(error="the wire is cut; mend it", kind="LinkError"))
-        journal.record_event(Held(error="and the spindle", kind="DeviceFault"))
+        journal.record_event(CellHeld(error="the wire is cut; mend it", kind="LinkError"))
+        journal.record_event(CellHeld(error="and the spindle", kind="DeviceFault"))
         journal.flush()
         first, second = web.ask("GET", "/api/alarms").json()["alarms"]
         assert (first["first"], first["what"], second["first"]) == (True, "the wire is cut; mend it", False)
         assert first["todo"]
-        journal.record_event(Acknowledged(alarms=[first["number"]], by="somebody"))
+        journal.record_event(AlarmAcknowledged(alarms=[first["number"]], by="somebody"))
         journal.flush()
         (left,) = web.ask("GET", "/api/alarms").json()["alarms"]
         assert (left["number"], left["first"]) == (second["number"], True)

@@ -16,11 +16,11 @@ from polishd.config.web import WebSection
 from polishd.console.demo_files import write_demo
 from polishd.daemon.journal import Journal
 from polishd.door import guard, sessions
-from polishd.door.limits import BUDGET, LOCKED_S, WRONG, Lockout, Rate
-from polishd.door.users import Role, Users, users_path
+from polishd.door.limits import BUDGET, LOCKED_S, WRONG, LoginLockout, RateLimiter
+from polishd.door.users import Role, UserFile, users_path
 from polishd.model.concern import NOT_ASKED
 from polishd.model.errors import ConfigError
-from polishd.model.events import PartWanted
+from polishd.model.events import PartRequested
 from polishd.web import app
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
@@ -123,7 +123,7 @@ def test_a_program_with_a_stale_token_every_five_seconds_locks_nobody_else_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [0.0]
-    monkeypatch.setattr(sessions, "Lockout", lambda: Lockout(lambda: now[0]))
+    monkeypatch.setattr(sessions, "LoginLockout", lambda: LoginLockout(lambda: now[0]))
     stale = {"Authorization": "Bearer " + "x" * 43}
     with served(tmp_path) as web:
         for k in range(100):
@@ -147,7 +147,7 @@ def test_who_is_signed_in_is_never_locked_out(web: Served) -> None:
 
 def test_the_lockout_ends_by_itself() -> None:
     now = [0.0]
-    lockout = Lockout(lambda: now[0])
+    lockout = LoginLockout(lambda: now[0])
     for _ in range(WRONG):
         assert not lockout.locked("a", "ada")
         lockout.wrong("a", "ada")
@@ -188,7 +188,7 @@ def test_a_csrf_token_that_is_not_ascii_is_a_wrong_one(web: Served) -> None:
 
 def test_a_rate_fills_again() -> None:
     now = [0.0]
-    rate = Rate(lambda: now[0])
+    rate = RateLimiter(lambda: now[0])
     assert sum(rate.takes("a") for _ in range(1000)) == 100
     assert rate.takes("b")
     now[0] = 1.0
@@ -198,7 +198,7 @@ def test_a_rate_fills_again() -> None:
 def test_a_user_who_was_removed_is_out_at_once(web: Served) -> None:
     web.sign_in(Role.OPERATE)
     assert web.client.get("/api/state").status_code == 200
-    Users(users_path(web.config)).remove("operate-person")
+    UserFile(users_path(web.config)).remove("operate-person")
     assert web.client.get("/api/state").status_code == 401
     assert web.ask("GET", "/api/state", Role.OPERATE).status_code == 401
 
@@ -224,7 +224,7 @@ def test_malicious_names_come_as_json_text_and_no_file_of_the_page_makes_markup_
     """They are put on the page by textContent; the browser's test shows that nothing runs."""
     name = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
     with Journal.open(web.config.state_dir, job="demo", part_id=name, terms={}) as journal:
-        journal.record_event(PartWanted(job=name, part_id=name, standing=NOT_ASKED))
+        journal.record_event(PartRequested(job=name, part_id=name, standing=NOT_ASKED))
         journal.flush()
         said = web.ask("GET", "/api/alarms")
     assert said.headers["content-type"] == "application/json"

@@ -11,9 +11,9 @@ import pytest
 from polishd.daemon.array_store import ArrayStore
 from polishd.daemon.history import read_events
 from polishd.daemon.journal import ARRAYS_NAME, JOURNAL_NAME, Journal
-from polishd.model.cycle import Phase
+from polishd.model.cycle import CyclePhase
 from polishd.model.errors import JournalDamage
-from polishd.model.events import Acknowledged, Held
+from polishd.model.events import AlarmAcknowledged, CellHeld
 from tests.unit.web.served import Served, served
 
 READS = ("jobs", "jobs/1/cycles", "jobs/1/cycles/0/certificate", "history", "journal", "alarms", "queue", "state")
@@ -40,13 +40,13 @@ def web(tmp_path: Path) -> Iterator[Served]:
 
 async def _filled(state: Path) -> None:
     with Journal.open(state, job="demo", part_id="P", terms={}) as journal:
-        async with journal.phase(0, Phase.MEASURE):
+        async with journal.phase(0, CyclePhase.MEASURE):
             journal.record_map(0, "ab" * 32, "map.dat", {"rms_nm": 1.5, "judged": []}, "x")
         ArrayStore(state / ARRAYS_NAME)
         journal.begin_pass(0, "program", "boot", 3, contact=(1, 2), facts={"rate": 1.0, "certificate": {"gap": 1e-6}})
         journal.end_pass(0, "done")
-        journal.record_event(Held(error="the wire is cut", kind="LinkError"))
-        journal.record_event(Acknowledged(alarms=[77], by="anna"))
+        journal.record_event(CellHeld(error="the wire is cut", kind="LinkError"))
+        journal.record_event(AlarmAcknowledged(alarms=[77], by="anna"))
 
 
 def damage(state: Path, value: bytes, instead: bytes) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from polishd.door import limits
 from polishd.door.users import Role
-from polishd.web.routes import ROUTES, Route
+from polishd.web.routes import ROUTES, ApiRoute
 from tests.unit.web.served import Served, served
 
 ANSWERS = {200, 202, 400, 401, 403, 404, 405, 409}
@@ -32,7 +32,7 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @st.composite
-def asked(draw: st.DrawFn) -> tuple[Route, str, Role | None, dict[str, Any]]:
+def asked(draw: st.DrawFn) -> tuple[ApiRoute, str, Role | None, dict[str, Any]]:
     route = draw(st.sampled_from([one for one in ROUTES if one.path != "/api/events"]))
     path = re.sub(r"{\w+(:int)?}", lambda _: draw(PIECES), route.path)
     if draw(st.booleans()):
@@ -50,7 +50,7 @@ def asked(draw: st.DrawFn) -> tuple[Route, str, Role | None, dict[str, Any]]:
 
 @given(question=asked())
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_no_question_is_a_fault(web: Served, question: tuple[Route, str, Role | None, dict[str, Any]]) -> None:
+def test_no_question_is_a_fault(web: Served, question: tuple[ApiRoute, str, Role | None, dict[str, Any]]) -> None:
     route, path, role, body = question
     said = web.ask(route.method, path, role, **body)
     assert said.status_code in ANSWERS, (route.path, body, said.text)

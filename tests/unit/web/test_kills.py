@@ -18,8 +18,8 @@ from polishd.console.demo_files import free_port, write_demo
 from polishd.daemon.client import request
 from polishd.daemon.events import EventBus
 from polishd.daemon.service import serving
-from polishd.door.users import Role, Users, users_path
-from polishd.model.events import Held
+from polishd.door.users import Role, UserFile, users_path
+from polishd.model.events import CellHeld
 from tests.patience import SOON_S
 from tests.unit.web.served import LIVE
 
@@ -87,7 +87,7 @@ async def cell(tmp_path: Path) -> AsyncIterator[Cell]:
     path, port = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell, free_port()
     path.write_text(path.read_text().replace("port = 8750", f"port = {port}"))
     config = load_config(path)
-    found = Cell(config, port, Users(users_path(config)).add("anna", Role.OPERATE))
+    found = Cell(config, port, UserFile(users_path(config)).add("anna", Role.OPERATE))
     config.state_dir.mkdir(parents=True, exist_ok=True)
     async with serving(config.state_dir, {"live": found.live, "hold": found.hold}, found.bus):
         yield found
@@ -123,7 +123,7 @@ async def test_a_daemon_whose_page_is_killed_goes_on_and_the_page_starts_again(c
     await until(lambda: not bus._subscribers)
     answer = await asyncio.to_thread(request, cell.config.state_dir, "live")
     assert answer["state"] == "polishing", "the daemon answers others all the while"
-    cell.bus.publish(Held(error="a scratch", kind="SafetyStop"))
+    cell.bus.publish(CellHeld(error="a scratch", kind="SafetyStop"))
     cell.let.set()
     given = ["anna (web)"] if step == "obeying" else []
     await until(lambda: cell.obeyed == given)
@@ -136,7 +136,7 @@ async def test_a_daemon_whose_page_is_killed_goes_on_and_the_page_starts_again(c
         with closing(writer):
             writer.write(cell.head("GET", "/api/events"))
             await asyncio.wait_for(reader.readuntil(b"event: state"), SOON_S)
-            cell.bus.publish(Held(error="after it came back", kind="SafetyStop"))
+            cell.bus.publish(CellHeld(error="after it came back", kind="SafetyStop"))
             await asyncio.wait_for(reader.readuntil(b"after it came back"), SOON_S)
     assert cell.begun == cell.obeyed == [*given, "anna (web)"]
 

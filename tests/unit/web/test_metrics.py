@@ -13,13 +13,13 @@ from prometheus_client.parser import text_string_to_metric_families
 from polishd.config.cell import CellConfig, load_config
 from polishd.console.demo_files import write_demo
 from polishd.daemon.journal import JOURNAL_NAME, Journal
-from polishd.daemon.states import State
+from polishd.daemon.states import DaemonState
 from polishd.door.users import Role
 from polishd.model.cycle import Outcome
 from polishd.model.errors import ConfigError
-from polishd.model.events import Held
+from polishd.model.events import CellHeld
 from polishd.web import app
-from polishd.web.metrics import OUTCOMES, STATES, Metrics, Snapshot
+from polishd.web.metrics import OUTCOMES, STATES, Metrics, MetricsSnapshot
 from tests.unit.web.served import LIVE, Served, served
 
 TOLD = {
@@ -62,7 +62,7 @@ def told(families: Any) -> dict[tuple[str, ...], float]:
 
 def seen(daemon: str = "up", age_s: float = 0.5) -> dict[tuple[str, ...], float]:
     state = {"daemon": daemon, "age_s": age_s, "live": ALL}
-    return told(Snapshot("cell 7", state, TALLY, [{"severity": "warning"}]).collect())
+    return told(MetricsSnapshot("cell 7", state, TALLY, [{"severity": "warning"}]).collect())
 
 
 @pytest.fixture
@@ -120,13 +120,13 @@ def test_without_a_daemon_nothing_is_told_as_if_live(daemon: str) -> None:
 
 def test_a_daemon_that_refuses_has_told_nothing() -> None:
     state = {"daemon": "up", "age_s": 0.1, "live": {"ok": False, "error": "unknown verb 'live'"}}
-    found = told(Snapshot("cell 7", state, TALLY).collect())
+    found = told(MetricsSnapshot("cell 7", state, TALLY).collect())
     assert ("polishd_cell_state", "polishing") not in found
     assert found["polishd_parts_total", "in_tolerance"] == 3
 
 
 def test_names_are_those_of_the_daemon() -> None:
-    assert set(STATES) == set(State)
+    assert set(STATES) == set(DaemonState)
     assert set(OUTCOMES) == {*Outcome, "put_aside"}
 
 
@@ -143,7 +143,7 @@ def test_a_token_of_any_role_may_scrape_and_nobody_else(metered: Served) -> None
 
 def test_the_librarys_parser_reads_it_and_the_journal_is_counted(metered: Served) -> None:
     with Journal.open(metered.config.state_dir, job="demo", part_id="P", terms={}) as journal:
-        journal.record_event(Held(error="a fault", kind="LinkError"))
+        journal.record_event(CellHeld(error="a fault", kind="LinkError"))
         journal.record_outcome(Outcome.STALLED)
         journal.flush()
     said = metered.ask("GET", "/metrics", Role.WATCH)

@@ -16,7 +16,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.console.demo_files import write_demo
-from polishd.door.users import Role, Users, users_path
+from polishd.door.users import Role, UserFile, users_path
 from polishd.web.api import MOST_OF_USER
 from tests.patience import SOON_S
 from tests.unit.web.served import answering
@@ -47,7 +47,7 @@ def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> 
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))
     config = load_config(cell)
-    token = Users(users_path(config)).add("anna", Role.WATCH)
+    token = UserFile(users_path(config)).add("anna", Role.WATCH)
     head = f"GET /api/events HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\n\r\n"
     with answering(config.state_dir), serving(cell) as at, socket.create_connection(at, SOON_S) as watcher:
         watcher.sendall(head.encode())
@@ -63,7 +63,7 @@ def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> 
 def test_one_user_holds_ten_streams_and_leaves_the_others_theirs(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))
-    users = Users(users_path(load_config(cell)))
+    users = UserFile(users_path(load_config(cell)))
     tokens = {name: users.add(name, Role.WATCH) for name in ("anna", "bob")}
     with ExitStack() as stack:
         at = stack.enter_context(serving(cell))
@@ -97,7 +97,7 @@ def test_with_a_certificate_it_speaks_tls_and_nothing_else(tmp_path: Path) -> No
     subprocess.run(command, cwd=folder, capture_output=True, check=True)
     keys = 'port = 0\ncert = "cert.pem"\nkey = "key.pem"'
     cell.write_text(cell.read_text().replace("port = 8750", keys))
-    Users(users_path(load_config(cell))).add("anna", Role.WATCH)
+    UserFile(users_path(load_config(cell))).add("anna", Role.WATCH)
     request = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
     with serving(cell) as at:
         context = ssl.create_default_context(cafile=str(folder / "cert.pem"))

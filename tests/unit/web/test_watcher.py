@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from polishd.daemon import client
-from polishd.daemon.endings import keep_ending
+from polishd.daemon.endings import record_exit
 from polishd.door.finite import finite
 from polishd.model.errors import LinkError
 from polishd.web import watcher as module
-from polishd.web.watcher import Watcher, watching
+from polishd.web.watcher import Watcher, polling_daemon
 from tests.patience import SOON_S
 from tests.unit.web.served import answering
 
@@ -32,8 +32,8 @@ async def until(page: AsyncIterator[str], daemon: str) -> dict[str, Any]:
 
 
 async def test_a_daemon_that_comes_and_goes_is_told_with_ages(tmp_path: Path) -> None:
-    keep_ending(tmp_path, {"state": "stopped", "reason": "by order"})
-    async with watching(tmp_path) as watcher:
+    record_exit(tmp_path, {"state": "stopped", "reason": "by order"})
+    async with polling_daemon(tmp_path) as watcher:
         with watcher.page() as page:
             gone = await until(page, "none")
             assert (gone["age_s"], gone["live"], gone["ending"]["reason"]) == (None, None, "by order")
@@ -51,7 +51,7 @@ async def test_a_daemon_that_does_not_answer_is_silent(tmp_path: Path, monkeypat
     with socket.socket(socket.AF_UNIX) as hangs:  # also once no more questions fit
         hangs.bind(str(tmp_path / "polishd.sock"))
         hangs.listen(1)
-        async with watching(tmp_path) as watcher:
+        async with polling_daemon(tmp_path) as watcher:
             with watcher.page() as page:
                 assert (await until(page, "silent"))["live"] is None
             for _ in range(4):
@@ -85,7 +85,7 @@ async def test_a_malformed_line_is_passed_by_and_the_next_event_is_heard(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, line: str
 ) -> None:
     with answering(tmp_path) as daemon:
-        async with watching(tmp_path) as watcher:
+        async with polling_daemon(tmp_path) as watcher:
             with watcher.page() as page:
                 await until(page, "up")
                 while not daemon.subscribers:  # noqa: ASYNC110 -- pytest's timeout is the limit
@@ -112,7 +112,7 @@ async def test_whatever_goes_wrong_while_it_asks_or_listens_it_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr(client, "request", fails)
         patch.setattr(client, "subscribe", fails)
-        async with watching(tmp_path) as watcher:
+        async with polling_daemon(tmp_path) as watcher:
             with watcher.page() as page:
                 await until(page, "silent")
                 while "the watcher listens again" not in caplog.text:  # noqa: ASYNC110 -- pytest's timeout is the limit

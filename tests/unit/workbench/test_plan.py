@@ -18,9 +18,9 @@ import pytest
 
 from polishd.hookspecs import DwellSolver, SurfaceReader
 from polishd.model.dwell import DwellSolution
-from polishd.model.errors import BadMap, ComputeError, ConfigError, PlanRefused, PolishdError, ProgramError, WrongPart
+from polishd.model.errors import ComputeError, ConfigError, MapError, PlanRefused, PolishdError, ProgramError, WrongPart
 from polishd.model.events import Event
-from polishd.model.instrument import Commissioned, Instrument
+from polishd.model.instrument import CommissioningRecord, Instrument
 from polishd.model.map_history import MapStep
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
@@ -149,17 +149,17 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(
 
 def test_no_map(desk: Desk) -> None:
     desk.map.unlink()
-    desk.refused(BadMap, "cannot be read")
+    desk.refused(MapError, "cannot be read")
 
 
 def test_a_map_that_no_reader_knows(desk: Desk) -> None:
     desk.map.write_bytes(b"JPEG")
-    desk.refused(BadMap, r"no loaded reader knows this file \(tried: test\)")
+    desk.refused(MapError, r"no loaded reader knows this file \(tried: test\)")
 
 
 def test_a_map_full_of_holes(desk: Desk) -> None:
     desk.surface.height_nm[:30] = np.nan
-    desk.refused(BadMap, "aperture")
+    desk.refused(MapError, "aperture")
 
 
 def test_another_parts_map(desk: Desk) -> None:
@@ -292,7 +292,7 @@ def test_a_map_that_leaves_something_unsaid_needs_a_profile_that_gives_it(desk: 
     desk.surface = replace(
         desk.surface, unsaid=frozenset({"orientation"}), doubts={"orientation": doubt}, warnings=(doubt, "cut")
     )
-    desk.refused(BadMap, "orientation")
+    desk.refused(MapError, "orientation")
     desk.recipe = small_recipe(instrument=Instrument("bench", gives=frozenset({"orientation"})))
     assert desk.plan()["notes"][:2] == [UNPROVED, "cut"], "what the profile gives is no longer called open"
 
@@ -300,10 +300,10 @@ def test_a_map_that_leaves_something_unsaid_needs_a_profile_that_gives_it(desk: 
 def test_a_map_with_the_profile_in_it_is_not_turned_again(desk: Desk) -> None:
     desk.surface = replace(desk.surface, history=MapStep("average", "1", {"profile": "bench"}, ()))
     desk.recipe = small_recipe(instrument=Instrument("bench"))
-    desk.refused(BadMap, "had the profile applied before")
+    desk.refused(MapError, "had the profile applied before")
 
 
 def test_a_commissioned_profile_needs_no_note(desk: Desk) -> None:
-    proof = Commissioned(datetime(2026, 1, 1, tzinfo=UTC), "bumps", "0" * 64, 0.99, 0.4, "1" * 64)
+    proof = CommissioningRecord(datetime(2026, 1, 1, tzinfo=UTC), "bumps", "0" * 64, 0.99, 0.4, "1" * 64)
     desk.recipe = small_recipe(instrument=Instrument("bench", commissioned=proof))
     assert desk.plan()["notes"] == ["a spot for tests"]

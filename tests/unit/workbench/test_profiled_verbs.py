@@ -15,11 +15,11 @@ import typer
 from polishd.cli import app
 from polishd.config.profile import load_profile, write_system
 from polishd.console.demo_files import with_values
-from polishd.model.instrument import Calibrated
+from polishd.model.instrument import SystemErrorRecord
 from polishd.model.map_history import MapStep
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process import metrics
-from polishd.process.absolute import Told
+from polishd.process.absolute import AbsoluteTestResult
 from polishd.workbench.maps.convert import store
 from polishd.workbench.maps.files import MapSource
 from tests.commissioned import commissioned
@@ -59,12 +59,12 @@ class Desk:
         profile = load_profile(self.profile)
         source = MapSource.of(None, self.profile)
         one = source.read(self.raw)
-        told = Told(4, ((0, 0),), np.eye(1), {}, 0.0, (29.5, 23.5, 30.0))
+        told = AbsoluteTestResult(4, ((0, 0),), np.eye(1), {}, 0.0, (29.5, 23.5, 30.0))
         options = {"profile": profile.instrument.name, "result": "instrument", "told": told.facts()}
         system = replace(one, height_nm=SYSTEM, history=MapStep("absolute", "0", options, ()))
         sha256 = store(system, self.folder / "system.x3p", source)["sha256"]
         at = datetime(2026, 5, 5, tzinfo=UTC)
-        write_system(self.profile, Calibrated("system.x3p", at, sha256, profile.sha256))
+        write_system(self.profile, SystemErrorRecord("system.x3p", at, sha256, profile.sha256))
 
     def read(self, path: Path) -> SurfaceMap:
         """As it was written."""

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import NonNegativeInt, TypeAdapter
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.map_history import MapStep
 from polishd.model.surface import DateFrom, MaskCount
 from polishd.secret import environment_without_secrets
@@ -43,7 +43,7 @@ DIES_WITHIN_S = 10.0
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-class Bounds(NamedTuple):
+class ResourceLimits(NamedTuple):
     """What a file may take, beside what the worker holds before it."""
 
     memory_bytes: int = 64 * 2**20
@@ -85,13 +85,13 @@ class MapHead:
     history: MapStep | None = None
 
 
-USUAL = Bounds()
+USUAL = ResourceLimits()
 _idle: list[_Worker] = []
 """Workers that wait for a file. Each reads for one caller at a time, so that no cell waits for another's file; more
 are never kept than read at the same time."""
 
 
-def read(module: str, path: Path, bounds: Bounds = USUAL) -> SurfaceMap:
+def read(module: str, path: Path, bounds: ResourceLimits = USUAL) -> SurfaceMap:
     """What the module's ``parse(path)`` makes of a file, in a worker. BadMap where it raises that, dies or hangs.
 
     What says nothing about the file (the share is away, the worker cannot start) has an OSError with a number as cause.
@@ -123,7 +123,7 @@ def close() -> None:
         worker.kill()
 
 
-def make_room(size: int) -> None:
+def raise_memory_limit(size: int) -> None:
     """Let a file take so many bytes more, once its samples are known to be there. Nothing outside the worker."""
     soft = resource.getrlimit(resource.RLIMIT_AS)[0]
     if soft != resource.RLIM_INFINITY:
@@ -159,7 +159,7 @@ class _Worker:
                 )
             except OSError as error:
                 ours.close()
-                raise BadMap(f"{path}: no process to read it in: {error.strerror}") from error
+                raise MapError(f"{path}: no process to read it in: {error.strerror}") from error
         self._line = Connection(ours.detach())
         self._await_start(path)
 
@@ -173,30 +173,30 @@ class _Worker:
             why = f"{self._end()} before it read anything: does {Path(sys.executable).name} -P find polishd?"
         self.kill()
         why = f"the process that would read it {why}"
-        raise BadMap(f"{path}: {why}") from ChildProcessError(errno.ECHILD, why, str(path))
+        raise MapError(f"{path}: {why}") from ChildProcessError(errno.ECHILD, why, str(path))
 
     @property
     def is_alive(self) -> bool:
         return self._process.poll() is None
 
-    def read(self, module: str, path: Path, bounds: Bounds) -> SurfaceMap:
+    def read(self, module: str, path: Path, bounds: ResourceLimits) -> SurfaceMap:
         self.is_idle = False
         whole = path.absolute()  # the process may have moved since it started
         try:
             self._line.send_bytes(json.dumps([module, str(whole), bounds]).encode())
             if not self._line.poll(bounds.wall_s):
-                raise BadMap(f"{path}: was not read within {bounds.wall_s:g} s")
+                raise MapError(f"{path}: was not read within {bounds.wall_s:g} s")
             reason, number, head = self._answer()
             surface = None if head is None else self._map(head, whole)
         except (EOFError, OSError) as error:
-            raise BadMap(f"{path}: the process that reads it {self._end()}: the file is broken") from error
+            raise MapError(f"{path}: the process that reads it {self._end()}: the file is broken") from error
         except (ValueError, TypeError, MemoryError, RecursionError, ProcessError) as error:
             why = f"the process that reads it answered what is no map ({type(error).__name__})"
-            raise BadMap(f"{path}: {why}: the file is broken") from error
+            raise MapError(f"{path}: {why}: the file is broken") from error
         self.is_idle = True
         if surface is None:
             reason = reason.replace(str(whole), str(path), 1)  # as it was named
-            raise BadMap(reason) from (OSError(number, os.strerror(number), str(path)) if number else None)
+            raise MapError(reason) from (OSError(number, os.strerror(number), str(path)) if number else None)
         return surface
 
     def _answer(self) -> tuple[str, int, MapHead | None]:

@@ -19,9 +19,9 @@ from typing import Any
 import h5py  # type: ignore[import-untyped,unused-ignore]  # noqa: F401  what it takes is not counted as a file's
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plain import plain
-from polishd.plugins.interferometer.formats.apart import MOST_HEAD_BYTES, Bounds, MapHead, limit
+from polishd.plugins.interferometer.formats.apart import MOST_HEAD_BYTES, MapHead, ResourceLimits, limit
 
 
 def serve(line: Connection) -> None:
@@ -36,12 +36,12 @@ def serve(line: Connection) -> None:
             module, name, values = json.loads(line.recv_bytes())
         except EOFError:
             return
-        path, bounds = Path(name), Bounds(*values)
+        path, bounds = Path(name), ResourceLimits(*values)
         head, heights, reason, number = None, np.empty(0), "", 0
         try:
             _bound(path, bounds)
             head, heights = _parts(importlib.import_module(module).parse(path))
-        except BadMap as error:
+        except MapError as error:
             reason, number = str(error), _number(error.__cause__)
         except MemoryError:
             reason = f"{path}: would take more memory than {bounds.memory_per_byte} times its length: it is broken"
@@ -81,7 +81,7 @@ def _number(error: BaseException | None) -> int:
     return (error.errno or 0) if isinstance(error, OSError) else 0
 
 
-def _bound(path: Path, bounds: Bounds) -> None:
+def _bound(path: Path, bounds: ResourceLimits) -> None:
     length = path.stat().st_size
     held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     limit(resource.RLIMIT_AS, held + bounds.memory_bytes + bounds.memory_per_byte * length)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.numbers import block
@@ -32,7 +32,7 @@ WAVEFRONT = "holds a wavefront (WFR), shown as it is: half of it is surface only
 
 
 @dataclass(slots=True)
-class Header:
+class CodeVHeader:
     """The line of parameters."""
 
     rows: int = 0
@@ -86,15 +86,15 @@ def _parameters(path: Path, content: bytes) -> tuple[bytes, int]:
         line = line.removesuffix(b"&") + b" " + text if line.endswith(b"&") else text
         word = line.upper().split(None, 1)[:1]
         if word in ([b"ZFR"], [b"ZRN"]):
-            raise BadMap(f"{path}: holds Zernike coefficients, not a grid: write it out of CODE V as GRD")
+            raise MapError(f"{path}: holds Zernike coefficients, not a grid: write it out of CODE V as GRD")
         if word == [b"GRD"] and GRID.match(line + b" ") and not line.endswith(b"&"):
             return line, start
-    raise BadMap(f"{path}: no CODE V grid: no line 'GRD columns rows SUR|WFR WVL um SSZ counts' at its start")
+    raise MapError(f"{path}: no CODE V grid: no line 'GRD columns rows SUR|WFR WVL um SSZ counts' at its start")
 
 
-def _header(path: Path, line: bytes) -> Header:
+def _header(path: Path, line: bytes) -> CodeVHeader:
     words = line.decode("latin-1").upper().split()
-    header = Header(columns=int(words[1]), rows=int(words[2]))
+    header = CodeVHeader(columns=int(words[1]), rows=int(words[2]))
     rest = iter(words[3:])
     for word in rest:
         if word in ("SUR", "WFR") and not header.kind:
@@ -102,12 +102,12 @@ def _header(path: Path, line: bytes) -> Header:
         elif word in WITH_NUMBER and word not in header.number:
             header.number[word] = _number(path, word, next(rest, ""))
         elif word != "NNB":  # nearest neighbour: how CODE V interpolates
-            raise BadMap(f"{path}: {word!r} in its parameters is not known, or stands there twice")
+            raise MapError(f"{path}: {word!r} in its parameters is not known, or stands there twice")
     if not header.kind or not {"WVL", "SSZ"} <= header.number.keys():
-        raise BadMap(f"{path}: needs SUR or WFR, WVL and SSZ in its parameters, and has {' '.join(words[3:])!r}")
+        raise MapError(f"{path}: needs SUR or WFR, WVL and SSZ in its parameters, and has {' '.join(words[3:])!r}")
     require_optics(path, {"Wavelength (m)": header.number["WVL"] / 1e6})
     if not 1e-3 <= header.number["SSZ"] <= 1e12:
-        raise BadMap(f"{path}: SSZ is {header.number['SSZ']:g} counts a wave: the height's scale is not known")
+        raise MapError(f"{path}: SSZ is {header.number['SSZ']:g} counts a wave: the height's scale is not known")
     return header
 
 
@@ -117,18 +117,18 @@ def _number(path: Path, word: str, text: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value) or (word == "XSC" and value <= 0):
-        raise BadMap(f"{path}: {word} is {text!r} in its parameters")
+        raise MapError(f"{path}: {word} is {text!r} in its parameters")
     return value
 
 
 def _cut(path: Path, last: bytes, no_data: bytes) -> tuple[str, ...]:
     """What to warn of where nothing follows the last number; BadMap where it is the first part of "no data"."""
     if last != no_data and no_data.startswith(last):
-        raise BadMap(f"{path}: ends inside a number: {last.decode()} of {no_data.decode()}: torn")
+        raise MapError(f"{path}: ends inside a number: {last.decode()} of {no_data.decode()}: torn")
     return () if last == no_data else (CUT,)
 
 
-def _pitch(header: Header) -> Pitch:
+def _pitch(header: CodeVHeader) -> Pitch:
     """None, and what else is left open."""
     doubts = {"pitch": NO_PITCH}
     if header.kind == "WFR":

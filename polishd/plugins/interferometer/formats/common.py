@@ -16,7 +16,7 @@ from zipfile import ZipFile, ZipInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.process.plausible import EARLIEST
 
@@ -37,11 +37,11 @@ def content_of(path: Path) -> bytes:
             # what is asked for is allocated first: no more than there is
             content = file.read(min(os.fstat(file.fileno()).st_size, MOST_BYTES) + 1)
     except OSError as error:
-        raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
+        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
     if not content:
-        raise BadMap(f"{path}: the file is empty")
+        raise MapError(f"{path}: the file is empty")
     if len(content) > MOST_BYTES:
-        raise BadMap(f"{path}: is larger than {MOST_BYTES} bytes: no map of a camera")
+        raise MapError(f"{path}: is larger than {MOST_BYTES} bytes: no map of a camera")
     return content
 
 
@@ -53,15 +53,15 @@ def sha256_of(content: bytes) -> str:
 def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
     """The heights, where at least one is a number and none is infinite; BadMap otherwise."""
     if height_nm.ndim != 2 or not height_nm.size:
-        raise BadMap(f"{path}: holds an array of shape {height_nm.shape}, not rows and columns")
+        raise MapError(f"{path}: holds an array of shape {height_nm.shape}, not rows and columns")
     if np.isinf(height_nm).any():
-        raise BadMap(f"{path}: {np.count_nonzero(np.isinf(height_nm))} samples are infinite")
+        raise MapError(f"{path}: {np.count_nonzero(np.isinf(height_nm))} samples are infinite")
     if np.isnan(height_nm).all():
-        raise BadMap(f"{path}: no sample holds data")
+        raise MapError(f"{path}: no sample holds data")
     return height_nm
 
 
-def require_tail(path: Path, values: NDArray[Any]) -> None:
+def require_end(path: Path, values: NDArray[Any]) -> None:
     """BadMap where the last samples, as they lie in memory, are all exactly zero, and hardly any other is.
 
     A map on a background of zeros, as programs make them, has zeros elsewhere too.
@@ -71,7 +71,7 @@ def require_tail(path: Path, values: NDArray[Any]) -> None:
         return
     end = flat.size - int(np.argmax(flat[::-1] != 0)) if flat.any() else 0
     if end - np.count_nonzero(flat) <= MOST_ZEROS * end:
-        raise BadMap(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
+        raise MapError(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
 
 
 def scaled(values: NDArray[Any], nm_per_unit: float) -> FloatArray:
@@ -87,28 +87,28 @@ def require_optics(path: Path, factors: Mapping[str, float]) -> None:
     for name, value in factors.items():
         low, high = OPTICS[name]
         if not low <= value <= high:
-            raise BadMap(f"{path}: {name} is {value:g}, outside {low:g} to {high:g}: the height's scale is not known")
+            raise MapError(f"{path}: {name} is {value:g}, outside {low:g} to {high:g}: the height's scale is not known")
 
 
 def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES) -> None:
     """BadMap where an array is empty, larger than a camera, or larger than the file can hold (``most`` samples)."""
     if rows <= 0 or columns <= 0:
-        raise BadMap(f"{path}: has no phase data ({rows} rows x {columns} columns)")
+        raise MapError(f"{path}: has no phase data ({rows} rows x {columns} columns)")
     if rows * columns > MOST_SAMPLES:
-        raise BadMap(f"{path}: {rows} rows x {columns} columns is no interferometer's camera")
+        raise MapError(f"{path}: {rows} rows x {columns} columns is no interferometer's camera")
     if rows * columns > most:
-        raise BadMap(f"{path}: is too short for {rows} rows x {columns} columns: torn, or still being written")
+        raise MapError(f"{path}: is too short for {rows} rows x {columns} columns: torn, or still being written")
 
 
-def require_said(surface: SurfaceMap, *also: str) -> None:
+def require_stated(surface: SurfaceMap, *also: str) -> None:
     """BadMap where a written file would say what nobody knows; ``also`` names what that format can leave open."""
     open_ones = sorted(surface.unsaid - set(also))
     if "square pixels" in open_ones:
-        raise BadMap(
+        raise MapError(
             f"{surface.path}: its pixels are not square, and those of the file to be written would be: resample it"
         )
     if open_ones:
-        raise BadMap(f"{surface.path}: does not say its {' and '.join(open_ones)}, and the file to be written would: "
+        raise MapError(f"{surface.path}: does not say its {' and '.join(open_ones)}, and the file to be written would: "
                      "read it with the instrument's profile")  # fmt: skip
 
 
@@ -129,7 +129,7 @@ def members_of(path: Path, archive: ZipFile) -> list[ZipInfo]:
     """The members of an archive; BadMap where they would unpack to more than any map."""
     members = archive.infolist()
     if sum(member.file_size for member in members) > MOST_BYTES:
-        raise BadMap(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
+        raise MapError(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
     return members
 
 
@@ -143,11 +143,11 @@ def parsing(path: Path, library: str) -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except BadMap:
+    except MapError:
         raise
     except Exception as error:  # a parser may raise anything at all on a broken file
         reason = str(error).strip() or type(error).__name__
-        raise BadMap(f"{path}: {library} cannot read it: {reason[:300]}") from error
+        raise MapError(f"{path}: {library} cannot read it: {reason[:300]}") from error
 
 
 def extra(path: Path, module: str, name: str) -> Any:
@@ -155,4 +155,4 @@ def extra(path: Path, module: str, name: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise BadMap(f"{path}: needs the extra: pip install 'polishd[{name}]' ({error})") from error
+        raise MapError(f"{path}: needs the extra: pip install 'polishd[{name}]' ({error})") from error

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import named, require_optics, time_of
@@ -73,20 +73,20 @@ def parse(path: Path) -> SurfaceMap:
     )
 
 
-def _links(source: hdf5.Opened) -> dict[tuple[str, str], str]:
+def _links(source: hdf5.Hdf5Contents) -> dict[tuple[str, str], str]:
     """(source, link) -> destination; empty where there is no table, BadMap where it leads to two surfaces."""
     table = hdf5.member(source, "MetaData")
     if table is None:
         return {}
     if not hdf5.is_plain(table, 1) or not {"Source", "Link", "Destination"} <= set(table.dtype.names or ()):
-        raise BadMap(f"{source.path}: /MetaData is no table of Source, Link and Destination")
+        raise MapError(f"{source.path}: /MetaData is no table of Source, Link and Destination")
     if table.size > MOST_LINKS or table.dtype.itemsize > source.length:
-        raise BadMap(f"{source.path}: /MetaData has {table.size} links: no map")
+        raise MapError(f"{source.path}: /MetaData has {table.size} links: no map")
     found: dict[tuple[str, str], str] = {}
     for row in table[()]:
         start, link, destination = (_plain(row[name]) for name in ("Source", "Link", "Destination"))
         if found.setdefault((start, link), destination) != destination and link in {"Measurement", "Surface", "Path"}:
-            raise BadMap(f"{source.path}: /MetaData leads from {start} to two of {link!r}: which one is meant?")
+            raise MapError(f"{source.path}: /MetaData leads from {start} to two of {link!r}: which one is meant?")
     return found
 
 
@@ -94,15 +94,15 @@ def _plain(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _surface(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> Any:
+def _surface(source: hdf5.Hdf5Contents, links: dict[tuple[str, str], str]) -> Any:
     measurement = links.get(("Root", "Measurement"), "")
     surface = links.get((measurement, "Surface"), "")
     place = links.get((surface, "Path"), "" if links else OLD_PATH)
     if not place:
-        raise BadMap(f"{source.path}: /MetaData leads to no surface (Root -> Measurement -> Surface -> Path)")
+        raise MapError(f"{source.path}: /MetaData leads to no surface (Root -> Measurement -> Surface -> Path)")
     data = hdf5.member(source, place)
     if data is None:
-        raise BadMap(f"{source.path}: its surface {place} is missing")
+        raise MapError(f"{source.path}: its surface {place} is missing")
     return data
 
 
@@ -117,7 +117,7 @@ def _scaled(height: FloatArray, no_data: float | None, nm: float) -> FloatArray:
     return height
 
 
-def _converter(source: hdf5.Opened, data: Any, name: str) -> tuple[str, list[float]]:
+def _converter(source: hdf5.Hdf5Contents, data: Any, name: str) -> tuple[str, list[float]]:
     """Base unit and numbers of a converter: a record (category, unit, numbers), or in some versions the numbers alone.
 
     "" and nothing where there is none.
@@ -135,7 +135,7 @@ def _converter(source: hdf5.Opened, data: Any, name: str) -> tuple[str, list[flo
         return unit, []
 
 
-def _unit(source: hdf5.Opened, data: Any) -> tuple[HeightUnit, dict[str, float]]:
+def _unit(source: hdf5.Hdf5Contents, data: Any) -> tuple[HeightUnit, dict[str, float]]:
     """The unit of heights, and what of the optics it needed."""
     name = hdf5.text(source, data, "Unit")
     word = name.lower()
@@ -147,7 +147,7 @@ def _unit(source: hdf5.Opened, data: Any) -> tuple[HeightUnit, dict[str, float]]
     return HeightUnit(float(np.prod(list(given.values()))) * 1e9), given
 
 
-def _optics(source: hdf5.Opened, data: Any, names: set[str]) -> dict[str, float]:
+def _optics(source: hdf5.Hdf5Contents, data: Any, names: set[str]) -> dict[str, float]:
     _, again = _converter(source, data, "Z Converter")
     found: dict[str, float] = {}
     for name in sorted(names):
@@ -155,13 +155,15 @@ def _optics(source: hdf5.Opened, data: Any, names: set[str]) -> dict[str, float]
         if value is None and PARAMETER[name] < len(again):
             value = again[PARAMETER[name]]
         if value is None:
-            raise BadMap(f"{source.path}: is in {hdf5.text(source, data, 'Unit')} and does not say its {OPTICS[name]}")
+            raise MapError(
+                f"{source.path}: is in {hdf5.text(source, data, 'Unit')} and does not say its {OPTICS[name]}"
+            )
         found[name] = value
     require_optics(source.path, found)
     return found
 
 
-def _contradictions(source: hdf5.Opened, data: Any, optics: dict[str, float]) -> tuple[str, ...]:
+def _contradictions(source: hdf5.Hdf5Contents, data: Any, optics: dict[str, float]) -> tuple[str, ...]:
     """What to warn of: where the Z converter or the frame is another than the one that was used."""
     unit, again = _converter(source, data, "Z Converter")
     name = hdf5.text(source, data, "Unit")
@@ -177,7 +179,7 @@ def _contradictions(source: hdf5.Opened, data: Any, optics: dict[str, float]) ->
     return tuple(f"its attributes contradict one another: {words}, of which the former is used" for words in odd)
 
 
-def _pitch(source: hdf5.Opened, data: Any) -> Pitch:
+def _pitch(source: hdf5.Hdf5Contents, data: Any) -> Pitch:
     sides = [_converter(source, data, f"{axis} Converter") for axis in "XY"]
     metres = [numbers[1] for _, numbers in sides if len(numbers) > 1]
     if len(metres) < len(sides) or not any(metres):
@@ -188,7 +190,7 @@ def _pitch(source: hdf5.Opened, data: Any) -> Pitch:
     return pitch(source.path, metres[0] * 1e3, metres[1] * 1e3)
 
 
-def _about(source: hdf5.Opened, links: dict[tuple[str, str], str]) -> dict[str, Any]:
+def _about(source: hdf5.Hdf5Contents, links: dict[tuple[str, str], str]) -> dict[str, Any]:
     """Part, instrument, time and the text of a history, from the attributes of the measurement."""
     place = links.get((links.get(("Root", "Measurement"), ""), "Attributes"), "/Measurement/Attributes")
     node = hdf5.member(source, place)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from polishd.api import SurfaceMap
-from polishd.plugins.interferometer.formats.common import require_said
+from polishd.plugins.interferometer.formats.common import require_stated
 from polishd.plugins.interferometer.formats.kept_history import line_of
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def write(surface: SurfaceMap) -> bytes:
     """
     import h5py
 
-    require_said(surface, "pitch")
+    require_stated(surface, "pitch")
     digest = hashlib.sha256(np.ascontiguousarray(surface.height_nm).tobytes()).hexdigest()
     names = (uuid.uuid5(uuid.NAMESPACE_OID, digest + word) for word in "MSA")
     measurement, place, about = (f"{{{name}}}".upper() for name in names)

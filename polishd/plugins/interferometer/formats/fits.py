@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, named, parsing, require_tail
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, named, parsing, require_end
 from polishd.plugins.interferometer.formats.dates import date_of
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.hdf5 import FREE_BYTES, MOST_RATIO
@@ -45,7 +45,7 @@ def read(path: Path) -> SurfaceMap:
     packed = content_of(path)
     content = _unpacked(path, packed) if packed.startswith(GZIP) else packed
     if not FORMAT.sniff(content, path):
-        raise BadMap(f"{path}: no FITS file: it starts with {content[:9]!r}")
+        raise MapError(f"{path}: no FITS file: it starts with {content[:9]!r}")
     with parsing(path, "astropy"):
         options = {"memmap": False, "lazy_load_hdus": True, "disable_image_compression": True}
         with fits.open(io.BytesIO(content), do_not_scale_image_data=True, **options) as hdus:
@@ -84,11 +84,11 @@ def _unpacked(path: Path, packed: bytes) -> bytes:
     try:
         content = unpacking.decompress(packed, most)
     except zlib.error as error:
-        raise BadMap(f"{path}: gzip cannot unpack it: {error}") from error
+        raise MapError(f"{path}: gzip cannot unpack it: {error}") from error
     if unpacking.unconsumed_tail:
-        raise BadMap(f"{path}: would unpack to more than {MOST_RATIO} times the file")
+        raise MapError(f"{path}: would unpack to more than {MOST_RATIO} times the file")
     if not unpacking.eof or unpacking.unused_data:
-        raise BadMap(f"{path}: {'something follows' if unpacking.eof else 'torn before'} the end of what gzip packed")
+        raise MapError(f"{path}: {'something follows' if unpacking.eof else 'torn before'} the end of what gzip packed")
     return content
 
 
@@ -100,9 +100,9 @@ def _image(path: Path, hdus: Any) -> Any:
         header = hdu.header
         if _is_image(header):
             if header["NAXIS"] != 2 or header.get("GROUPS") is True:
-                raise BadMap(f"{path}: its image has {header['NAXIS']} axes, not two")
+                raise MapError(f"{path}: its image has {header['NAXIS']} axes, not two")
             return hdu
-    raise BadMap(f"{path}: holds no image (tables and compressed images are none)")
+    raise MapError(f"{path}: holds no image (tables and compressed images are none)")
 
 
 def _is_image(header: Any) -> bool:
@@ -114,18 +114,20 @@ def _check_size(path: Path, hdu: Any, length: int) -> None:
     header = hdu.header
     columns, rows, bits = header["NAXIS1"], header["NAXIS2"], header["BITPIX"]
     if bits not in BITPIX or not all(isinstance(side, int) and side > 0 for side in (columns, rows)):
-        raise BadMap(f"{path}: BITPIX {bits}, {rows} rows x {columns} columns: no image")
+        raise MapError(f"{path}: BITPIX {bits}, {rows} rows x {columns} columns: no image")
     offset = int(hdu.fileinfo()["datLoc"])
     if rows * columns > MOST_SAMPLES or offset + rows * columns * abs(bits) // 8 > length:
-        raise BadMap(f"{path}: {rows} x {columns} samples do not fit into {length} bytes: torn, or still being written")
+        raise MapError(
+            f"{path}: {rows} x {columns} samples do not fit into {length} bytes: torn, or still being written"
+        )
 
 
 def _scaled(path: Path, header: Any, data: Any) -> tuple[FloatArray, dict[str, Any]]:
     """BZERO + BSCALE x value, BLANK as NaN, rows turned: in float64, where astropy would take float32."""
     scale, zero = float(header.get("BSCALE", 1.0)), float(header.get("BZERO", 0.0))
     if not (math.isfinite(scale) and math.isfinite(zero) and scale != 0):
-        raise BadMap(f"{path}: BSCALE {scale:g} and BZERO {zero:g}: the height's scale is not known")
-    require_tail(path, np.asarray(data))
+        raise MapError(f"{path}: BSCALE {scale:g} and BZERO {zero:g}: the height's scale is not known")
+    require_end(path, np.asarray(data))
     raw = np.asarray(data)[::-1]
     values = np.array(raw, dtype=np.float64, order="C")
     blank = header.get("BLANK")
@@ -140,7 +142,7 @@ def _pitch(path: Path, header: Any) -> Pitch:
     """Pitch of CDELTn or CDn_n where CUNITn is a length; turned axes are refused."""
     turned = [name for name in ("CD1_2", "CD2_1", "PC1_2", "PC2_1", "CROTA2") if header.get(name, 0)]
     if turned:
-        raise BadMap(f"{path}: {turned[0]} turns its axes: write it along the rows and columns")
+        raise MapError(f"{path}: {turned[0]} turns its axes: write it along the rows and columns")
     steps = [header.get(f"CD{axis}_{axis}", header.get(f"CDELT{axis}")) for axis in (1, 2)]
     units = [nm_per(str(header.get(f"CUNIT{axis}", ""))) for axis in (1, 2)]
     if not all(isinstance(step, int | float) for step in steps) or None in units:

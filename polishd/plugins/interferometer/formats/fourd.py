@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats import apart, hdf5
 from polishd.plugins.interferometer.formats.common import named, require_optics
 from polishd.plugins.interferometer.formats.dates import date_of
@@ -30,7 +30,7 @@ ODD_FIDUCIALS = "its fiducials are not used: they are not pairs of x and y on th
 PARTS = ("part_serial", "part_id", "part", "partname", "part_name", "serial_number")
 
 
-class Measure(NamedTuple):
+class ValueWithUnit(NamedTuple):
     """A number and the word after it."""
 
     value: float
@@ -45,7 +45,7 @@ def parse(path: Path) -> SurfaceMap:
     with hdf5.opened(path) as source:
         data = hdf5.member(source, f"{GENRAW}/data")
         if data is None:
-            raise BadMap(f"{path}: has no {GENRAW}/data")
+            raise MapError(f"{path}: has no {GENRAW}/data")
         nodes = [data, hdf5.member(source, GENRAW), hdf5.member(source, "/measurement0"), source.file]
         waves = hdf5.samples(source, data)
         wavelength_nm = _wavelength_nm(source, nodes)
@@ -73,11 +73,11 @@ def parse(path: Path) -> SurfaceMap:
     )
 
 
-def _text(source: hdf5.Opened, nodes: list[Any], name: str) -> str:
+def _text(source: hdf5.Hdf5Contents, nodes: list[Any], name: str) -> str:
     return next((found for node in nodes if node is not None and (found := named(hdf5.text(source, node, name)))), "")
 
 
-def _measure(source: hdf5.Opened, nodes: list[Any], name: str) -> Measure | None:
+def _measure(source: hdf5.Hdf5Contents, nodes: list[Any], name: str) -> ValueWithUnit | None:
     """A number and its unit ("632.8 nm"), or None where it is absent or empty; BadMap where it is no number."""
     text = _text(source, nodes, name)
     if not text:
@@ -88,24 +88,24 @@ def _measure(source: hdf5.Opened, nodes: list[Any], name: str) -> Measure | None
     except ValueError:
         value = np.nan
     if found is None or not np.isfinite(value):
-        raise BadMap(f"{source.path}: its {name} is {text!r}, not a number with a unit")
-    return Measure(value, found[2].strip())
+        raise MapError(f"{source.path}: its {name} is {text!r}, not a number with a unit")
+    return ValueWithUnit(value, found[2].strip())
 
 
-def _wavelength_nm(source: hdf5.Opened, nodes: list[Any]) -> float:
+def _wavelength_nm(source: hdf5.Hdf5Contents, nodes: list[Any]) -> float:
     found = _measure(source, nodes, "wavelength")
     if found is None:
-        raise BadMap(f"{source.path}: is in waves and does not say its wavelength")
+        raise MapError(f"{source.path}: is in waves and does not say its wavelength")
     factor = nm_per(found.unit)
     if factor is None:
-        raise BadMap(
+        raise MapError(
             f"{source.path}: its wavelength is {found.value:g} {found.unit or '(no unit)'}: the unit is not known"
         )
     require_optics(source.path, {"Wavelength (m)": found.value * factor / 1e9})
     return found.value * factor
 
 
-def _wedge(source: hdf5.Opened, nodes: list[Any]) -> float | None:
+def _wedge(source: hdf5.Hdf5Contents, nodes: list[Any]) -> float | None:
     found = _measure(source, nodes, "wedge")
     if found is None:
         return None
@@ -117,7 +117,7 @@ def _odd_wedge(wedge: float | None) -> tuple[str, ...]:
     return () if wedge in {None, 0.5, 1.0} else (ODD_WEDGE.format(wedge),)
 
 
-def _pitch(source: hdf5.Opened, nodes: list[Any]) -> Pitch:
+def _pitch(source: hdf5.Hdf5Contents, nodes: list[Any]) -> Pitch:
     """From ``xpix`` and ``ypix``, or ``xpix`` times ``aspect``; pixels, 0 or nothing: no lateral scale."""
     x_mm, y_mm = (_length_mm(source, nodes, name) for name in ("xpix", "ypix"))
     if x_mm and not y_mm and (aspect := _measure(source, nodes, "aspect")):
@@ -125,14 +125,14 @@ def _pitch(source: hdf5.Opened, nodes: list[Any]) -> Pitch:
     return pitch(source.path, x_mm, y_mm) if x_mm and y_mm else NO_PITCH
 
 
-def _length_mm(source: hdf5.Opened, nodes: list[Any], name: str) -> float | None:
+def _length_mm(source: hdf5.Hdf5Contents, nodes: list[Any], name: str) -> float | None:
     found = _measure(source, nodes, name)
     factor = nm_per(found.unit.partition("/")[0]) if found else None
     return found.value * factor / 1e6 if found and factor else None
 
 
 def _fiducials(
-    source: hdf5.Opened, nodes: list[Any], shape: tuple[int, ...]
+    source: hdf5.Hdf5Contents, nodes: list[Any], shape: tuple[int, ...]
 ) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
     """(row, column) of the marks, listed as x, y; none and a warning where they are not that."""
     value = next((found for node in nodes if (found := _listed(source, node)) is not None), None)
@@ -143,7 +143,7 @@ def _fiducials(
     return (marks, ()) if marks and on_map else ((), (ODD_FIDUCIALS,))
 
 
-def _listed(source: hdf5.Opened, node: Any) -> Any:
+def _listed(source: hdf5.Hdf5Contents, node: Any) -> Any:
     value = hdf5.attribute(source, node, "fiducials") if node is not None else None
     if value is None or (np.asarray(value).dtype.kind not in "fiu" and not hdf5.text(source, node, "fiducials")):
         return None

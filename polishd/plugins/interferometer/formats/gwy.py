@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, scaled
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
@@ -27,7 +27,7 @@ MOST_SMALL = 4096
 """Bytes that a data field holds besides its samples: numbers, and two units."""
 
 
-class Part(NamedTuple):
+class GwyComponent(NamedTuple):
     """A component: its type letter and where its value stands in the file."""
 
     type: str
@@ -40,11 +40,11 @@ def read(path: Path) -> SurfaceMap:
     gwyfile = extra(path, "gwyfile.objects", "gwy")
     content = content_of(path)
     if not FORMAT.sniff(content, path):
-        raise BadMap(f"{path}: no Gwyddion file: it starts with {content[:4].hex(' ')}")
+        raise MapError(f"{path}: no Gwyddion file: it starts with {content[:4].hex(' ')}")
     parts = _components(path, content, 4, len(content), MOST_COMPONENTS)
     channels = sorted(int(found[1]) for name in parts if (found := re.fullmatch(r"/(\d{1,6})/data", name)))
     if not channels:
-        raise BadMap(f"{path}: holds no channel: {', '.join(list(parts)[:10]) or 'nothing'}")
+        raise MapError(f"{path}: holds no channel: {', '.join(list(parts)[:10]) or 'nothing'}")
     key = f"/{channels[0]}"
     field = _field(path, gwyfile, content, parts[f"{key}/data"])
     height = height_unit(_unit(field, "si_unit_z"))
@@ -56,7 +56,7 @@ def read(path: Path) -> SurfaceMap:
     if f"{key}/mask" in parts:
         mask = _field(path, gwyfile, content, parts[f"{key}/mask"]).data
         if mask.shape != height_nm.shape:
-            raise BadMap(f"{path}: the mask is {mask.shape}, the data {height_nm.shape}")
+            raise MapError(f"{path}: the mask is {mask.shape}, the data {height_nm.shape}")
         height_nm[mask > 0] = np.nan
         warnings.append(f"{int((mask > 0).sum())} samples under Gwyddion's mask are taken as missing")
     return FORMAT.surface(
@@ -71,25 +71,25 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _components(path: Path, content: bytes, start: int, end: int, most: int) -> dict[str, Part]:
+def _components(path: Path, content: bytes, start: int, end: int, most: int) -> dict[str, GwyComponent]:
     """The components of the object at ``start`` by name; BadMap unless they fill it exactly."""
     name_end = content.find(b"\0", start, start + 64)
     if name_end < 0 or name_end + 5 > end:
-        raise BadMap(f"{path}: torn at byte {start}: no object")
+        raise MapError(f"{path}: torn at byte {start}: no object")
     (size,) = struct.unpack_from("<I", content, name_end + 1)
     at, stop = name_end + 5, name_end + 5 + size
     if stop != end:
-        raise BadMap(f"{path}: an object of {size} bytes where there are {end - at}: torn, or still being written")
-    parts: dict[str, Part] = {}
+        raise MapError(f"{path}: an object of {size} bytes where there are {end - at}: torn, or still being written")
+    parts: dict[str, GwyComponent] = {}
     while at < stop:
         name_end = content.find(b"\0", at, min(at + 1024, stop))
         if name_end < 0 or len(parts) == most:
-            raise BadMap(f"{path}: broken at byte {at}: no component, or more than {most}")
+            raise MapError(f"{path}: broken at byte {at}: no component, or more than {most}")
         kind = content[name_end + 1 : name_end + 2].decode("latin-1")
         value_end = _value_end(content, kind, name_end + 2, stop)
         if value_end is None:
-            raise BadMap(f"{path}: broken at byte {name_end + 2}: a value of type {kind!r} ends outside its object")
-        parts[content[at:name_end].decode("utf-8", "replace")] = Part(kind, name_end + 2, value_end)
+            raise MapError(f"{path}: broken at byte {name_end + 2}: a value of type {kind!r} ends outside its object")
+        parts[content[at:name_end].decode("utf-8", "replace")] = GwyComponent(kind, name_end + 2, value_end)
         at = value_end
     return parts
 
@@ -116,26 +116,26 @@ def _value_end(content: bytes, kind: str, at: int, stop: int) -> int | None:
     return end if at < end <= stop else None
 
 
-def _field(path: Path, gwyfile: Any, content: bytes, part: Part) -> Any:
+def _field(path: Path, gwyfile: Any, content: bytes, part: GwyComponent) -> Any:
     """The data field, by gwyfile, of a component whose numbers were checked."""
     if part.type != "o" or not content.startswith(b"GwyDataField\0", part.start):
-        raise BadMap(f"{path}: its channel is no data field")
+        raise MapError(f"{path}: its channel is no data field")
     inner = _components(path, content, part.start, part.end, MOST_IN_FIELD)
     samples = inner.get("data")
     if samples is None or samples.type != "D":
-        raise BadMap(f"{path}: its data field has no samples")
+        raise MapError(f"{path}: its data field has no samples")
     small = part.end - part.start - (samples.end - samples.start)
     # gwyfile does not look where a value ends: a broken one sends it round and round
     nested = [value for value in inner.values() if value.type == "o"]
     units = [_components(path, content, unit.start, unit.end, MOST_IN_FIELD) for unit in nested]
     lists = {value.type for value in inner.values()} & {"S", "O"}
     if small > MOST_SMALL or lists or {value.type for unit in units for value in unit.values()} - {"s"}:
-        raise BadMap(f"{path}: its data field holds more than its samples and their units")
+        raise MapError(f"{path}: its data field holds more than its samples and their units")
     with parsing(path, "gwyfile"):
         field = gwyfile.GwyObject.frombuffer(content[part.start : part.end])
         size = (int(field["yres"]), int(field["xres"]))
         if min(size) < 1 or size[0] * size[1] > MOST_SAMPLES or size[0] * size[1] != field["data"].size:
-            raise BadMap(f"{path}: {size[0]} x {size[1]} samples are stated, and {field['data'].size} there")
+            raise MapError(f"{path}: {size[0]} x {size[1]} samples are stated, and {field['data'].size} there")
         return field
 
 

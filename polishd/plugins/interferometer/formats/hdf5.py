@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.apart import make_room
-from polishd.plugins.interferometer.formats.common import content_of, require_size, require_tail, sha256_of
+from polishd.plugins.interferometer.formats.apart import raise_memory_limit
+from polishd.plugins.interferometer.formats.common import content_of, require_end, require_size, sha256_of
 
 if TYPE_CHECKING:
     import h5py
@@ -42,14 +42,14 @@ def holds(head: bytes, path: Path, suffix: str) -> bool:
         return False
     try:
         content = content_of(path)
-    except BadMap:
+    except MapError:
         content = b""
     found = {kind for kind, names in NAMES.items() if any(name in content for name in names)}
     return suffix in (found or {path.suffix.lower()})
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class Hdf5Contents:
     """A file in memory."""
 
     path: Path
@@ -59,25 +59,25 @@ class Opened:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Opened]:
+def opened(path: Path) -> Iterator[Hdf5Contents]:
     """The file in memory; whatever the library raises meanwhile is a BadMap."""
     import h5py
 
     content = content_of(path)
     if content[:8] != MAGIC:
-        raise BadMap(f"{path}: no HDF5 file: it starts with {content[:8].hex(' ')}")
+        raise MapError(f"{path}: no HDF5 file: it starts with {content[:8].hex(' ')}")
     if content.find(MAGIC, 1) >= 0:
-        raise BadMap(f"{path}: holds another HDF5 file: two were written into one")
+        raise MapError(f"{path}: holds another HDF5 file: two were written into one")
     _require_heaps(path, content)
     length, sha256 = len(content), sha256_of(content)
     try:
         with h5py.File.in_memory(content) as file:
             del content  # the library has made its own
-            yield Opened(path, file, length, sha256)
+            yield Hdf5Contents(path, file, length, sha256)
     except MemoryError as error:
-        raise BadMap(f"{path}: HDF5 asks for more memory than such a file can need: it is broken") from error
+        raise MapError(f"{path}: HDF5 asks for more memory than such a file can need: it is broken") from error
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, NotImplementedError) as error:
-        raise BadMap(f"{path}: HDF5 cannot read it: {str(error)[:200] or type(error).__name__}") from error
+        raise MapError(f"{path}: HDF5 cannot read it: {str(error)[:200] or type(error).__name__}") from error
 
 
 def _require_heaps(path: Path, content: bytes) -> None:
@@ -96,11 +96,11 @@ def _require_heaps(path: Path, content: bytes) -> None:
                 break
             place += 16 + -(-length // 8) * 8 if number else length
         if not end - 16 < place <= end:
-            raise BadMap(f"{path}: a heap of its texts is broken: torn, or not HDF5")
+            raise MapError(f"{path}: a heap of its texts is broken: torn, or not HDF5")
         at = content.find(HEAP, at + 1)
 
 
-def member(source: Opened, name: str) -> Any:
+def member(source: Hdf5Contents, name: str) -> Any:
     """The group or data set of this name, or None; BadMap where a link on the way is soft or leads to another file."""
     import h5py
 
@@ -111,12 +111,12 @@ def member(source: Opened, name: str) -> Any:
             return None
         if not isinstance(link, h5py.HardLink):
             kind = type(link).__name__
-            raise BadMap(f"{source.path}: {name} is a {kind}, which is not followed: write a file of one piece")
+            raise MapError(f"{source.path}: {name} is a {kind}, which is not followed: write a file of one piece")
         node = node[part]
     return node
 
 
-def attribute(source: Opened, node: Any, name: str) -> Any:
+def attribute(source: Hdf5Contents, node: Any, name: str) -> Any:
     """The value of an attribute, or None where it is absent or empty."""
     if name not in node.attrs:
         return None
@@ -124,17 +124,17 @@ def attribute(source: Opened, node: Any, name: str) -> Any:
     if not kept.get_space().get_simple_extent_npoints():
         return None
     if kept.get_storage_size() > MOST_ATTRIBUTE_BYTES:
-        raise BadMap(f"{source.path}: its attribute {name!r} is larger than {MOST_ATTRIBUTE_BYTES} bytes")
+        raise MapError(f"{source.path}: its attribute {name!r} is larger than {MOST_ATTRIBUTE_BYTES} bytes")
     return node.attrs[name]
 
 
-def first(source: Opened, node: Any, name: str) -> Any:
+def first(source: Hdf5Contents, node: Any, name: str) -> Any:
     """The value of an attribute, its first where it is a list, or None where it is absent or empty."""
     value = attribute(source, node, name)
     return value.ravel()[0] if isinstance(value, np.ndarray) else value
 
 
-def text(source: Opened, node: Any, name: str) -> str:
+def text(source: Hdf5Contents, node: Any, name: str) -> str:
     """The text of an attribute; "" where it is absent."""
     value = first(source, node, name)
     if isinstance(value, bytes):
@@ -142,14 +142,14 @@ def text(source: Opened, node: Any, name: str) -> str:
     return value.strip("\0 \t\r\n") if isinstance(value, str) else "" if value is None else str(value)
 
 
-def number(source: Opened, node: Any, name: str) -> float | None:
+def number(source: Hdf5Contents, node: Any, name: str) -> float | None:
     """The number of an attribute; None where it is absent. BadMap for anything else."""
     value = first(source, node, name)
     try:
         return None if value is None else float(value)
     except (TypeError, ValueError) as error:
         found = attribute(source, node, name)
-        raise BadMap(f"{source.path}: its attribute {name!r} is {found!r}, not a number") from error
+        raise MapError(f"{source.path}: its attribute {name!r} is {found!r}, not a number") from error
 
 
 def is_plain(data: Any, dimensions: int) -> bool:
@@ -160,25 +160,25 @@ def is_plain(data: Any, dimensions: int) -> bool:
     return whole and not data.is_virtual and not data.external
 
 
-def samples(source: Opened, data: Any) -> FloatArray:
+def samples(source: Hdf5Contents, data: Any) -> FloatArray:
     """The data set as float64, (rows, columns); BadMap where it is no array, is not all there, or bursts its bounds."""
     import h5py
 
     path = source.path
     if not isinstance(data, h5py.Dataset) or len(data.shape or ()) != 2 or not _is_usual(data.id.get_type()):
-        raise BadMap(f"{path}: {data.name} is no array of numbers in rows and columns")
+        raise MapError(f"{path}: {data.name} is no array of numbers in rows and columns")
     if data.is_virtual or data.external:
-        raise BadMap(f"{path}: the samples of {data.name} lie in other files: write a file of one piece")
+        raise MapError(f"{path}: the samples of {data.name} lie in other files: write a file of one piece")
     require_size(path, *data.shape)
     most = MOST_RATIO * source.length + FREE_BYTES
     pieces = math.prod(data.chunks or ()) * data.dtype.itemsize
     if max(data.size * data.dtype.itemsize, pieces) > most:
-        raise BadMap(f"{path}: {data.name} would unpack to more than {MOST_RATIO} times the file")
+        raise MapError(f"{path}: {data.name} would unpack to more than {MOST_RATIO} times the file")
     _require_written(path, data)
-    make_room(8 * data.size + pieces)
+    raise_memory_limit(8 * data.size + pieces)
     values = np.empty(data.shape)
     data.read_direct(values)
-    require_tail(path, values)
+    require_end(path, values)
     return values
 
 
@@ -200,6 +200,6 @@ def _require_written(path: Path, data: Any) -> None:
         wanted, found = data.size * data.dtype.itemsize, data.id.get_storage_size()
     unit = "chunks" if data.chunks else "bytes"
     if found < wanted:
-        raise BadMap(f"{path}: holds {found} of the {wanted} {unit} of {data.name}: not written to its end")
+        raise MapError(f"{path}: holds {found} of the {wanted} {unit} of {data.name}: not written to its end")
     if found > wanted:
-        raise BadMap(f"{path}: holds {found} {unit} of {data.name}, and its shape has {wanted}: broken")
+        raise MapError(f"{path}: holds {found} {unit} of {data.name}, and its shape has {wanted}: broken")

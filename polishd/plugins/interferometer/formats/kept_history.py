@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.map_history import MapStep
 
 MARK = "polishd history: "
@@ -22,7 +22,7 @@ def line_of(surface: SurfaceMap) -> str | None:
     try:
         return MARK + surface.history.to_json()
     except ValueError as error:
-        raise BadMap(f"its history is too long: {error}; begin with the measured maps again") from error
+        raise MapError(f"its history is too long: {error}; begin with the measured maps again") from error
 
 
 def found_in(text: str) -> tuple[MapStep | None, tuple[str, ...]]:

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, named, require_said
+from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, named, require_stated
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.kept_history import brief_of, found_in_brief
-from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, Header
+from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, ZygoHeader
 from polishd.process.instrument import SHORT, system_number
 
 FORMAT = Format("metropro", 2, (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71"))
@@ -52,7 +52,7 @@ def read(path: Path) -> SurfaceMap:
             file.seek(0)
             content = file.read(_file_bytes(header) + 1)
     except OSError as error:
-        raise BadMap(f"{path}: cannot be read: {error.strerror}") from error
+        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
     _check_length(path, header, len(content))
     height_nm = _height_nm(path, header, content)
     fiducials, odd = _fiducials_px(header)
@@ -68,21 +68,21 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _header(path: Path, head: bytes) -> Header:
+def _header(path: Path, head: bytes) -> ZygoHeader:
     if not head:
-        raise BadMap(f"{path}: the file is empty")
+        raise MapError(f"{path}: the file is empty")
     if not FORMAT.sniff(head, path):
-        raise BadMap(f"{path}: no MetroPro file: it starts with {head[:4].hex(' ')}")
+        raise MapError(f"{path}: no MetroPro file: it starts with {head[:4].hex(' ')}")
     length = _field(head, "length")[0] if len(head) >= min(HEADER_BYTES) else min(HEADER_BYTES)
     if length not in HEADER_BYTES:
-        raise BadMap(f"{path}: states a header of {length} bytes, which no version has")
+        raise MapError(f"{path}: states a header of {length} bytes, which no version has")
     if len(head) < length:
-        raise BadMap(f"{path}: ends inside its header of {length} bytes, after {len(head)}")
+        raise MapError(f"{path}: ends inside its header of {length} bytes, after {len(head)}")
     width, height, buckets = _field(head, "intensity")
     columns, rows = _field(head, "size")
     count, *marks = _field(head, "fiducials")
     plain = ("timestamp", "scale", "wavelength_m", "obliquity", "camera_res_m", "resolution", "sign")
-    header = Header(
+    header = ZygoHeader(
         start=length + 2 * width * height * buckets,
         columns=columns,
         rows=rows,
@@ -95,7 +95,7 @@ def _header(path: Path, head: bytes) -> Header:
     )
     header.check(path, MOST_SAMPLES)
     if _file_bytes(header) > MOST_BYTES:
-        raise BadMap(f"{path}: its header asks for {_file_bytes(header)} bytes, more than {MOST_BYTES}")
+        raise MapError(f"{path}: its header asks for {_file_bytes(header)} bytes, more than {MOST_BYTES}")
     return header
 
 
@@ -114,7 +114,7 @@ def _instrument(system: int) -> str:
     return f"Zygo MetroPro, system {system}" if system else ""
 
 
-def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
+def _fiducials_px(header: ZygoHeader) -> tuple[tuple[tuple[float, float], ...], tuple[str, ...]]:
     """(row, column) of the marks in the phase block, or none and a warning where one lies outside it."""
     x0, y0 = header.origin
     marks = tuple((y - y0, x - x0) for x, y in zip(header.fiducials[::2], header.fiducials[1::2], strict=True))
@@ -123,24 +123,24 @@ def _fiducials_px(header: Header) -> tuple[tuple[tuple[float, float], ...], tupl
     return (), (f"its {len(marks)} fiducials are not used: they do not all lie on the map",)
 
 
-def _file_bytes(header: Header) -> int:
+def _file_bytes(header: ZygoHeader) -> int:
     return header.start + 4 * header.columns * header.rows
 
 
-def _check_length(path: Path, header: Header, size: int) -> None:
+def _check_length(path: Path, header: ZygoHeader, size: int) -> None:
     asked = _file_bytes(header)
     if size != asked:
         state = "torn, or still being written" if size < asked else "more than its header asks for"
-        raise BadMap(f"{path}: has {size} bytes of {asked}: {state}")
+        raise MapError(f"{path}: has {size} bytes of {asked}: {state}")
 
 
-def _height_nm(path: Path, header: Header, content: bytes) -> FloatArray:
+def _height_nm(path: Path, header: ZygoHeader, content: bytes) -> FloatArray:
     counts = np.frombuffer(content, dtype=">i4", offset=header.start)
     if not counts[-ZERO_TAIL:].any() and counts.size > ZERO_TAIL:
-        raise BadMap(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
+        raise MapError(f"{path}: ends in a tail of zeros: preallocated, and not written to its end")
     missing = counts >= MISSING
     if missing.all():
-        raise BadMap(f"{path}: no sample holds data")
+        raise MapError(f"{path}: no sample holds data")
     height_nm = counts.astype(np.float64)
     height_nm *= header.nm_per_count
     height_nm[missing] = np.nan
@@ -156,17 +156,17 @@ def write(surface: SurfaceMap) -> bytes:
     BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
     ends in exact zeros (readers take it for a file that was preallocated), or whose unit nobody has said.
     """
-    require_said(surface, "pitch")
+    require_stated(surface, "pitch")
     name = surface.path or "the map"
     rows, columns = surface.height_nm.shape
     if max(rows, columns) > MOST_SIDE or rows * columns > MOST_SAMPLES:
-        raise BadMap(f"{name}: {rows} rows x {columns} columns do not fit into a MetroPro file")
+        raise MapError(f"{name}: {rows} rows x {columns} columns do not fit into a MetroPro file")
     counts = np.rint(surface.height_nm / COUNT_NM)
     if (np.abs(counts) >= MISSING).any():
-        raise BadMap(f"{name}: heights beyond {MISSING * COUNT_NM / 1e6:.1f} mm do not fit into a MetroPro file")
+        raise MapError(f"{name}: heights beyond {MISSING * COUNT_NM / 1e6:.1f} mm do not fit into a MetroPro file")
     counts[~np.isfinite(counts)] = MISSING
     if counts.size > ZERO_TAIL and not counts.ravel()[-ZERO_TAIL:].any():
-        raise BadMap(f"{name}: ends in samples of exactly 0 nm, which a MetroPro file shows as never written: "
+        raise MapError(f"{name}: ends in samples of exactly 0 nm, which a MetroPro file shows as never written: "
                      "subtract its mean, or mask them")  # fmt: skip
     return _written_header(surface, rows, columns) + counts.astype(">i4").tobytes()
 
@@ -195,9 +195,9 @@ def _latin(text: str) -> bytes:
     try:
         field = text.encode("latin-1")
     except UnicodeEncodeError as error:
-        raise BadMap(f"the part's name {text!r} has characters that a MetroPro file cannot hold") from error
+        raise MapError(f"the part's name {text!r} has characters that a MetroPro file cannot hold") from error
     if len(field) > TEXT_BYTES:
-        raise BadMap(f"the part's name {text!r} is longer than the {TEXT_BYTES} characters of a MetroPro file")
+        raise MapError(f"the part's name {text!r} is longer than the {TEXT_BYTES} characters of a MetroPro file")
     return field
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
-from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_tail, scaled
+from polishd.api import MapError, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_end, scaled
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, HeightUnit, checked, height_unit, pitch
@@ -42,7 +42,7 @@ def read(path: Path) -> SurfaceMap:
     maps = [name for name, array in arrays.items() if array.ndim == 2 and min(array.shape) > 1]
     if len(maps) != 1:
         names = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
-        raise BadMap(f"{path}: holds {names}: neither X, Y and Z nor one single 2-D array")
+        raise MapError(f"{path}: holds {names}: neither X, Y and Z nor one single 2-D array")
     return _bare(path, arrays[maps[0]], content)
 
 
@@ -52,13 +52,13 @@ def array_of(path: Path, name: str, content: bytes) -> NDArray[np.generic]:
         file = io.BytesIO(content)
         version = npy_format.read_magic(file)
         if version not in HEADERS:
-            raise BadMap(f"{path}: {name} is .npy of version {version}, not 1.0 or 2.0")
+            raise MapError(f"{path}: {name} is .npy of version {version}, not 1.0 or 2.0")
         shape, fortran, dtype = HEADERS[version](file)
         if dtype.kind not in "fiu" or dtype.itemsize > 8:
-            raise BadMap(f"{path}: {name} holds {dtype}, not real numbers of at most 64 bits")
+            raise MapError(f"{path}: {name} holds {dtype}, not real numbers of at most 64 bits")
         expected = file.tell() + math.prod(shape) * dtype.itemsize
         if any(side < 0 for side in shape) or len(content) != expected:
-            raise BadMap(f"{path}: {name} has {len(content)} bytes of {expected}: torn, or not one array")
+            raise MapError(f"{path}: {name} has {len(content)} bytes of {expected}: torn, or not one array")
         array = np.frombuffer(content, dtype=dtype, offset=file.tell())
         return array.reshape(shape, order="F" if fortran else "C")
 
@@ -67,15 +67,15 @@ def _arrays(path: Path, content: bytes) -> dict[str, NDArray[np.generic]]:
     with parsing(path, "numpy"), zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = members_of(path, archive)
         if len({member.filename for member in members}) < len(members):
-            raise BadMap(f"{path}: has two arrays of one name")
+            raise MapError(f"{path}: has two arrays of one name")
         names = [member.filename for member in members]
         return {name.removesuffix(".npy"): array_of(path, name, archive.read(name)) for name in names}
 
 
 def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
     if array.ndim != 2 or not array.size:
-        raise BadMap(f"{path}: holds an array of shape {array.shape}, not rows and columns")
-    require_tail(path, array)
+        raise MapError(f"{path}: holds an array of shape {array.shape}, not rows and columns")
+    require_end(path, array)
     return FORMAT.surface(
         path,
         content,
@@ -92,7 +92,7 @@ def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
 def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], content: bytes) -> SurfaceMap:
     x, y, z = (np.asarray(arrays[name], dtype=np.float64) for name in "XYZ")
     if not x.shape == y.shape == z.shape or z.ndim != 2:
-        raise BadMap(f"{path}: X, Y and Z have the shapes {x.shape}, {y.shape} and {z.shape}")
+        raise MapError(f"{path}: X, Y and Z have the shapes {x.shape}, {y.shape} and {z.shape}")
     others = sorted(name for name, array in arrays.items() if name not in "XYZ" and array.shape == z.shape)
     found = gridded(path, x.ravel(), y.ravel(), z.ravel())
     scale = pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.model.surface import FloatArray
 
 PIECE = 2**16
@@ -24,7 +24,7 @@ def pieces(path: Path, content: bytes, span: tuple[int, int], ends: tuple[bytes,
         found = [content.find(end, near, near + LONGEST) for end in ends]
         cuts = [cut + 1 for cut in found if cut >= 0]
         if not cuts and near + LONGEST < stop:
-            raise BadMap(f"{path}: holds {LONGEST} bytes in a row that are no number: not this format, or broken")
+            raise MapError(f"{path}: holds {LONGEST} bytes in a row that are no number: not this format, or broken")
         cut = min(cuts) if cuts and near < stop else stop
         yield content[start:cut]
         start = cut
@@ -34,11 +34,11 @@ def floats(path: Path, text: bytes, but: bytes = b"") -> FloatArray:
     """The numbers of a piece, (n,); BadMap for anything else. ``but``: further bytes that may stand there ("nan")."""
     foreign = text.translate(None, OF_NUMBERS + but)
     if foreign:
-        raise BadMap(f"{path}: {foreign[:20]!r} stands among its numbers")
+        raise MapError(f"{path}: {foreign[:20]!r} stands among its numbers")
     try:
         return np.array(text.split(), dtype=np.float64)
     except ValueError as error:
-        raise BadMap(f"{path}: {error}") from error
+        raise MapError(f"{path}: {error}") from error
 
 
 def block(path: Path, content: bytes, span: tuple[int, int], shape: tuple[int, int]) -> FloatArray:
@@ -52,7 +52,7 @@ def block(path: Path, content: bytes, span: tuple[int, int], shape: tuple[int, i
         filled += found.size
     if filled != values.size:
         state = "torn, or still being written" if filled < values.size else "more than its header asks for"
-        raise BadMap(f"{path}: has {filled} values of {shape[0]} rows x {shape[1]} columns: {state}")
+        raise MapError(f"{path}: has {filled} values of {shape[0]} rows x {shape[1]} columns: {state}")
     if not np.isfinite(values).all():
-        raise BadMap(f"{path}: {np.count_nonzero(~np.isfinite(values))} values are no numbers")
+        raise MapError(f"{path}: {np.count_nonzero(~np.isfinite(values))} values are no numbers")
     return values.reshape(shape)

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import content_of, parsing, scaled, sha256_of
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.gridded import ORIENTATION, Gridded, gridded
+from polishd.plugins.interferometer.formats.gridded import ORIENTATION, GridResult, gridded
 from polishd.plugins.interferometer.formats.scales import IN_UNITS, NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("points", 3)
@@ -39,7 +39,7 @@ CUT = "ends without a line end: if the file is torn inside its last number, that
 ODD_TITLES = "its titles are not x, y and z: its columns are taken in this order"
 
 
-class Header(NamedTuple):
+class PointListHeader(NamedTuple):
     """Where x, y and z stand, their units, and what else the titles say."""
 
     order: tuple[int, int, int] = (0, 1, 2)
@@ -83,11 +83,11 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
+def _split(path: Path, content: bytes) -> tuple[PointListHeader, bytes]:
     """The header, and everything from the first point on."""
-    header, at = Header(), 3 if content.startswith(b"\xef\xbb\xbf") else 0
+    header, at = PointListHeader(), 3 if content.startswith(b"\xef\xbb\xbf") else 0
     if b"\0" in content:
-        raise BadMap(f"{path}: is no text")
+        raise MapError(f"{path}: is no text")
     for _ in range(MOST_HEADER_LINES):
         end = content.find(b"\n", at)
         line = content[at : end if end >= 0 else len(content)].rstrip(b"\r")
@@ -103,7 +103,7 @@ def _split(path: Path, content: bytes) -> tuple[Header, bytes]:
         if end < 0:
             break
         at = end + 1
-    raise BadMap(f"{path}: no line of its first {MOST_HEADER_LINES} is a point: x y z")
+    raise MapError(f"{path}: no line of its first {MOST_HEADER_LINES} is a point: x y z")
 
 
 def _units(line: str) -> tuple[str, str, str] | None:
@@ -125,7 +125,7 @@ def _paired(text: str) -> str:
     return text
 
 
-def _header(line: str) -> Header | None:
+def _header(line: str) -> PointListHeader | None:
     """The header that a line of three titles is; None for any other line."""
     text = line.strip().lstrip("#%! ")
     text = text if re.search(r"[,;\t]", text) else _paired(text)
@@ -137,11 +137,11 @@ def _header(line: str) -> Header | None:
     names, units = zip(*((match[1], match[2]) for match in found if match), strict=True)
     axes = [CAMERA.get(name.lower(), name[:1].lower()) for name in names]
     if not {"x", "y"} <= set(axes):  # of a table, or any three words
-        return Header(unknown=True) if "," in between and text[0] == line.strip()[0] else None
+        return PointListHeader(unknown=True) if "," in between and text[0] == line.strip()[0] else None
     x, y = axes.index("x"), axes.index("y")
     z = 3 - x - y
     from_top = names[y].lower() in CAMERA
-    return Header((x, y, z), (units[x], units[y], units[z]), bool(WAVEFRONT.search(names[z])), from_top)
+    return PointListHeader((x, y, z), (units[x], units[y], units[z]), bool(WAVEFRONT.search(names[z])), from_top)
 
 
 def _table(path: Path, body: bytes) -> FloatArray:
@@ -159,18 +159,18 @@ def _table(path: Path, body: bytes) -> FloatArray:
         lines = io.TextIOWrapper(io.BytesIO(body), encoding="latin-1")
         table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None)
     if table.shape[1] != 3:
-        raise BadMap(f"{path}: has {table.shape[1]} columns, not x, y and z")
+        raise MapError(f"{path}: has {table.shape[1]} columns, not x, y and z")
     return table
 
 
-def _pitch(path: Path, header: Header, found: Gridded) -> Pitch:
+def _pitch(path: Path, header: PointListHeader, found: GridResult) -> Pitch:
     units = [nm_per(unit) for unit in header.units[:2]]
     if units[0] is None or units[1] is None:
         return NO_PITCH
     return pitch(path, found.pitch_x * units[0] / 1e6, found.pitch_y * units[1] / 1e6)
 
 
-def _unscaled(lateral: Pitch, found: Gridded) -> dict[str, tuple[float, float]]:
+def _unscaled(lateral: Pitch, found: GridResult) -> dict[str, tuple[float, float]]:
     """What the pitches are in the file's own unit, where that is not known: ``--units`` may say it."""
     return {IN_UNITS: (found.pitch_x, found.pitch_y)} if lateral is NO_PITCH else {}
 

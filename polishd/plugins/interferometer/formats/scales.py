@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import require_data
 
@@ -88,7 +88,7 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
     """
     for axis, value in (("x", x_mm), ("y", y_mm)):
         if not (math.isfinite(value) and value > 0):
-            raise BadMap(f"{path}: the pitch in {axis} is {value:g} mm, no length")
+            raise MapError(f"{path}: the pitch in {axis} is {value:g} mm, no length")
     if abs(x_mm - y_mm) > SQUARE_WITHIN * max(x_mm, y_mm):
         warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square; a cell resamples the map"
         return Pitch(None, {"square pixels": warning}, (x_mm, y_mm))
@@ -106,5 +106,5 @@ def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
         marks = abs(round(worst / nm, 6)) in MARKERS and np.count_nonzero(height_nm == worst) > 1
         if marks or abs(worst) > MOST_NM:
             found = f"has heights of {worst / nm:.7g} x {nm:g} nm"
-            raise BadMap(f"{path}: {found}: a marker of missing data that the file does not declare?")
+            raise MapError(f"{path}: {found}: a marker of missing data that the file does not declare?")
     return height_nm

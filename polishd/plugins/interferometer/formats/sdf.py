@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, parsing, require_tail, scaled
+from polishd.api import MapError, SurfaceMap
+from polishd.plugins.interferometer.formats.common import content_of, parsing, require_end, scaled
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
@@ -40,18 +40,18 @@ def read(path: Path) -> SurfaceMap:
     whole = content_of(path)
     content = whole.removeprefix(BOM)
     if content[:1] in b"aA" and len(content) > MOST_ASCII_BYTES:
-        raise BadMap(f"{path}: more than {MOST_ASCII_BYTES} bytes of ASCII: write it as binary SDF")
+        raise MapError(f"{path}: more than {MOST_ASCII_BYTES} bytes of ASCII: write it as binary SDF")
     with parsing(path, "sdfio"):
         file = sdfio.read(io.BytesIO(content))
     if content.find(content[:8], 8) >= 0:
-        raise BadMap(f"{path}: holds another SDF file: two were written into one")
+        raise MapError(f"{path}: holds another SDF file: two were written into one")
     header = file.header
     if not (math.isfinite(header.z_scale) and header.z_scale > 0):
-        raise BadMap(f"{path}: Zscale is {header.z_scale:g}: the height's scale is not known")
+        raise MapError(f"{path}: Zscale is {header.z_scale:g}: the height's scale is not known")
     if min(file.data.shape) < 2:
-        raise BadMap(f"{path}: holds a profile of {file.data.size} points, not a surface")
+        raise MapError(f"{path}: holds a profile of {file.data.size} points, not a surface")
     if content[:1] in b"bB":
-        require_tail(path, file.data)
+        require_end(path, file.data)
         start = HEADER_BYTES_2 if content[1:8].upper() == b"ISO-2.0" else HEADER_BYTES
         _require_text(path, content[start + file.data.size * ITEM_BYTES[content[start - 2]] :])
     # ISO marks with a type's minimum, its forerunner with the maximum, and writers mix them up
@@ -73,7 +73,9 @@ def read(path: Path) -> SurfaceMap:
 def _require_text(path: Path, trailer: bytes) -> None:
     """BadMap where what follows binary samples is no text: then they are more than the header says."""
     if b"\0" in trailer or any(byte < 32 and byte not in b"\t\r\n\x1a" for byte in trailer[:256]):
-        raise BadMap(f"{path}: {len(trailer)} bytes follow its samples, and are no text: more than its header asks for")
+        raise MapError(
+            f"{path}: {len(trailer)} bytes follow its samples, and are no text: more than its header asks for"
+        )
 
 
 SDF = FORMAT.reader(read, ".sdf", sniff=sniff)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import apart
 from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, named, parsing, sha256_of
@@ -21,7 +21,7 @@ from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, height_unit, pitch
 
 FORMAT = Format("tail", 2)
-BOUNDS = apart.Bounds(memory_bytes=3 * 2**30, memory_per_byte=16, cpu_s=120.0, wall_s=120.0, is_kept=False)
+BOUNDS = apart.ResourceLimits(memory_bytes=3 * 2**30, memory_per_byte=16, cpu_s=120.0, wall_s=120.0, is_kept=False)
 """The library's own imports take 1 GiB of address space."""
 FORMATS = (
     "al3d:al3d bcr:bcr bcrf:bcr ezd:ezd frt:frt ibw:ibw jpk:jpk lext:lext mdt:mdt mi:mi mnt:mnt nc:nc nid:ezd nms:nms "
@@ -43,7 +43,7 @@ def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  the formats have no
 def read(path: Path) -> SurfaceMap:
     """Read the file's default channel. BadMap without the extra, and for whatever the worker could not read in time."""
     if not sniff(b"", path):
-        raise BadMap(f"{path}: {path.suffix or 'no suffix'} is none of the formats read through SurfaceTopography")
+        raise MapError(f"{path}: {path.suffix or 'no suffix'} is none of the formats read through SurfaceTopography")
     return apart.read(__name__, path, BOUNDS)
 
 
@@ -59,7 +59,7 @@ def parse(path: Path) -> SurfaceMap:
         channels, kind = len(reader.channels), str(reader.format())
         instrument, date = _about(topography.info)
     if sha256_of(content_of(path)) != sha256:
-        raise BadMap(f"{path}: changed while it was read")
+        raise MapError(f"{path}: changed while it was read")
     height = height_unit("nm" if unit is not None else "")
     lateral = pitch(path, pitch_nm[0] / 1e6, pitch_nm[1] / 1e6) if pitch_nm else NO_PITCH
     return FORMAT.surface(
@@ -82,16 +82,16 @@ def parse(path: Path) -> SurfaceMap:
 def _numbers(path: Path, topography: Any) -> tuple[FloatArray, Any, tuple[float, ...]]:
     """Heights in nm, the file's unit, and the pitches in nm; where it has no unit, as they stand, and no pitch."""
     if topography.dim != 2 or not topography.is_uniform:
-        raise BadMap(f"{path}: holds a topography of {topography.dim - 1} lateral dimensions, not an even map")
+        raise MapError(f"{path}: holds a topography of {topography.dim - 1} lateral dimensions, not an even map")
     columns, rows = topography.nb_grid_pts
     if min(rows, columns) < 2 or rows * columns > MOST_SAMPLES:
-        raise BadMap(f"{path}: {rows} rows x {columns} columns are no map of a camera")
+        raise MapError(f"{path}: {rows} rows x {columns} columns are no map of a camera")
     unit = topography.unit
     if unit is not None:
         topography = topography.to_unit("nm")
     masked = np.ma.asarray(topography.heights(), dtype=np.float64)
     if masked.shape != (columns, rows):
-        raise BadMap(f"{path}: states {columns} x {rows} samples, and has {masked.shape}")
+        raise MapError(f"{path}: states {columns} x {rows} samples, and has {masked.shape}")
     height_nm = np.ascontiguousarray(np.ma.filled(masked, np.nan).T)  # [x, y] -> [row, column]
     return height_nm, unit, tuple(float(step) for step in topography.pixel_size) if unit is not None else ()
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_tail
+from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_end
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
@@ -34,7 +34,7 @@ def read(path: Path) -> SurfaceMap:
     content = content_of(path)
     with parsing(path, "tifffile"), tifffile.TiffFile(io.BytesIO(content)) as file:
         if len(file.pages) != 1:
-            raise BadMap(f"{path}: has {len(file.pages)} pages, not one")
+            raise MapError(f"{path}: has {len(file.pages)} pages, not one")
         page = file.pages[0]
         _check_page(path, page, len(content))
         height_nm, turned = _heights(path, page)
@@ -55,19 +55,19 @@ def read(path: Path) -> SurfaceMap:
 def _check_page(path: Path, page: Any, length: int) -> None:
     """Refuse pictures, and pages that the file is too short for, before anything is allocated."""
     if page.dtype is None or page.dtype.kind not in "fiu" or page.dtype.itemsize > 8:
-        raise BadMap(f"{path}: holds {page.dtype}, not real numbers of at most 64 bits")
+        raise MapError(f"{path}: holds {page.dtype}, not real numbers of at most 64 bits")
     if len(page.shape) != 2 or page.samplesperpixel != 1:
-        raise BadMap(f"{path}: holds a picture of shape {page.shape}, not rows and columns of one number")
+        raise MapError(f"{path}: holds a picture of shape {page.shape}, not rows and columns of one number")
     shown = int(page.tags[PHOTOMETRIC].value) if PHOTOMETRIC in page.tags else MIN_IS_BLACK
     if shown != MIN_IS_BLACK:
-        raise BadMap(f"{path}: is a picture (photometric {shown}, not 1): a larger number need not be higher")
+        raise MapError(f"{path}: is a picture (photometric {shown}, not 1): a larger number need not be higher")
     samples = math.prod(page.shape)
     stored = sum(page.databytecounts)
     if stored > length or max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True)), default=0) > length:
-        raise BadMap(f"{path}: its page does not fit into {length} bytes: torn, or still being written")
+        raise MapError(f"{path}: its page does not fit into {length} bytes: torn, or still being written")
     room = stored * (1 if page.compression == 1 else DEFLATE_AT_MOST)
     if samples > MOST_SAMPLES or samples * page.bitspersample > 8 * room:
-        raise BadMap(f"{path}: {page.shape[0]} x {page.shape[1]} samples do not fit into {stored} bytes of data")
+        raise MapError(f"{path}: {page.shape[0]} x {page.shape[1]} samples do not fit into {stored} bytes of data")
     _check_pieces(path, page)
 
 
@@ -85,17 +85,17 @@ def _check_pieces(path: Path, page: Any) -> None:
     if whole and page.compression == 1:
         whole = stored == [size * page.bitspersample // 8 for size in samples]
     if not whole or any(at + size > following for (at, size), (following, _) in pairwise(spans)):
-        raise BadMap(f"{path}: its {len(stored)} pieces of data are not those of {rows} x {columns} samples: broken")
+        raise MapError(f"{path}: its {len(stored)} pieces of data are not those of {rows} x {columns} samples: broken")
 
 
 def _heights(path: Path, page: Any) -> tuple[FloatArray, int]:
     """The samples with what the file calls no data as NaN, turned as it says; and that tag."""
     turned = int(page.tags[ORIENTATION].value) if ORIENTATION in page.tags else 1
     if turned not in FLIPPED:
-        raise BadMap(f"{path}: its orientation {turned} swaps rows and columns: write it with 1")
+        raise MapError(f"{path}: its orientation {turned} swaps rows and columns: write it with 1")
     rows, columns = FLIPPED[turned]
     raw = page.asarray(maxworkers=1)
-    require_tail(path, raw)
+    require_end(path, raw)
     height_nm = np.array(raw[::rows, ::columns], dtype=np.float64, order="C")
     if NODATA in page.tags:
         height_nm[height_nm == float(str(page.tags[NODATA].value).strip("\0 "))] = np.nan

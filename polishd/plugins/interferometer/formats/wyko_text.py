@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import content_of, require_size
 from polishd.plugins.interferometer.formats.format import Format
@@ -48,7 +48,7 @@ def read(path: Path) -> SurfaceMap:
     header, found = _split(path, content)
     name = next((name for name in HEIGHTS if name in found), None)
     if name is None:
-        raise BadMap(f"{path}: a Wyko ASCII file without heights: no block {', '.join(HEIGHTS)}; export RAW_DATA")
+        raise MapError(f"{path}: a Wyko ASCII file without heights: no block {', '.join(HEIGHTS)}; export RAW_DATA")
     scale = 1.0 if header.in_nm else _nm_per_wave(path, header)
     height_nm = _heights(path, content, found[name], header) * scale
     width = _number(path, header, "Pixel_size", 0.0)
@@ -79,7 +79,9 @@ def _split(path: Path, content: bytes) -> tuple[Header, dict[str, tuple[int, int
             sizes[name] = _size(path, name, rest)
         elif len(rest) >= 2 and rest[0] == "3":  # an array: as many lines follow as there are columns
             if len(sizes) < 2:
-                raise BadMap(f"{path}: has no X Size and Y Size before its block {name!r}: torn, or no Wyko ASCII file")
+                raise MapError(
+                    f"{path}: has no X Size and Y Size before its block {name!r}: torn, or no Wyko ASCII file"
+                )
             for _ in range(sizes["X Size"]):
                 if end >= len(content):
                     break
@@ -89,7 +91,7 @@ def _split(path: Path, content: bytes) -> tuple[Header, dict[str, tuple[int, int
         elif len(rest) >= 3:
             values[name] = rest[2]
     if len(sizes) < 2:
-        raise BadMap(f"{path}: a Wyko ASCII file without X Size and Y Size: torn, or still being written")
+        raise MapError(f"{path}: a Wyko ASCII file without X Size and Y Size: torn, or still being written")
     in_nm = flags is not None and int(flags[2]) == 1
     return Header(sizes["X Size"], sizes["Y Size"], values, in_nm), blocks
 
@@ -103,7 +105,7 @@ def _size(path: Path, name: str, rest: list[str]) -> int:
     try:
         return int(rest[0])
     except (IndexError, ValueError) as error:
-        raise BadMap(f"{path}: its {name} is no number of pixels") from error
+        raise MapError(f"{path}: its {name} is no number of pixels") from error
 
 
 def _number(path: Path, header: Header, name: str, default: float | None) -> float:
@@ -113,9 +115,9 @@ def _number(path: Path, header: Header, name: str, default: float | None) -> flo
     try:
         value = float(text or "")
     except ValueError as error:
-        raise BadMap(f"{path}: its {name} is {text!r}, no number: the heights have no scale") from error
+        raise MapError(f"{path}: its {name} is {text!r}, no number: the heights have no scale") from error
     if not math.isfinite(value):
-        raise BadMap(f"{path}: its {name} is {text!r}, no number")
+        raise MapError(f"{path}: its {name} is {text!r}, no number")
     return value
 
 
@@ -123,7 +125,7 @@ def _nm_per_wave(path: Path, header: Header) -> float:
     wavelength, mult = _number(path, header, "Wavelength", None), _number(path, header, "Mult", 1.0)
     low, high = WAVELENGTH_NM
     if not low <= wavelength <= high or mult <= 0:
-        raise BadMap(f"{path}: Wavelength is {wavelength:g} nm and Mult {mult:g}: the heights have no scale")
+        raise MapError(f"{path}: Wavelength is {wavelength:g} nm and Mult {mult:g}: the heights have no scale")
     return wavelength / mult
 
 
@@ -138,7 +140,7 @@ def _heights(path: Path, content: bytes, span: tuple[int, int], header: Header) 
             values[filled : filled + found.size] = found
         filled += found.size
     if filled != count:
-        raise BadMap(
+        raise MapError(
             f"{path}: has {filled} heights of {header.columns} columns x {header.rows} rows: torn, or still being "
             "written"
         )

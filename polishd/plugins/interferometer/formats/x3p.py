@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_said, scaled
+from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_stated, scaled
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
 from polishd.plugins.interferometer.formats.kept_history import found_in, line_of
@@ -42,7 +42,7 @@ def read(path: Path) -> SurfaceMap:
     with parsing(path, "x3pio"):
         file = x3pio.read(io.BytesIO(content))
         if not isinstance(file, x3pio.Surface) or len(file.layers) != 1:
-            raise BadMap(f"{path}: holds a {type(file).__name__} of {len(file.layers)} layers, not one surface")
+            raise MapError(f"{path}: holds a {type(file).__name__} of {len(file.layers)} layers, not one surface")
         height_nm, scale, orientation = _surface(path, file.layers[0])
     rotated = file.layers[0].placement.has_rotation
     made = file.metadata
@@ -66,9 +66,9 @@ def write(surface: SurfaceMap) -> bytes:
     """X3P of float64 metres, NaN where there is no data; BadMap for a map that leaves anything open."""
     import x3pio
 
-    require_said(surface, "pitch", "square pixels")
+    require_stated(surface, "pitch", "square pixels")
     if surface.pitch_mm is None:
-        raise BadMap("an X3P file needs a lateral scale, and this map has none: say it in the instrument's profile")
+        raise MapError("an X3P file needs a lateral scale, and this map has none: say it in the instrument's profile")
     comments = [f"part {surface.part_id}" if surface.part_id else None, line_of(surface)]
     metadata = x3pio.Metadata(
         date=surface.measured_at or NO_DATE,
@@ -97,7 +97,9 @@ def _check_sizes(path: Path, content: bytes) -> None:
         members = members_of(path, archive)
     text = sum(member.file_size for member in members if not member.filename.endswith(".bin"))
     if text > MOST_XML_BYTES:
-        raise BadMap(f"{path}: unpacks to {text} bytes of text, more than {MOST_XML_BYTES}: write it with binary data")
+        raise MapError(
+            f"{path}: unpacks to {text} bytes of text, more than {MOST_XML_BYTES}: write it with binary data"
+        )
 
 
 def _surface(path: Path, layer: object) -> tuple[FloatArray, Pitch, str]:
@@ -105,7 +107,7 @@ def _surface(path: Path, layer: object) -> tuple[FloatArray, Pitch, str]:
     import x3pio
 
     if not isinstance(layer, x3pio.SurfaceLayer):
-        raise BadMap(f"{path}: holds no surface")
+        raise MapError(f"{path}: holds no surface")
     if layer.x is None and layer.y is None:
         scale = pitch(path, layer.header.x.increment * 1e3, layer.header.y.increment * 1e3)
         return scaled(layer.z[::-1], 1e9), scale, TURNED

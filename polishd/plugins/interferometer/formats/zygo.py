@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from polishd.api import BadMap
+from polishd.api import MapError
 from polishd.plugins.interferometer.formats.common import require_optics, require_size, time_of
 from polishd.plugins.interferometer.formats.scales import Pitch
 
@@ -18,7 +18,7 @@ NOT_CALIBRATED = "CameraRes is 0: the instrument was not calibrated, the map has
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Header:
+class ZygoHeader:
     """The fields of a header that decide correctness, as they stand in the file."""
 
     origin: tuple[int, int]
@@ -62,7 +62,7 @@ class Header:
         """Pitch, part, instrument and time. BadMap for a pitch that no camera has."""
         metres = self.camera_res_m
         if metres != 0 and not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
-            raise BadMap(f"{path}: CameraRes is {metres:g} m a pixel")
+            raise MapError(f"{path}: CameraRes is {metres:g} m a pixel")
         return {
             "lateral": Pitch(metres * 1e3) if metres else Pitch(None, {"pitch": NOT_CALIBRATED}),
             "part_id": self.serial or self.part,
@@ -74,6 +74,6 @@ class Header:
         """BadMap where a factor or a side is out of range, or the file can hold no more than ``most`` samples."""
         require_size(path, self.rows, self.columns, most)
         if self.resolution not in RESOLUTION:
-            raise BadMap(f"{path}: PhaseRes is {self.resolution}, not 0, 1 or 2: the height's scale is not known")
+            raise MapError(f"{path}: PhaseRes is {self.resolution}, not 0, 1 or 2: the height's scale is not known")
         optics = {"IntfScaleFactor": self.scale, "Wavelength (m)": self.wavelength_m, "Obliquity": self.obliquity}
         require_optics(path, optics)

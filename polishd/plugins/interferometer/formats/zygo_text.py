@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.plugins.interferometer.formats.common import content_of, named, require_data
 from polishd.plugins.interferometer.formats.format import Format
 from polishd.plugins.interferometer.formats.numbers import block
-from polishd.plugins.interferometer.formats.zygo import MISSING, Header
+from polishd.plugins.interferometer.formats.zygo import MISSING, ZygoHeader
 
 HASH = re.compile(rb"^[ \t]*#[ \t\r]*$", re.MULTILINE)
 MOST_HEADER = 16_384
@@ -33,7 +33,7 @@ class TextFormat(Format):
         """True where the first line is the format's name."""
         return head.lstrip().startswith(self.magic)
 
-    def opened(self, path: Path, smallest: int) -> tuple[bytes, Header]:
+    def opened(self, path: Path, smallest: int) -> tuple[bytes, ZygoHeader]:
         """The whole content, and its header. ``smallest``: bytes of the shortest sample, which the frame's must fit.
 
         BadMap where it is no such file, or a factor or size is out of range.
@@ -42,22 +42,22 @@ class TextFormat(Format):
         name = self.magic[0].decode()
         if not self.sniff(content[:4096], path):
             kind = name.removesuffix(" Data File")
-            raise BadMap(f"{path}: no {kind} file: its first line is not '{name} ...'")
+            raise MapError(f"{path}: no {kind} file: its first line is not '{name} ...'")
         end = HASH.search(content, 0, MOST_HEADER)
         if end is None:
-            raise BadMap(f"{path}: its header does not end in a line of '#': torn, or another format")
+            raise MapError(f"{path}: its header does not end in a line of '#': torn, or another format")
         lines = [line.strip() for line in content[: end.start()].decode("latin-1").split("\n")][:-1]
         if len(lines) not in (13, 14):
-            raise BadMap(f"{path}: its header has {len(lines)} lines, not 14")
+            raise MapError(f"{path}: its header has {len(lines)} lines, not 14")
         try:
             header = _fields(lines, end.end())
         except (ValueError, IndexError, OverflowError) as error:
-            raise BadMap(f"{path}: its header is not Zygo's: {error}") from error
+            raise MapError(f"{path}: its header is not Zygo's: {error}") from error
         header.check(path, (len(content) - header.start) / smallest)
         return content, header
 
 
-def _fields(lines: list[str], end: int) -> Header:
+def _fields(lines: list[str], end: int) -> ZygoHeader:
     frame = [int(word) for word in lines[3].split()]
     if len(frame) != 4:
         raise ValueError(f"line 4 has {len(frame)} numbers, not 4")
@@ -65,7 +65,7 @@ def _fields(lines: list[str], end: int) -> Header:
     if len(optics) != 8:
         raise ValueError(f"line 8 has {len(optics)} numbers, not 8")
     phase = [float(word) for word in lines[10].split()]
-    return Header(
+    return ZygoHeader(
         origin=(frame[0], frame[1]),
         columns=frame[2],
         rows=frame[3],
@@ -86,7 +86,7 @@ def _fields(lines: list[str], end: int) -> Header:
 def require_end(path: Path, content: bytes, end: int, what: str) -> None:
     """BadMap where anything but blanks follows."""
     if content[end:].strip():
-        raise BadMap(f"{path}: something follows the end of its {what}: {content[end:].strip()[:20]!r}")
+        raise MapError(f"{path}: something follows the end of its {what}: {content[end:].strip()[:20]!r}")
 
 
 ASCII = TextFormat("zygo_ascii", 1, (b"Zygo ASCII Data File",))
@@ -97,7 +97,7 @@ def read(path: Path) -> SurfaceMap:
     content, header = ASCII.opened(path, smallest=2)
     counts = block(path, content, _phase(path, content, header.start), (header.rows, header.columns))
     if (counts != np.trunc(counts)).any():
-        raise BadMap(f"{path}: its phase holds numbers that are no integers")
+        raise MapError(f"{path}: its phase holds numbers that are no integers")
     missing = counts >= MISSING
     counts *= header.nm_per_count
     counts[missing] = np.nan
@@ -110,7 +110,7 @@ def _phase(path: Path, content: bytes, start: int) -> tuple[int, int]:
     intensity = HASH.search(content, start)
     phase = HASH.search(content, intensity.end()) if intensity else None
     if intensity is None or phase is None:
-        raise BadMap(f"{path}: its phase does not end in a line of '#': torn, or still being written")
+        raise MapError(f"{path}: its phase does not end in a line of '#': torn, or still being written")
     require_end(path, content, phase.end(), "phase")
     return intensity.end(), phase.start()
 

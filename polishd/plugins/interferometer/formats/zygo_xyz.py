@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.api import BadMap, SurfaceMap
+from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.numbers import floats, pieces
 from polishd.plugins.interferometer.formats.scales import checked
-from polishd.plugins.interferometer.formats.zygo import Header
+from polishd.plugins.interferometer.formats.zygo import ZygoHeader
 from polishd.plugins.interferometer.formats.zygo_text import HASH, TextFormat, require_end
 
 FORMAT = TextFormat("zygo_xyz", 1, (b"Zygo XYZ Data File",))
@@ -39,11 +39,11 @@ def _end(path: Path, content: bytes, start: int) -> int:
         require_end(path, content, mark.end(), "points")
         return mark.start()
     if not content.endswith(b"\n"):
-        raise BadMap(f"{path}: ends inside a line: torn, or still being written")
+        raise MapError(f"{path}: ends inside a line: torn, or still being written")
     return len(content)
 
 
-def _heights_um(path: Path, content: bytes, header: Header) -> FloatArray:
+def _heights_um(path: Path, content: bytes, header: ZygoHeader) -> FloatArray:
     grid = np.full(header.rows * header.columns, np.nan)
     seen = np.zeros(grid.size, dtype=np.bool_)
     corner: tuple[int, int] | None = None
@@ -55,13 +55,15 @@ def _heights_um(path: Path, content: bytes, header: Header) -> FloatArray:
         column, row = points[:, 0] - (corner or (0, 0))[0], points[:, 1] - (corner or (0, 0))[1]
         inside = (column >= 0) & (column < header.columns) & (row >= 0) & (row < header.rows)
         if not (inside & (column == np.trunc(column)) & (row == np.trunc(row))).all():
-            raise BadMap(f"{path}: a point lies outside its {header.rows} rows x {header.columns} columns")
+            raise MapError(f"{path}: a point lies outside its {header.rows} rows x {header.columns} columns")
         index = (row * header.columns + column).astype(np.intp)
         grid[index] = points[:, 2]
         seen[index] = True
         count += len(points)
     if count != grid.size or not seen.all():
-        raise BadMap(f"{path}: lists {count} points, {np.count_nonzero(seen)} of {grid.size} pixels: torn, or doubled")
+        raise MapError(
+            f"{path}: lists {count} points, {np.count_nonzero(seen)} of {grid.size} pixels: torn, or doubled"
+        )
     return grid.reshape(header.rows, header.columns)
 
 
@@ -69,16 +71,16 @@ def _points(path: Path, piece: bytes) -> FloatArray:
     """(n, 3) of a piece's lines, NaN where there is no data; every line must be one point."""
     text = piece.replace(NO_DATA, b"nan")
     if b"nan" in piece or any(len(line.split()) not in (0, 3) for line in text.split(b"\n")):
-        raise BadMap(f"{path}: a line is not 'column row height'")
+        raise MapError(f"{path}: a line is not 'column row height'")
     return floats(path, text, but=b"na").reshape(-1, 3)
 
 
-def _corner(path: Path, first: FloatArray, header: Header) -> tuple[int, int]:
+def _corner(path: Path, first: FloatArray, header: ZygoHeader) -> tuple[int, int]:
     """What columns and rows count from, by the first point, which is a corner of the frame."""
     for x, y in (header.origin, (0, 0)):
         if first[0] in (x, x + header.columns - 1) and first[1] in (y, y + header.rows - 1):
             return x, y
-    raise BadMap(f"{path}: its first point ({first[0]:g}, {first[1]:g}) is no corner of its phase frame")
+    raise MapError(f"{path}: its first point ({first[0]:g}, {first[1]:g}) is no corner of its phase frame")
 
 
 ZYGO_XYZ = FORMAT.reader(read, ".xyz")

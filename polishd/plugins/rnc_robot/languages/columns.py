@@ -37,7 +37,7 @@ Context = tuple[str | None, str | None]
 
 
 @dataclass(slots=True)
-class Columns:
+class PointColumns:
     """Points in the order of their dwells, n of them; 100 bytes each."""
 
     xyz_mm: array[float] = field(default_factory=lambda: array("d"))
@@ -81,7 +81,7 @@ class Positions:
     def __contains__(self, name: object) -> bool:
         return name in self.number
 
-    def add(self, name: str, place: Place, line: int, context: Context) -> None:
+    def add(self, name: str, place: WrittenPose, line: int, context: Context) -> None:
         """One more, of a new name."""
         self.number[name] = len(self.line)
         self.xyz_mm.extend(place.xyz_mm)
@@ -91,7 +91,7 @@ class Positions:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class WrittenPose:
     """A pose as written: position in mm, orientation in the profile's convention."""
 
     xyz_mm: tuple[float, float, float]

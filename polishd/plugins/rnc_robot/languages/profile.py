@@ -29,7 +29,7 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Orientation(_Strict):
+class OrientationNotation(_Strict):
     """How an orientation is written."""
 
     convention: Convention
@@ -41,7 +41,7 @@ class Orientation(_Strict):
     """Where the tool frame's z points."""
 
     @model_validator(mode="after")
-    def _complete(self) -> Orientation:
+    def _complete(self) -> OrientationNotation:
         count = 4 if self.convention == "quaternion" else 3
         if len(self.fields) != count:
             raise ValueError(f"{self.convention} has {count} fields")
@@ -115,7 +115,7 @@ NUMBERS = frozenset({"x", "y", "z", "dx", "dy", "dz", "t", "time"})
 """Fields that are numbers in any language, as the orientation's are; ``feed`` is one unless the profile narrows it."""
 
 
-class Refused(_Strict):
+class RefusedStatement(_Strict):
     """Statements that are known and refused, with the reason."""
 
     reason: str
@@ -139,7 +139,7 @@ class Pattern(NamedTuple):
     advice: str = ""
 
 
-class Profile(_Strict):
+class LanguageProfile(_Strict):
     """A robot language."""
 
     name: str
@@ -159,18 +159,18 @@ class Profile(_Strict):
     declare_before_use: bool = False
     line_limit: int = Field(0, ge=0, le=1_000_000_000)
     """Lines of a routine that the controller takes; 0: any number."""
-    orientation: Orientation
+    orientation: OrientationNotation
     dwell: Dwell
     fields: dict[str, Text] = Field(default_factory=dict)
     """Regular expressions of the templates' fields."""
     statements: Statements
     added: Statements = Statements()
     """Of a profile that extends another: templates that are tried before the other's of the same kind."""
-    refused: list[Refused] = []
+    refused: list[RefusedStatement] = []
     assumed: list[Assumed] = []
 
     @model_validator(mode="after")
-    def _usable(self) -> Profile:
+    def _usable(self) -> LanguageProfile:
         """A language whose templates cannot give a point is refused before a program is."""
         for name, regex in self.fields.items():
             if name in self.numbers:
@@ -205,10 +205,10 @@ class Profile(_Strict):
         return frozenset(pattern.kind for pattern in self.patterns)
 
 
-def parse(content: Mapping[str, Any], source: str) -> Profile:
+def parse(content: Mapping[str, Any], source: str) -> LanguageProfile:
     """The profile in a parsed TOML document, ``extends`` already carried out. ConfigError names file and key."""
     try:
-        return Profile.model_validate(content)
+        return LanguageProfile.model_validate(content)
     except ValidationError as error:
         found = [f"{source}: {_key(entry['loc'])}{entry['msg']}" for entry in error.errors()]
         raise ConfigError("\n".join(found) + ". To do: see docs/robot-languages.md for its form.") from error
@@ -219,7 +219,7 @@ def _key(location: tuple[int | str, ...]) -> str:
     return f"{key}: " if key else ""
 
 
-def _patterns(profile: Profile) -> Iterator[Pattern]:
+def _patterns(profile: LanguageProfile) -> Iterator[Pattern]:
     writing = Writing(
         profile.ignore_case,
         profile.span_lines,

@@ -12,7 +12,7 @@ from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.columns import NONE, numbers, table
 from polishd.plugins.rnc_robot.languages.orientation import tool_axis
-from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.scan import POSTED, Scan, scan
 
 _UNITS = {1.0: "s", 0.001: "ms"}
@@ -20,7 +20,7 @@ FEW = 4
 """So many feed moves may lead in and out without a dwell, however few the points are."""
 
 
-def read(profile: Profile, text: bytes, name: str) -> Program:
+def read(profile: LanguageProfile, text: bytes, name: str) -> Program:
     """Read a program; ``name`` is for messages. A point is a feed move with its own dwell.
 
     ProgramError names the line, what is wrong with it and what to do.

@@ -9,12 +9,12 @@ import numpy as np
 
 from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.reader import require_points
 from polishd.plugins.rnc_robot.languages.scan import scan
 
 
-def rewrite(profile: Profile, program: Program, time_s: FloatArray) -> bytes:
+def rewrite(profile: LanguageProfile, program: Program, time_s: FloatArray) -> bytes:
     """The program with ``time_s`` (n,) seconds at its points; no byte changed outside the numbers of its dwells.
 
     A time that stays keeps its number as it is. The others are written in whole quanta of the profile, and what

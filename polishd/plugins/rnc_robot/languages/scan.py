@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, field
 
 from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.languages.columns import NONE, Columns, Context, Place, Positions
+from polishd.plugins.rnc_robot.languages.columns import NONE, Context, PointColumns, Positions, WrittenPose
 from polishd.plugins.rnc_robot.languages.orientation import is_rotation
-from polishd.plugins.rnc_robot.languages.profile import Profile
-from polishd.plugins.rnc_robot.languages.statements import Source, Statement, statements
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
+from polishd.plugins.rnc_robot.languages.statements import MatchedStatement, ProgramSource, statements
 
 LARGEST_MM = 1e6
 POSTED = "have it posted again with the positions written out"
@@ -20,7 +20,7 @@ class Move:
     """A feed move: where to, as a pose or as a declared position's name with an offset."""
 
     line: int
-    place: Place | None
+    place: WrittenPose | None
     target: str | None
     offset_mm: tuple[float, float, float]
     stops: bool
@@ -32,11 +32,11 @@ class Move:
 class Scan:
     """A whole program: its points as columns, the rest counted."""
 
-    profile: Profile
-    source: Source
-    kept: list[Statement] | None = None
+    profile: LanguageProfile
+    source: ProgramSource
+    kept: list[MatchedStatement] | None = None
     """All statements, where somebody asked for them: a kilobyte each."""
-    points: Columns = field(default_factory=Columns)
+    points: PointColumns = field(default_factory=PointColumns)
     positions: Positions = field(default_factory=Positions)
     moves: int = 0
     """Feed moves."""
@@ -61,12 +61,12 @@ class Scan:
     """The last feed move has its dwell."""
     routine: str | None = None
     """Name of the routine that is open."""
-    moving: Statement | None = None
+    moving: MatchedStatement | None = None
     """Begin of the routine that moves."""
-    begun: Statement | None = None
+    begun: MatchedStatement | None = None
     finished: bool = False
 
-    def refuse(self, statement: Statement, reason: str, advice: str) -> ProgramError:
+    def refuse(self, statement: MatchedStatement, reason: str, advice: str) -> ProgramError:
         """The error at a statement."""
         return self.refuse_line(statement.line, reason, advice)
 
@@ -79,9 +79,9 @@ class Scan:
         return name.lower() if self.profile.ignore_case else name
 
 
-def scan(profile: Profile, text: bytes, name: str, *, keep: bool = False) -> Scan:
+def scan(profile: LanguageProfile, text: bytes, name: str, *, keep: bool = False) -> Scan:
     """Read a program through; with ``keep`` all its statements, too. ProgramError where it may mean several things."""
-    found = Scan(profile, Source(text, name), [] if keep else None)
+    found = Scan(profile, ProgramSource(text, name), [] if keep else None)
     for statement in statements(profile, found.source):
         if found.finished:
             raise found.refuse(statement, "a statement after the end of the program", "remove it")
@@ -98,7 +98,7 @@ def scan(profile: Profile, text: bytes, name: str, *, keep: bool = False) -> Sca
     return found
 
 
-def _move(found: Scan, statement: Statement) -> None:
+def _move(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     target = statement.text("target")
     move = Move(
@@ -124,7 +124,7 @@ def _leave_bare(found: Scan) -> None:
         found.bare_line = found.last.line
 
 
-def _offset(found: Scan, statement: Statement) -> tuple[float, float, float]:
+def _offset(found: Scan, statement: MatchedStatement) -> tuple[float, float, float]:
     if "dx" not in statement.match.re.groupindex:
         return 0.0, 0.0, 0.0
     dx, dy, dz = ((statement.number(axis) or 0.0) * found.profile.unit_mm for axis in ("dx", "dy", "dz"))
@@ -133,12 +133,12 @@ def _offset(found: Scan, statement: Statement) -> tuple[float, float, float]:
     return dx, dy, dz
 
 
-def _approach(found: Scan, statement: Statement) -> None:
+def _approach(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     found.at = None
 
 
-def _dwell(found: Scan, statement: Statement) -> None:
+def _dwell(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     time = statement.number("time")
     if time is None or not 0 <= time < math.inf:
@@ -154,7 +154,7 @@ def _dwell(found: Scan, statement: Statement) -> None:
     found.dwells += 1
 
 
-def _keep_point(found: Scan, statement: Statement, time: float, move: Move) -> None:
+def _keep_point(found: Scan, statement: MatchedStatement, time: float, move: Move) -> None:
     """A move and its dwell are a point."""
     points, place = found.points, move.place
     if place is None:
@@ -175,7 +175,7 @@ def _keep_point(found: Scan, statement: Statement, time: float, move: Move) -> N
     points.context.append(points.contexts.of(move.context))
 
 
-def _fly_by(found: Scan, statement: Statement, move: Move) -> None:
+def _fly_by(found: Scan, statement: MatchedStatement, move: Move) -> None:
     if found.profile.dwell.fly_by == "refuse":
         raise found.refuse(
             statement,
@@ -187,7 +187,7 @@ def _fly_by(found: Scan, statement: Statement, move: Move) -> None:
     ] = None
 
 
-def _position(found: Scan, statement: Statement) -> None:
+def _position(found: Scan, statement: MatchedStatement) -> None:
     name = statement.text("target") or ""
     if found.folded(name) in found.positions:
         other = found.positions.line[found.positions.number[found.folded(name)]]
@@ -196,25 +196,25 @@ def _position(found: Scan, statement: Statement) -> None:
     found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
 
 
-def _neutral(found: Scan, statement: Statement) -> None:
+def _neutral(found: Scan, statement: MatchedStatement) -> None:
     for name in ("tool", "frame", "feed"):
         text = statement.text(name)
         if text is not None:
             found.modal[name] = text
 
 
-def _assumed(found: Scan, statement: Statement) -> None:
+def _assumed(found: Scan, statement: MatchedStatement) -> None:
     found.warnings[statement.note] = None
 
 
-def _begin(found: Scan, statement: Statement) -> None:
+def _begin(found: Scan, statement: MatchedStatement) -> None:
     if found.routine is not None:
         raise found.refuse(statement, "a routine inside a routine", "have it posted as one routine")
     found.routine, found.begun = found.folded(statement.text("program") or ""), statement
     found.body_lines = found.counted = 0
 
 
-def _end(found: Scan, statement: Statement) -> None:
+def _end(found: Scan, statement: MatchedStatement) -> None:
     if found.routine is None:
         raise found.refuse(statement, "the end of a routine that has not begun", "remove it")
     found.routine, found.at = None, None
@@ -222,7 +222,7 @@ def _end(found: Scan, statement: Statement) -> None:
         found.moving_lines = found.body_lines
 
 
-def _run(found: Scan, statement: Statement) -> None:
+def _run(found: Scan, statement: MatchedStatement) -> None:
     if found.routine is not None:
         raise found.refuse(statement, "calls are not read", "have it posted as one routine")
     moving = found.moving.text("program") if found.moving else None
@@ -231,7 +231,7 @@ def _run(found: Scan, statement: Statement) -> None:
     found.finished = True
 
 
-def _finish(found: Scan, statement: Statement) -> None:
+def _finish(found: Scan, statement: MatchedStatement) -> None:
     if found.routine is not None:
         raise found.refuse(statement, "the end of the file inside a routine", "check that it is whole")
     found.finished = True
@@ -243,7 +243,7 @@ _TAKE = {
 }  # fmt: skip
 
 
-def _inside(found: Scan, statement: Statement) -> None:
+def _inside(found: Scan, statement: MatchedStatement) -> None:
     """A motion or dwell stands in the one routine that moves."""
     if "begin" not in found.profile.kinds:
         return
@@ -259,7 +259,7 @@ def _inside(found: Scan, statement: Statement) -> None:
         )
 
 
-def place_of(found: Scan, statement: Statement) -> Place:
+def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
     """The pose that a statement writes out."""
     profile = found.profile
     names = ("x", "y", "z", *profile.orientation.fields)
@@ -272,10 +272,10 @@ def place_of(found: Scan, statement: Statement) -> Place:
         raise found.refuse(statement, "a position beyond any robot", "correct it")
     if not is_rotation(profile.orientation.convention, turn):
         raise found.refuse(statement, "the orientation is no rotation", "correct it")
-    return Place(xyz_mm, tuple(turn))
+    return WrittenPose(xyz_mm, tuple(turn))
 
 
-def _stops(profile: Profile, zone: str | None) -> bool:
+def _stops(profile: LanguageProfile, zone: str | None) -> bool:
     if zone is None or zone.lower() in profile.exact_stop:
         return True
     try:
@@ -284,7 +284,7 @@ def _stops(profile: Profile, zone: str | None) -> bool:
         return False
 
 
-def _feed(found: Scan, statement: Statement) -> float:
+def _feed(found: Scan, statement: MatchedStatement) -> float:
     """Feed in mm/min, of the move itself or as it was set before; NaN where neither is a number, or a time rules."""
     units = found.profile.feed_units_mm_min
     own = "feed" in statement.match.re.groupindex
@@ -298,7 +298,7 @@ def _feed(found: Scan, statement: Statement) -> float:
         return math.nan
 
 
-def _context(found: Scan, statement: Statement) -> Context:
+def _context(found: Scan, statement: MatchedStatement) -> Context:
     """Tool and frame that the move is written for."""
     tool, frame = (
         statement.text(name) if name in statement.match.re.groupindex else found.modal.get(name)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.languages.profile import Profile
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.scan import Scan, scan
-from polishd.plugins.rnc_robot.languages.statements import Statement
+from polishd.plugins.rnc_robot.languages.statements import MatchedStatement
 
 MOTIONS = ("move", "approach", "dwell", "dwell_in_position")
 
@@ -19,11 +19,11 @@ MOTIONS = ("move", "approach", "dwell", "dwell_in_position")
 class _Cut:
     """A part: what is repeated of the program before it, and its own stretch of the body."""
 
-    repeated: list[Statement]
-    own: list[Statement]
+    repeated: list[MatchedStatement]
+    own: list[MatchedStatement]
 
 
-def split(profile: Profile, text: bytes, name: str = "the program") -> list[bytes]:
+def split(profile: LanguageProfile, text: bytes, name: str = "the program") -> list[bytes]:
     """The program in parts that the controller takes; the same bytes in a list of one where it fits.
 
     Each part begins with what stood before the first motion and with the last move of the part before, so that it
@@ -39,11 +39,11 @@ def split(profile: Profile, text: bytes, name: str = "the program") -> list[byte
     return [_part(found, body, cut, number) for number, cut in enumerate(_cuts(found, body), start=1)]
 
 
-def _cuts(found: Scan, body: Sequence[Statement]) -> Iterable[_Cut]:
+def _cuts(found: Scan, body: Sequence[MatchedStatement]) -> Iterable[_Cut]:
     """Cut after the last dwell that fits, part by part."""
     first = next(index for index, statement in enumerate(body) if statement.kind in MOTIONS)
     preamble, at = list(body[:first]), first
-    repeated: list[Statement] = []
+    repeated: list[MatchedStatement] = []
     while at < len(body):
         room = found.profile.line_limit - len(_lines([*preamble, *repeated]))
         end, taken, best = at, 0, at
@@ -63,7 +63,7 @@ def _cuts(found: Scan, body: Sequence[Statement]) -> Iterable[_Cut]:
         at = best
 
 
-def _held(found: Scan, before: Sequence[Statement], after: Sequence[Statement]) -> list[Statement]:
+def _held(found: Scan, before: Sequence[MatchedStatement], after: Sequence[MatchedStatement]) -> list[MatchedStatement]:
     """What a part needs of those before: positions declared on the way, the feed that holds, and the last move."""
     moves = [statement for statement in before if statement.kind == "move"]
     used = _used([*moves[-1:], *after])
@@ -76,7 +76,7 @@ def _held(found: Scan, before: Sequence[Statement], after: Sequence[Statement]) 
     return [*declared, *feeds[-1:], *moves[-1:]]
 
 
-def _part(found: Scan, body: Sequence[Statement], cut: _Cut, number: int) -> bytes:
+def _part(found: Scan, body: Sequence[MatchedStatement], cut: _Cut, number: int) -> bytes:
     """Head, what is repeated, the part's own stretch, and tail."""
     data = found.source.data
     begin = found.moving
@@ -100,7 +100,9 @@ def _part(found: Scan, body: Sequence[Statement], cut: _Cut, number: int) -> byt
     return b"".join([head, *(piece + stop for piece in repeated), own, tail])
 
 
-def _renumbered(data: bytes, own: Sequence[Statement], start: int, end: int, numbers: Iterator[int] | None) -> bytes:
+def _renumbered(
+    data: bytes, own: Sequence[MatchedStatement], start: int, end: int, numbers: Iterator[int] | None
+) -> bytes:
     """A stretch of the program; line numbers, where it has them, from ``numbers``, in the width that they had."""
     if numbers is None:
         return data[start:end]
@@ -127,7 +129,7 @@ def _positions(found: Scan, start: int, end: int, kept: set[str]) -> bytes:
     return b"".join([*pieces, data[at:end]])
 
 
-def _used(stretch: Iterable[Statement]) -> set[str]:
+def _used(stretch: Iterable[MatchedStatement]) -> set[str]:
     """Names of the positions that motions go to, or may go to: without a target, all their words."""
     names: set[str] = set()
     for statement in stretch:
@@ -140,7 +142,7 @@ def _used(stretch: Iterable[Statement]) -> set[str]:
     return names
 
 
-def _body_of(found: Scan) -> list[Statement]:
+def _body_of(found: Scan) -> list[MatchedStatement]:
     """The statements of the routine that moves (of the whole file, where the language has no routines)."""
     kept = found.kept or []
     if found.moving is None:
@@ -148,7 +150,7 @@ def _body_of(found: Scan) -> list[Statement]:
     return list(takewhile(lambda statement: statement.kind != "end", kept[kept.index(found.moving) + 1 :]))
 
 
-def _lines(stretch: Iterable[Statement]) -> set[int]:
+def _lines(stretch: Iterable[MatchedStatement]) -> set[int]:
     return {statement.line for statement in stretch}
 
 

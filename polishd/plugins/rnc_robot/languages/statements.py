@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.languages.profile import Kind, Profile
+from polishd.plugins.rnc_robot.languages.profile import Kind, LanguageProfile
 from polishd.plugins.rnc_robot.nc.refusals import refuse
 
 
 @dataclass(frozen=True, slots=True)
-class Statement:
+class MatchedStatement:
     """A statement and where it stands."""
 
     kind: Kind
@@ -36,7 +36,7 @@ class Statement:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ProgramSource:
     """A program's bytes and name, for messages."""
 
     data: bytes
@@ -47,7 +47,7 @@ class Source:
         return refuse(self.name, line, self.data.split(b"\n")[line - 1], reason, advice)
 
 
-def statements(profile: Profile, source: Source) -> Iterator[Statement]:
+def statements(profile: LanguageProfile, source: ProgramSource) -> Iterator[MatchedStatement]:
     """The statements in file order. ProgramError for the first that is unknown, or known to be refused."""
     data = source.data
     lone = re.search(rb"\r(?!\n)", data)
@@ -68,14 +68,14 @@ def statements(profile: Profile, source: Source) -> Iterator[Statement]:
         line += data.count(b"\n", start, at)
 
 
-def _matched(profile: Profile, source: Source, start: int, line: int) -> Statement:
+def _matched(profile: LanguageProfile, source: ProgramSource, start: int, line: int) -> MatchedStatement:
     for pattern in profile.patterns:
         match = pattern.regex.match(source.data, start)
         if match is None:
             continue
         if pattern.kind == "refused":
             raise source.refuse(line, pattern.note, pattern.advice)
-        return Statement(pattern.kind, match, line, pattern.note, pattern.advice)
+        return MatchedStatement(pattern.kind, match, line, pattern.note, pattern.advice)
     raise source.refuse(
         line,
         f"the profile {profile.name} does not know this statement",

@@ -8,12 +8,12 @@ from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.nc import codes as c
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.nc.pieces import Scanner
-from polishd.plugins.rnc_robot.nc.points import Points, Tally
+from polishd.plugins.rnc_robot.nc.points import Points, TimeWordCounts
 
 
-def unit(dialect: Dialect, encoding: Encoding, scale: FloatArray) -> str:
+def unit(dialect: GcodeDialect, encoding: Encoding, scale: FloatArray) -> str:
     """The unit of the numbers that carry the time, as written."""
     if encoding == "dwell":
         found = [name for name, size in (("s", 1.0), ("ms", 0.001)) if (scale == size).any()]
@@ -24,7 +24,7 @@ def unit(dialect: Dialect, encoding: Encoding, scale: FloatArray) -> str:
 class Checks:
     """What can only be judged over the whole program: axes that were never said, and how the tool is turned."""
 
-    def __init__(self, dialect: Dialect, name: str, encoding: Encoding) -> None:
+    def __init__(self, dialect: GcodeDialect, name: str, encoding: Encoding) -> None:
         self.encoding = encoding
         self._name = name
         self._dialect = dialect
@@ -102,7 +102,7 @@ _ASSUMED = {c.UNIT: 21.0, c.DISTANCE: 90.0, c.FEED_MODE: 94.0}
 """G codes of the modes that hold where nobody says one."""
 
 
-def warnings(scanner: Scanner, tally: Tally, encoding: Encoding, still: int) -> list[str]:
+def warnings(scanner: Scanner, tally: TimeWordCounts, encoding: Encoding, still: int) -> list[str]:
     """What was read over, and what was assumed."""
     dialect, at, found = scanner.dialect, scanner.at, []
     for slot, code in _ASSUMED.items():

@@ -89,7 +89,7 @@ class WordRules(_Strict):
     keywords: list[str]
 
 
-class Dialect(_Strict):
+class GcodeDialect(_Strict):
     """A profile of ISO-like NC text (``kind = "nc"``)."""
 
     kind: Literal["nc"]

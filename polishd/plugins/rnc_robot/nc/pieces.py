@@ -13,16 +13,16 @@ from polishd.model.program import IntArray
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc import compiled
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.nc.refusals import explained, refuse, refuse_binary
 from polishd.plugins.rnc_robot.nc.scan import scan
-from polishd.plugins.rnc_robot.nc.tables import Found, Scratch, Tables, tables
+from polishd.plugins.rnc_robot.nc.tables import ScanColumns, Tables, WordBuffer, tables
 
 PIECE_BYTES = 1 << 19
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class ProgramChunk:
     """Whole lines of a program, and what is in them; see ``codes.py`` for the columns."""
 
     text: bytes
@@ -58,7 +58,7 @@ class Piece:
 class Scanner:
     """Takes a program's bytes in order; its modal state goes from piece to piece."""
 
-    def __init__(self, dialect: Dialect, name: str) -> None:
+    def __init__(self, dialect: GcodeDialect, name: str) -> None:
         self.dialect = dialect
         self.name = name
         self.at = [0] * c.AT_SIZE
@@ -69,9 +69,9 @@ class Scanner:
         self._now = [float("nan")] * (c.AXES + 1) + [1.0, 1.0, 0.0]
         self.at[c.DWELLS_FOR] = -1
         self.at[c.VECTORING] = int(bool(dialect.axes.vector) and not dialect.g.get("vectors_on"))
-        self._arrays: tuple[Tables, Scratch, Found] | None = None
+        self._arrays: tuple[Tables, WordBuffer, ScanColumns] | None = None
 
-    def pieces(self, chunks: Iterator[bytes]) -> Iterator[Piece]:
+    def pieces(self, chunks: Iterator[bytes]) -> Iterator[ProgramChunk]:
         """Columns of whole lines, as the chunks come. ProgramError names line and reason."""
         left = b""
         for chunk in chunks:
@@ -86,7 +86,7 @@ class Scanner:
             yield self._piece(left)
         self._check_end(left)
 
-    def _piece(self, text: bytes) -> Piece:
+    def _piece(self, text: bytes) -> ProgramChunk:
         refuse_binary(text, self.name, self.lines, self.dialect.text)
         count = text.count(b"\n") + (not text.endswith(b"\n"))
         first_line, first_move, before = self.lines + 1, self.at[c.MOVES], np.array(self._now[: c.AXES])
@@ -96,7 +96,7 @@ class Scanner:
         self.at[c.NEXT] = 0
         self.lines += count
         moves, dwells, modes = (self.at[slot] for slot in (c.N_MOVES, c.N_DWELLS, c.N_MODES))
-        piece = Piece(
+        piece = ProgramChunk(
             text, first_line, first_move, _rows(found.moves, moves, c.MOVE_INTS, np.int64),
             _rows(found.places, moves, c.MOVE_FLOATS, np.float64), before,
             _rows(found.dwells, dwells, c.DWELL_INTS, np.int64), _rows(found.times, dwells, c.DWELL_FLOATS, np.float64),
@@ -105,14 +105,14 @@ class Scanner:
         self.at[c.N_MOVES] = self.at[c.N_DWELLS] = self.at[c.N_MODES] = 0
         return piece
 
-    def _scan(self, text: bytes, room: int) -> Found:
+    def _scan(self, text: bytes, room: int) -> ScanColumns:
         run = compiled.kernel(scan, len(text))
         at: Any
         now: Any
         data: Any
         if run is scan:
             found = _found(room, list)
-            scratch = Scratch([0] * (c.W_INTS * c.MOST_WORDS), [0.0] * c.MOST_WORDS, [-1] * c.WORDS)
+            scratch = WordBuffer([0] * (c.W_INTS * c.MOST_WORDS), [0.0] * c.MOST_WORDS, [-1] * c.WORDS)
             look, at, now, data = self._lists, self.at, self._now, text
         else:
             look, scratch, found = self._compiled(room)
@@ -127,12 +127,12 @@ class Scanner:
             self.at, self._now = at.tolist(), now.tolist()
         return found
 
-    def _compiled(self, lines: int) -> tuple[Tables, Scratch, Found]:
+    def _compiled(self, lines: int) -> tuple[Tables, WordBuffer, ScanColumns]:
         """Arrays for compiled code, kept while they are large enough."""
         if self._arrays is None or len(self._arrays[2].moves) < (lines + 1) * c.MOVE_INTS:
             values: Any = (value if isinstance(value, int | float) else np.array(value) for value in self._lists)
             look = Tables(*values)
-            scratch = Scratch(
+            scratch = WordBuffer(
                 np.zeros(c.W_INTS * c.MOST_WORDS, dtype=np.int64), np.zeros(c.MOST_WORDS), np.full(c.WORDS, -1)
             )
             self._arrays = look, scratch, _found(lines + lines // 4, np.array)
@@ -157,12 +157,12 @@ class Scanner:
             )  # fmt: skip
 
 
-def _found(lines: int, kind: Any) -> Found:
+def _found(lines: int, kind: Any) -> ScanColumns:
     ints, floats = (c.MOVE_INTS, c.DWELL_INTS, c.MODE_INTS), (c.MOVE_FLOATS, c.DWELL_FLOATS)
     rows = lines + 1
     moves, dwells, modes = (kind([0]).repeat(rows * n) if kind is np.array else [0] * (rows * n) for n in ints)
     places, times = (kind([0.0]).repeat(rows * n) if kind is np.array else [0.0] * (rows * n) for n in floats)
-    return Found(moves, places, dwells, times, modes)
+    return ScanColumns(moves, places, dwells, times, modes)
 
 
 def _rows(flat: Any, rows: int, columns: int, kind: type) -> Any:

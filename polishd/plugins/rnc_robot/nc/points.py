@@ -11,12 +11,12 @@ from polishd.api import ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot.nc import codes as c
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
-from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
+from polishd.plugins.rnc_robot.nc.pieces import ProgramChunk
 
 
 @dataclass(slots=True)
-class Tally:
+class TimeWordCounts:
     """What of moves and dwells a program has, so far."""
 
     moves: int = 0
@@ -31,7 +31,7 @@ class Tally:
     _last: int = 0
     """Line of a move without a dwell that the last piece ended with."""
 
-    def add(self, piece: Piece) -> None:
+    def add(self, piece: ProgramChunk) -> None:
         """Count a piece."""
         kind = piece.moves[:, c.M_KIND]
         feed = kind != c.RAPID
@@ -42,7 +42,7 @@ class Tally:
         self.inverse += int(np.count_nonzero(kind >= c.K_INVERSE))
         self._find_first_without(piece, feed)
 
-    def _find_first_without(self, piece: Piece, feed: BoolArray) -> None:
+    def _find_first_without(self, piece: ProgramChunk, feed: BoolArray) -> None:
         """A move at a piece's end may have its dwell in the next one."""
         if self.first_without or not (feed.any() or len(piece.dwells)):
             return
@@ -111,7 +111,7 @@ class Points(NamedTuple):
 class PointReader:
     """Points of piece after piece, in an encoding that is known."""
 
-    def __init__(self, dialect: Dialect, name: str, encoding: Encoding) -> None:
+    def __init__(self, dialect: GcodeDialect, name: str, encoding: Encoding) -> None:
         self.dialect = dialect
         self.name = name
         self.encoding = encoding
@@ -119,12 +119,12 @@ class PointReader:
         self._per_minute = 60.0 if dialect.feed.unit == "mm/s" else 1.0
         self._counts_time = counts_time(dialect, encoding)
 
-    def read(self, piece: Piece) -> Points:
+    def read(self, piece: ProgramChunk) -> Points:
         """Points of the next piece; ProgramError names the line."""
         places = np.vstack([piece.before, piece.places[:, : c.AXES]])
         return self._dwelled(piece, places) if self.encoding == "dwell" else self._fed(piece, places)
 
-    def _dwelled(self, piece: Piece, places: FloatArray) -> Points:
+    def _dwelled(self, piece: ProgramChunk, places: FloatArray) -> Points:
         mine = piece.dwells[:, c.D_MOVE] >= 0
         dwells, times = piece.dwells[mine], piece.times[mine]
         at = places[dwells[:, c.D_MOVE] - piece.first_move + 1]
@@ -137,7 +137,7 @@ class PointReader:
             times[:, c.D_SECONDS], at, at, feeds[dwells[:, c.D_MOVE] - piece.first_move + 1], 0,
         )  # fmt: skip
 
-    def _feed_mm_min(self, piece: Piece, places: FloatArray) -> FloatArray:
+    def _feed_mm_min(self, piece: ProgramChunk, places: FloatArray) -> FloatArray:
         """Feed of each move; NaN for rapids, and where the length of an inverse-time move is not known."""
         kind = piece.moves[:, c.M_KIND]
         feed = piece.places[:, c.V_FEED] * piece.places[:, c.V_UNIT] * self._per_minute
@@ -150,7 +150,7 @@ class PointReader:
             feed[inverse] = np.where((kind[inverse] & c.K_ARC) != 0, np.nan, 60.0 * length / time_s)
         return feed
 
-    def _fed(self, piece: Piece, places: FloatArray) -> Points:
+    def _fed(self, piece: ProgramChunk, places: FloatArray) -> Points:
         feed = _mask(piece.moves[:, c.M_KIND] != c.RAPID)
         moves, number = piece.moves[feed], piece.places[feed, c.V_FEED]
         before, after = places[:-1][feed], places[1:][feed]
@@ -177,7 +177,7 @@ class PointReader:
         columns = [column[kept] for column in found[:-1]]
         return Points._make([*columns, int(np.count_nonzero(~going))])
 
-    def _check_feeds(self, piece: Piece, moves: IntArray) -> None:
+    def _check_feeds(self, piece: ProgramChunk, moves: IntArray) -> None:
         kind = moves[:, c.M_KIND]
         inverse = self.encoding == "inverse"
         piece.refuse_first(
@@ -189,7 +189,7 @@ class PointReader:
             "have it posted with straight moves (G1), or with dwells",
         )  # fmt: skip
 
-    def _length_mm(self, piece: Piece, moves: IntArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    def _length_mm(self, piece: ProgramChunk, moves: IntArray, before: FloatArray, after: FloatArray) -> FloatArray:
         step = after[:, :3] - before[:, :3]
         squares = np.einsum("ij,ij->i", step, step)
         if not np.isnan(squares).any():
@@ -201,7 +201,7 @@ class PointReader:
         return np.asarray(np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1))
 
 
-def counts_time(dialect: Dialect, encoding: Encoding) -> bool:
+def counts_time(dialect: GcodeDialect, encoding: Encoding) -> bool:
     """Whether a number is the time, and not what it is divided by."""
     return encoding == "dwell" or (encoding == "inverse" and dialect.feed.g93 == "s")
 

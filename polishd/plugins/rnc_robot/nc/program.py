@@ -9,17 +9,17 @@ import numpy as np
 from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.nc.checks import Checks
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
-from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
+from polishd.plugins.rnc_robot.nc.pieces import ProgramChunk
 from polishd.plugins.rnc_robot.nc.points import Points
 from polishd.plugins.rnc_robot.nc.stream import look_through, rewrite_stream
 
 
-def read(dialect: Dialect, text: bytes, name: str) -> Program:
+def read(dialect: GcodeDialect, text: bytes, name: str) -> Program:
     """Read a program; ``name`` is for messages. ProgramError names the line and the reason."""
     columns = []
 
-    def keep(_piece: Piece, points: Points, checks: Checks) -> None:
+    def keep(_piece: ProgramChunk, points: Points, checks: Checks) -> None:
         start, end = (np.nan_to_num(places[:, :3], nan=0.0) for places in (points.before, points.after))
         columns.append((points.line, start, end, checks.tool_axes(points), points.time_s, points.feed_mm_min))
 
@@ -45,17 +45,17 @@ def read(dialect: Dialect, text: bytes, name: str) -> Program:
     )
 
 
-def rewrite(dialect: Dialect, program: Program, time_s: FloatArray) -> bytes:
+def rewrite(dialect: GcodeDialect, program: Program, time_s: FloatArray) -> bytes:
     """The program with ``time_s`` (n,) seconds at its points, as ``stream.rewrite_stream`` writes it.
 
     ProgramError for times that cannot be written.
     """
     out = BytesIO()
-    rewrite_stream(dialect, BytesIO(program.text), program.name, Row(program, time_s), out)
+    rewrite_stream(dialect, BytesIO(program.text), program.name, ProgramRow(program, time_s), out)
     return out.getvalue()
 
 
-class Row:
+class ProgramRow:
     """Times of a program's points, taken one after the other."""
 
     def __init__(self, program: Program, time_s: FloatArray) -> None:

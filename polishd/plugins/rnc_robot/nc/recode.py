@@ -11,10 +11,10 @@ from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.nc import codes as c
 from polishd.plugins.rnc_robot.nc.checks import doubts
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
-from polishd.plugins.rnc_robot.nc.pieces import Piece, Scanner
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
+from polishd.plugins.rnc_robot.nc.pieces import ProgramChunk, Scanner
 from polishd.plugins.rnc_robot.nc.points import PointReader, Points, counts_time, same_places
-from polishd.plugins.rnc_robot.nc.program import Row
+from polishd.plugins.rnc_robot.nc.program import ProgramRow
 from polishd.plugins.rnc_robot.nc.refusals import refuse
 from polishd.plugins.rnc_robot.nc.tables import written_word
 from polishd.plugins.rnc_robot.nc.write import direct, reciprocal
@@ -24,7 +24,7 @@ _TEXTS = [b"", b" F", b" f", b"93", b"94", b"G93\n", b"G93\r\n"]
 _NOTHING, _F, _, _93, _94, _LINE_93, _LINE_93_CRLF, _DWELL, _DWELL_CRLF = range(9)
 
 
-def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Encoding) -> bytes:
+def recode(dialect: GcodeDialect, program: Program, time_s: FloatArray, encoding: Encoding) -> bytes:
     """The program with ``time_s`` (n,) seconds at its points, said as ``encoding``.
 
     To dwells: a dwell block is added behind each point's move, which keeps its feed. To feeds or inverse time: each
@@ -34,7 +34,7 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     whole = program.text.endswith(b"\n")
     scanner = Scanner(dialect, program.name)
     (piece,) = scanner.pieces(iter([program.text if whole else program.text + b"\n"]))
-    times = Row(program, time_s).times
+    times = ProgramRow(program, time_s).times
     refuse_times(dialect, encoding, program.name, program.line, times)
     if encoding == "inverse" and dialect.feed.g93 == "refuse":
         raise ProgramError(f"{program.name}: {dialect.title} knows no inverse time (G93). To do: ask for another.")
@@ -52,7 +52,7 @@ def recode(dialect: Dialect, program: Program, time_s: FloatArray, encoding: Enc
     return text if whole else text[:-1]
 
 
-def _refuse_in_last_block(piece: Piece, scanner: Scanner, last: int) -> None:
+def _refuse_in_last_block(piece: ProgramChunk, scanner: Scanner, last: int) -> None:
     """Behind the program's end no dwell would run."""
     if last == scanner.at[c.ENDED]:
         raise refuse(
@@ -62,7 +62,7 @@ def _refuse_in_last_block(piece: Piece, scanner: Scanner, last: int) -> None:
 
 
 def _feeds(
-    scanner: Scanner, piece: Piece, points: Points, times: FloatArray, *, old: Encoding, new: Encoding
+    scanner: Scanner, piece: ProgramChunk, points: Points, times: FloatArray, *, old: Encoding, new: Encoding
 ) -> list[Edits]:
     doubts(scanner, new)
     moves = _Moves(scanner.dialect, piece, scanner.name)
@@ -83,7 +83,7 @@ def _plain(start: IntArray, end: IntArray, prefix: IntArray | int) -> Edits:
     return Edits(start, end, np.broadcast_to(np.asarray(prefix), (count,)), none, none - 1, none)
 
 
-def _dwells(dialect: Dialect, piece: Piece, points: Points, times: FloatArray, name: str) -> Edits:
+def _dwells(dialect: GcodeDialect, piece: ProgramChunk, points: Points, times: FloatArray, name: str) -> Edits:
     """A block for each point, behind its move's line."""
     word = dialect.dwell.words[written_word(dialect)]
     decimal = word.decimal != "refuse"
@@ -106,7 +106,7 @@ def _line_ends(text: bytes, inside: IntArray) -> tuple[IntArray, IntArray]:
     return at - crlf, crlf
 
 
-def _no_dwells(piece: Piece, points: Points, scanner: Scanner) -> Edits:
+def _no_dwells(piece: ProgramChunk, points: Points, scanner: Scanner) -> Edits:
     """Their blocks go, with the line end."""
     data = np.frombuffer(piece.text, dtype=np.uint8)
     ends = np.concatenate([[-1], np.flatnonzero(data == 10), [len(data)]])
@@ -123,7 +123,7 @@ def _no_dwells(piece: Piece, points: Points, scanner: Scanner) -> Edits:
     return _plain(begin, end, _NOTHING)
 
 
-def _modes(piece: Piece, encoding: Encoding) -> Edits:
+def _modes(piece: ProgramChunk, encoding: Encoding) -> Edits:
     """G94 becomes G93, or the other way round; where nobody says either before the first feed move, G93 is said."""
     start, end = piece.modes[:, c.E_START], piece.modes[:, c.E_END]
     words = _plain(start, end, _93 if encoding == "inverse" else _94)
@@ -138,7 +138,7 @@ def _modes(piece: Piece, encoding: Encoding) -> Edits:
 class _Moves:
     """The feed moves of a program, each with the time it is to take."""
 
-    def __init__(self, dialect: Dialect, piece: Piece, name: str) -> None:
+    def __init__(self, dialect: GcodeDialect, piece: ProgramChunk, name: str) -> None:
         self._dialect = dialect
         self._piece = piece
         self._name = name

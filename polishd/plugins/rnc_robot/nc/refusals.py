@@ -6,7 +6,7 @@ import re
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.nc import codes as c
-from polishd.plugins.rnc_robot.nc.dialect import Dialect, TextRules
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect, TextRules
 
 _WITHOUT = "have it posted again without variables, expressions and loops"
 _CHARACTERS = {
@@ -67,7 +67,7 @@ def _refuse_commands(text: bytes, name: str, lines: int, commands: list[str]) ->
         raise refuse(name, lines + number, line, "a comment that the controller runs", "take it out")
 
 
-def explained(error: ProgramError, dialect: Dialect, name: str, lines: list[bytes], at: list[int]) -> ProgramError:
+def explained(error: ProgramError, dialect: GcodeDialect, name: str, lines: list[bytes], at: list[int]) -> ProgramError:
     """The scanner's refusal with file, line (the last of ``lines``: its piece until there) and the dialect's reason."""
     line = lines[-1].removesuffix(b"\r")
     begin = sum(len(each) + 1 for each in lines[:-1])
@@ -80,7 +80,7 @@ def explained(error: ProgramError, dialect: Dialect, name: str, lines: list[byte
     return refuse(name, at[c.LINE], line, reason.replace("the axis", _letter(at[c.CODE])), advice)
 
 
-def _why(reason: str, dialect: Dialect, line: str, column: int, code: int) -> tuple[str, str]:
+def _why(reason: str, dialect: GcodeDialect, line: str, column: int, code: int) -> tuple[str, str]:
     out = "take it out, or have it posted without it"
     if reason.startswith("the G code"):
         number = f"{code / 10:g}"
@@ -101,7 +101,7 @@ def _why(reason: str, dialect: Dialect, line: str, column: int, code: int) -> tu
     return _why_no_word(reason, dialect, line, column)
 
 
-def _why_no_time(dialect: Dialect, letter: str) -> tuple[str, str]:
+def _why_no_time(dialect: GcodeDialect, letter: str) -> tuple[str, str]:
     advice = f"write the time as {dialect.dwell.written}"
     unit = dialect.dwell.words.get(letter)
     usable = unit is not None and (unit.whole, unit.decimal) != ("refuse", "refuse")
@@ -114,7 +114,7 @@ def _why_no_time(dialect: Dialect, letter: str) -> tuple[str, str]:
     return f"G4 with {letter}: a time in another dialect", advice
 
 
-def _why_no_word(reason: str, dialect: Dialect, line: str, column: int) -> tuple[str, str]:
+def _why_no_word(reason: str, dialect: GcodeDialect, line: str, column: int) -> tuple[str, str]:
     word = re.match(r"[A-Za-z_]*", line[column:])
     name = word.group() if word else ""
     rest = line[column + 1 :].lstrip(" \t+-=")

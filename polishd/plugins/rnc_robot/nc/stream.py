@@ -13,12 +13,12 @@ from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.nc.checks import Checks, unit, warnings
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
-from polishd.plugins.rnc_robot.nc.pieces import PIECE_BYTES, Piece, Scanner
-from polishd.plugins.rnc_robot.nc.points import PointReader, Points, Tally
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
+from polishd.plugins.rnc_robot.nc.pieces import PIECE_BYTES, ProgramChunk, Scanner
+from polishd.plugins.rnc_robot.nc.points import PointReader, Points, TimeWordCounts
 from polishd.plugins.rnc_robot.nc.writer import Writer, refuse_times
 
-Each = Callable[[Piece, Points, Checks], None]
+Each = Callable[[ProgramChunk, Points, Checks], None]
 
 ENOUGH_MOVES = 10_000
 """So many feed moves without a dwell, and the time sits in the feed."""
@@ -40,7 +40,7 @@ class Times(Protocol):
 
 
 @dataclass(slots=True)
-class Passed:
+class StreamCounts:
     """What went by."""
 
     dialect: str
@@ -61,14 +61,14 @@ class Passed:
 
 
 def rewrite_stream(
-    dialect: Dialect,
+    dialect: GcodeDialect,
     file: BinaryIO,
     name: str,
     times: Times,
     out: BinaryIO,
     *,
     progress: Progress | None = None,
-) -> Passed:
+) -> StreamCounts:
     """Write the program with other times to ``out``; what it was before.
 
     No byte changes outside numbers that carry time. Where F still holds from an earlier block and must differ, an F
@@ -78,7 +78,7 @@ def rewrite_stream(
     writer: Writer | None = None
     changed = 0
 
-    def write(piece: Piece, points: Points, checks: Checks) -> None:
+    def write(piece: ProgramChunk, points: Points, checks: Checks) -> None:
         nonlocal writer, changed
         if writer is None:
             writer = Writer(dialect, name, checks.encoding)
@@ -103,9 +103,9 @@ def _chunks(file: BinaryIO, digest: hashlib._Hash | None, progress: Progress | N
             progress(len(chunk))
 
 
-def _guessed(dialect: Dialect, file: BinaryIO, name: str) -> Encoding:
+def _guessed(dialect: GcodeDialect, file: BinaryIO, name: str) -> Encoding:
     """Where the time sits: in dwells from the first dwell on; the whole program must bear it out."""
-    scanner, tally = Scanner(dialect, name), Tally()
+    scanner, tally = Scanner(dialect, name), TimeWordCounts()
     for piece in scanner.pieces(_chunks(file, None, None)):
         tally.add(piece)
         if tally.dwelled or tally.moves > ENOUGH_MOVES:
@@ -114,12 +114,12 @@ def _guessed(dialect: Dialect, file: BinaryIO, name: str) -> Encoding:
 
 
 def look_through(
-    dialect: Dialect, file: BinaryIO, name: str, progress: Progress | None = None, each: Each | None = None
-) -> Passed:
+    dialect: GcodeDialect, file: BinaryIO, name: str, progress: Progress | None = None, each: Each | None = None
+) -> StreamCounts:
     """Read a program without keeping it; ``each`` piece with its points is given away. ProgramError names the line."""
     encoding = _guessed(dialect, file, name)
-    scanner, tally, checks = Scanner(dialect, name), Tally(), Checks(dialect, name, encoding)
-    reader, passed = PointReader(dialect, name, encoding), Passed(dialect.name, encoding)
+    scanner, tally, checks = Scanner(dialect, name), TimeWordCounts(), Checks(dialect, name, encoding)
+    reader, passed = PointReader(dialect, name, encoding), StreamCounts(dialect.name, encoding)
     digest, still = hashlib.sha256(), 0
     for piece in scanner.pieces(_chunks(file, digest, progress)):
         tally.add(piece)
@@ -142,7 +142,7 @@ def look_through(
     return passed
 
 
-def _note(passed: Passed, dialect: Dialect, points: Points) -> None:
+def _note(passed: StreamCounts, dialect: GcodeDialect, points: Points) -> None:
     if not len(points.line):
         return
     places = points.after[:, :3]  # NaN: never said, which is 0

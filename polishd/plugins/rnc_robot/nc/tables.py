@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from polishd.api import ConfigError
 from polishd.plugins.rnc_robot.nc import codes as c
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
 
 _ACTIONS = {
     "neutral": c.NEUTRAL, "rapid": c.RAPID, "line": c.LINE_TO, "arc_cw": c.ARC_CW, "arc_ccw": c.ARC_CCW,
@@ -45,7 +45,7 @@ class Tables(NamedTuple):
     name_bytes: Sequence[int]
 
 
-def tables(dialect: Dialect) -> Tables:
+def tables(dialect: GcodeDialect) -> Tables:
     """The dialect's tables; ConfigError names the key that makes no sense."""
     _check_words(dialect)
     names = _names(dialect)
@@ -78,7 +78,7 @@ def tables(dialect: Dialect) -> Tables:
     )  # fmt: skip
 
 
-def _check_words(dialect: Dialect) -> None:
+def _check_words(dialect: GcodeDialect) -> None:
     """ConfigError for words that no text can hold, or that mean something else already."""
     where = f"dialect {dialect.name}"
     named = {"axes.vector": dialect.axes.vector, "words.neutral": dialect.words.neutral,
@@ -98,12 +98,12 @@ def _check_words(dialect: Dialect) -> None:
         raise ConfigError(f"{where}: dwell.written: ends in no word of dwell.words. To do: end it as in 'G4 P'.")
 
 
-def written_word(dialect: Dialect) -> str:
+def written_word(dialect: GcodeDialect) -> str:
     """The word of a new dwell's time: ``number`` where the number stands bare."""
     return re.sub(r"^.*[Gg]0*[0-9]+\.?[0-9]*\s*", "", dialect.dwell.written).strip() or "number"
 
 
-def _names(dialect: Dialect) -> list[str]:
+def _names(dialect: GcodeDialect) -> list[str]:
     """Words of more than one letter, the longest first."""
     words = [*dialect.dwell.words, *dialect.axes.vector, *dialect.words.neutral, *dialect.words.keywords]
     found = {word.upper() for word in words if len(word) > 1 and word != "number"}
@@ -112,7 +112,7 @@ def _names(dialect: Dialect) -> list[str]:
     return sorted(found, key=len, reverse=True)
 
 
-def _code(word: str, names: list[str], dialect: Dialect) -> int:
+def _code(word: str, names: list[str], dialect: GcodeDialect) -> int:
     if word == "number":
         return c.BARE
     upper = word.upper()
@@ -123,7 +123,7 @@ def _code(word: str, names: list[str], dialect: Dialect) -> int:
     return ord(upper) - 65
 
 
-def _dwell_words(dialect: Dialect, names: list[str], role: list[int]) -> tuple[list[int], list[int]]:
+def _dwell_words(dialect: GcodeDialect, names: list[str], role: list[int]) -> tuple[list[int], list[int]]:
     whole, decimal = [c.U_NONE] * c.WORDS, [c.U_NONE] * c.WORDS
     for letter in dialect.dwell.refused:
         code = _code(letter, names, dialect)
@@ -138,7 +138,7 @@ def _dwell_words(dialect: Dialect, names: list[str], role: list[int]) -> tuple[l
     return whole, decimal
 
 
-def _flags(dialect: Dialect) -> list[int]:
+def _flags(dialect: GcodeDialect) -> list[int]:
     flags, text = [0] * c.FLAGS, dialect.text
     flags[c.PARENS] = "()" in text.comments
     flags[c.SEMICOLON] = ";" in text.comments
@@ -156,7 +156,7 @@ def _flags(dialect: Dialect) -> list[int]:
     return [int(flag) for flag in flags]
 
 
-def _g_codes(dialect: Dialect) -> list[int]:
+def _g_codes(dialect: GcodeDialect) -> list[int]:
     found = [0] * 10_000
     for does, numbers in {**dialect.g, "dwell": dialect.dwell.codes}.items():
         if does != "dwell" and does not in _ACTIONS:
@@ -166,7 +166,7 @@ def _g_codes(dialect: Dialect) -> list[int]:
     return found
 
 
-def _m_codes(dialect: Dialect) -> list[int]:
+def _m_codes(dialect: GcodeDialect) -> list[int]:
     found = [0] * 1000
     for does, numbers in dialect.m.items():
         if does not in _M_ACTIONS:
@@ -197,7 +197,7 @@ Row = Any
 """A list, or an array."""
 
 
-class Scratch(NamedTuple):
+class WordBuffer(NamedTuple):
     """The words of a line."""
 
     i: Row
@@ -206,7 +206,7 @@ class Scratch(NamedTuple):
     """By word code: which word of the line it is; -1: not in it."""
 
 
-class Found(NamedTuple):
+class ScanColumns(NamedTuple):
     """Columns to fill, row by row, flat."""
 
     moves: Row

@@ -11,14 +11,14 @@ from polishd.api import ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.nc import compiled
-from polishd.plugins.rnc_robot.nc.dialect import Dialect
-from polishd.plugins.rnc_robot.nc.pieces import Piece
+from polishd.plugins.rnc_robot.nc.dialect import GcodeDialect
+from polishd.plugins.rnc_robot.nc.pieces import ProgramChunk
 from polishd.plugins.rnc_robot.nc.points import Points, counts_time
 from polishd.plugins.rnc_robot.nc.refusals import refuse
 from polishd.plugins.rnc_robot.nc.write import UNWRITABLE, direct, reciprocal, splice
 
 
-class Numbers(NamedTuple):
+class FormattedNumbers(NamedTuple):
     """New numbers of n points; ``decimals`` -1: the number stays."""
 
     mantissa: Any
@@ -36,7 +36,7 @@ class Edits(NamedTuple):
     style: Any
 
 
-class Prefixes(NamedTuple):
+class NumberPrefixes(NamedTuple):
     """Texts that an edit may put before its number, one after the other."""
 
     at: Any
@@ -46,7 +46,7 @@ class Prefixes(NamedTuple):
 class Writer:
     """Writes piece after piece; what rounding leaves goes on to the next one."""
 
-    def __init__(self, dialect: Dialect, name: str, encoding: Encoding) -> None:
+    def __init__(self, dialect: GcodeDialect, name: str, encoding: Encoding) -> None:
         self._dialect = dialect
         self._name = name
         self._counts_time = counts_time(dialect, encoding)
@@ -55,7 +55,7 @@ class Writer:
         self._state = np.zeros(3)
         self._texts = [b"", b" F", b" f"]
 
-    def write(self, piece: Piece, points: Points, times_s: FloatArray) -> bytes:
+    def write(self, piece: ProgramChunk, points: Points, times_s: FloatArray) -> bytes:
         """The piece's text with these times, (n,) s."""
         numbers, own = self._numbers(points, times_s, len(piece.text)), points.start >= 0
         keep = numbers.decimals >= 0
@@ -70,7 +70,7 @@ class Writer:
         refuse_long(self._dialect, self._name, text, piece.first_line, points.line[keep])
         return text
 
-    def _numbers(self, points: Points, times_s: FloatArray, size: int) -> Numbers:
+    def _numbers(self, points: Points, times_s: FloatArray, size: int) -> FormattedNumbers:
         name, line, old, scale, style = self._name, points.line, points.time_s, points.scale, points.style
         if self._counts_time:
             usual, least, residue = self._usual, self._least, self._state[0]
@@ -86,12 +86,12 @@ class Writer:
 
 def numbers_of(
     rule: Callable[..., Any], size: int, name: str, line: IntArray, times: FloatArray, *arguments: Any
-) -> tuple[Numbers, Any]:
+) -> tuple[FormattedNumbers, Any]:
     """The numbers that ``write.direct`` or ``write.reciprocal`` finds for (n,) times, and what it returns.
 
     ProgramError at the first time that no number says: too large, or a feed of zero. ``size``: bytes of the text.
     """
-    numbers = Numbers(np.zeros(len(times), dtype=np.int64), np.full(len(times), -1))
+    numbers = FormattedNumbers(np.zeros(len(times), dtype=np.int64), np.full(len(times), -1))
     answer = compiled.kernel(rule, size)(times, *arguments, numbers)
     bad = numbers.decimals == UNWRITABLE
     if bad.any():
@@ -105,19 +105,21 @@ def numbers_of(
 
 def spliced(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
     """The text with the edits in it; their ``prefix`` counts in ``texts``."""
-    prefixes = Prefixes(np.cumsum([0, *map(len, texts)]), np.frombuffer(b"".join(texts) or b" ", dtype=np.uint8))
+    prefixes = NumberPrefixes(np.cumsum([0, *map(len, texts)]), np.frombuffer(b"".join(texts) or b" ", dtype=np.uint8))
     size = len(text) + len(edits.start) * (24 + max(map(len, texts)))
     run = compiled.kernel(splice, len(text))
     if run is splice:
         out = bytearray(size)
-        used = run(text, Edits(*(column.tolist() for column in edits)), Prefixes(*(p.tolist() for p in prefixes)), out)
+        used = run(
+            text, Edits(*(column.tolist() for column in edits)), NumberPrefixes(*(p.tolist() for p in prefixes)), out
+        )
         return bytes(out[:used])
     room = np.empty(size, dtype=np.uint8)
     used = run(np.frombuffer(text, dtype=np.uint8), edits, prefixes, room)
     return room[:used].tobytes()
 
 
-def refuse_long(dialect: Dialect, name: str, text: bytes, first_line: int, lines: IntArray) -> None:
+def refuse_long(dialect: GcodeDialect, name: str, text: bytes, first_line: int, lines: IntArray) -> None:
     """ProgramError where one of the ``lines``, in a text that begins at ``first_line``, has become too long."""
     longest = dialect.text.longest_line
     ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == 10)
@@ -131,7 +133,7 @@ def refuse_long(dialect: Dialect, name: str, text: bytes, first_line: int, lines
         )  # fmt: skip
 
 
-def refuse_times(dialect: Dialect, encoding: Encoding, name: str, line: IntArray, times: FloatArray) -> None:
+def refuse_times(dialect: GcodeDialect, encoding: Encoding, name: str, line: IntArray, times: FloatArray) -> None:
     """ProgramError at the first time that the encoding cannot hold."""
     longest = dialect.dwell.longest_s if encoding == "dwell" else np.inf
     good = np.isfinite(times) & (times <= longest) & ((times >= 0) if encoding == "dwell" else (times > 0))

@@ -21,8 +21,8 @@ from polishd.daemon.same_job import terms_of
 from polishd.hooks.cell import load_cell
 from polishd.model import events
 from polishd.model.cycle import Outcome
-from polishd.model.devices import Executed
-from polishd.model.dwell import Certificate
+from polishd.model.devices import ExecutedBlock
+from polishd.model.dwell import OptimalityCertificate
 from polishd.model.surface import FloatArray
 from polishd.recipe import steps
 from polishd.recipe.encoding import as_json, facts_of
@@ -30,7 +30,7 @@ from polishd.recipe.files import read_map
 from polishd.recipe.folder import RunFolder
 from polishd.recipe.making import make_recipe
 from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import Measured
+from polishd.recipe.records import MeasureResult
 from tests.commissioned import forged
 from tests.system.cell_rig import with_keys
 from tests.unit.workbench.maps.maps import PITCH_MM, dat
@@ -59,7 +59,7 @@ class Making:
     recipe: Recipe
     journal: Journal
     folder: RunFolder
-    last: Measured | None = None
+    last: MeasureResult | None = None
     size_nm: float = 20.0
     readers: Sequence[Any] = field(default_factory=list)
 
@@ -76,14 +76,14 @@ class Making:
         self.folder.cycle(cycle).write(measured.files())
         facts = measured.facts()
         told = {"stats": measured.stats, "judged": facts["judged"], "spikes": 0, "notes": list(measured.notes)}
-        self.journal.record_event(events.Measured(cycle=cycle, run_dir=str(self.folder.path), **told))
+        self.journal.record_event(events.MapMeasured(cycle=cycle, run_dir=str(self.folder.path), **told))
 
     def polish(self, cycle: int, *, share: float = 1.0) -> None:
         """A pass; below a share of 1 it is interrupted, with three blocks of which nobody knows."""
         program = b"G1 X%d\n" % cycle
         self.folder.cycle(cycle).bytes("program.rnc", program)
         certificate = facts_of(
-            Certificate("newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 40.0, 50.0, 1, 0, 9, 0.1, "converged")
+            OptimalityCertificate("newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 40.0, 50.0, 1, 0, 9, 0.1, "converged")
         )
         certificate["cutoff_period_mm"] = CUTOFF_MM
         facts = {"certificate": certificate, "predicted_rms_nm": 0.5, "dwell_s": 1.0 * BLOCKS, "rate": 1.0}
@@ -91,7 +91,9 @@ class Making:
         digest = hashlib.sha256(program).hexdigest()
         self.journal.begin_pass(cycle, digest, "boot", BLOCKS, facts=facts)
         done = int(share * BLOCKS)
-        blocks = [BlockRecord(Executed(k, float(k), k + 1.0), True, 12.0 + 0.1 * (k % 2), 1000.0) for k in range(done)]
+        blocks = [
+            BlockRecord(ExecutedBlock(k, float(k), k + 1.0), True, 12.0 + 0.1 * (k % 2), 1000.0) for k in range(done)
+        ]
         self.journal.record_executed(cycle, blocks)
         if share < 1:
             self.journal.mark_uncertain(cycle, done, done + 3)
@@ -104,8 +106,8 @@ class Making:
 
     def held(self, error: str) -> None:
         """An error holds the cell, and a person lets it go on."""
-        self.journal.record_event(events.Held(error=error, kind="LinkError"))
-        self.journal.record_event(events.Ordered(order="resume", reason="cable put back"))
+        self.journal.record_event(events.CellHeld(error=error, kind="LinkError"))
+        self.journal.record_event(events.CommandReceived(order="resume", reason="cable put back"))
 
     def end(self, outcome: Outcome = Outcome.IN_TOLERANCE, *, over: bool = True, **summary: Any) -> Path:
         """Summary and the journal's copy."""

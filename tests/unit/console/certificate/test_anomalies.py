@@ -38,14 +38,16 @@ def test_a_quiet_job_has_none() -> None:
 
 def test_an_error_that_held_and_then_ended_the_daemon_is_one() -> None:
     lost = {"error": "robot: the link is silent", "kind": "LinkError"}
-    found = told(events.Held(**lost), state("held", "LinkError: robot: the link is silent"), events.Failed(**lost))
+    found = told(
+        events.CellHeld(**lost), state("held", "LinkError: robot: the link is silent"), events.DaemonFailed(**lost)
+    )
     assert found == [("LinkError", "robot: the link is silent", END)]
 
 
 def test_a_hold_that_a_person_ordered() -> None:
     found = told(
-        events.Ordered(order="hold", reason="lunch"), state("held", "held by order: lunch"),
-        events.Ordered(order="resume", reason=""), state("polishing"),
+        events.CommandReceived(order="hold", reason="lunch"), state("held", "held by order: lunch"),
+        events.CommandReceived(order="resume", reason=""), state("polishing"),
     )  # fmt: skip
     order, hold = found
     assert order[:2] == ("order", "hold was ordered: lunch")
@@ -61,10 +63,10 @@ def test_a_restart_after_an_interruption() -> None:
 @pytest.mark.parametrize(
     ("event", "kind", "what"),
     [
-        (events.Found(kind="wear", what="the pad wore", stops="cell"), "wear", "the pad wore"),
-        (events.SignalWrong(signal="flow", what="flow is low", leads_to="notify"), "signal wrong", "flow is low"),
-        (events.GateStopped(stop="turned by 90", cycle_dir="c"), "gate stopped", "turned by 90"),
-        (events.Ordered(order="estop", reason=""), "order", "estop was ordered"),
+        (events.FindingReported(kind="wear", what="the pad wore", stops="cell"), "wear", "the pad wore"),
+        (events.SignalOutOfRange(signal="flow", what="flow is low", leads_to="notify"), "signal wrong", "flow is low"),
+        (events.RemovalCheckFailed(stop="turned by 90", cycle_dir="c"), "gate stopped", "turned by 90"),
+        (events.CommandReceived(order="estop", reason=""), "order", "estop was ordered"),
     ],
 )
 def test_each_kind_is_told_in_its_own_words(event: Event, kind: str, what: str) -> None:
@@ -73,5 +75,5 @@ def test_each_kind_is_told_in_its_own_words(event: Event, kind: str, what: str) 
 
 
 def test_what_nothing_follows_is_said_so() -> None:
-    (found,) = of_events(rows(events.Found(kind="wear", what="the pad wore", stops="cell")), "")
+    (found,) = of_events(rows(events.FindingReported(kind="wear", what="the pad wore", stops="cell")), "")
     assert found.done == "nothing is recorded"

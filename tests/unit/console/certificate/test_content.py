@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.console.certificate.content import Asked, Drawn, content_of
+from polishd.console.certificate.content import CertificateDraft, CertificateRequest, certificate_content
 from polishd.console.certificate.model import Content
 from polishd.console.certificate.sources import find_run, read_rows
 from polishd.console.demo_files import DemoFiles
@@ -28,17 +28,17 @@ from tests.unit.workbench.maps.maps import dat
 Spoil = Callable[[Path], None]
 
 
-def drawn(run: Path) -> Drawn:
-    return content_of(find_run(run, None), Asked())
+def drawn(run: Path) -> CertificateDraft:
+    return certificate_content(find_run(run, None), CertificateRequest())
 
 
 @pytest.fixture(scope="module")
-def whole_drawn(whole_files: DemoFiles) -> Drawn:
+def whole_drawn(whole_files: DemoFiles) -> CertificateDraft:
     return drawn(whole_files.run_dir)
 
 
 @pytest.fixture(scope="module")
-def whole_content(whole_drawn: Drawn) -> Content:
+def whole_content(whole_drawn: CertificateDraft) -> Content:
     return whole_drawn.content
 
 
@@ -57,7 +57,7 @@ def test_a_whole_run_in_tolerance(whole_content: Content) -> None:
     assert whole_content.versions["polished by polishd"] == "0.1.0"
 
 
-def test_a_surface_has_one_figure_wherever_it_is_told(whole_drawn: Drawn) -> None:
+def test_a_surface_has_one_figure_wherever_it_is_told(whole_drawn: CertificateDraft) -> None:
     content = whole_drawn.content
     for surface, measured, found in (
         (content.before, content.measurements[0], whole_drawn.before),
@@ -78,7 +78,7 @@ def test_a_surface_has_one_figure_wherever_it_is_told(whole_drawn: Drawn) -> Non
     assert changes["RMS"].change == pytest.approx(changes["RMS"].after_nm / changes["RMS"].before_nm - 1)
 
 
-def test_what_no_dwell_could_remove_is_of_the_same_surface(whole_drawn: Drawn) -> None:
+def test_what_no_dwell_could_remove_is_of_the_same_surface(whole_drawn: CertificateDraft) -> None:
     reach, found = whole_drawn.content.beyond_reach, whole_drawn.after
     assert reach is not None
     assert found is not None
@@ -282,7 +282,7 @@ def test_a_system_map_is_taken_off_as_it_was(polishd: Polishd, tmp_path: Path) -
     with closing(made.journal):
         made.measure(0)
         run = made.end()
-    by_cell = content_of(find_run(made.files.cell, None), Asked()).content
+    by_cell = certificate_content(find_run(made.files.cell, None), CertificateRequest()).content
     assert by_cell.after is not None
     assert by_cell.instrument.system_map_sha256
     assert "was told by turning a part" in " ".join(by_cell.uncertainty.statements)
@@ -308,7 +308,7 @@ def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
         made.measure(0)
         run = made.end()
     assert drawn(run).content.after is None, "it lies beside the cell, and the run folder knows no cell"
-    by_cell = content_of(find_run(made.files.cell, None), Asked()).content
+    by_cell = certificate_content(find_run(made.files.cell, None), CertificateRequest()).content
     assert by_cell.after is not None
     assert "less the map form.dat" in by_cell.part.form
     shutil.copyfile(made.files.out / "form.dat", run / "form.dat")

@@ -16,7 +16,7 @@ from cryptography.exceptions import InvalidSignature
 from docs.reference import write
 from polishd.cli import app
 from polishd.console.certificate import verbs
-from polishd.console.certificate.content import Asked, content_of
+from polishd.console.certificate.content import CertificateRequest, certificate_content
 from polishd.console.certificate.model import schema
 from polishd.console.certificate.sheet import sheet
 from polishd.console.certificate.sources import find_run
@@ -83,7 +83,7 @@ def test_one_rms_of_each_surface(certified: Made) -> None:
 
 @pytest.mark.full
 def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
-    page = html(sheet(content_of(find_run(torn_files.run_dir, None), Asked(), AT), ""))
+    page = html(sheet(certificate_content(find_run(torn_files.run_dir, None), CertificateRequest(), AT), ""))
     assert "<h2>A pass that was interrupted at 32%; blocks 13 to 15 uncertain</h2>" in page
     assert "had it been a whole pass" in page
     assert "nothing else is learned of part of a pass" in page
@@ -96,8 +96,8 @@ def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
 
 @pytest.mark.full
 def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
-    asked = Asked(operator="<script>", customer="$x^2$", drawing="100 % {{ x }}")
-    page = html(sheet(content_of(find_run(whole_files.run_dir, None), asked, AT), ""))
+    asked = CertificateRequest(operator="<script>", customer="$x^2$", drawing="100 % {{ x }}")
+    page = html(sheet(certificate_content(find_run(whole_files.run_dir, None), asked, AT), ""))
     assert "<script>" not in page
     assert "$x^2$" in page
 

@@ -12,7 +12,7 @@ import pytest
 
 from polishd.api import DeviceRefused
 from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.remote import Ftp, Place, Sftp
+from polishd.drivers.handover.remote import Ftp, RemoteFolder, Sftp
 
 TEXT = b"G1 X1\n" * 20_000
 USER, PASSWORD = "robot", "s3cret"
@@ -84,8 +84,8 @@ def found(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def place(port: int, password: str = PASSWORD, folder: str = "") -> Place:
-    return Place("127.0.0.1", port, USER, password, folder)
+def place(port: int, password: str = PASSWORD, folder: str = "") -> RemoteFolder:
+    return RemoteFolder("127.0.0.1", port, USER, password, folder)
 
 
 async def test_a_folder_gets_it_whole(root: Path) -> None:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceFault, DeviceRefused, Executed, LinkError, Plan
+from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, LinkError, Plan
 from polishd.config.controller_profile import ControllerProfile
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from tests.fakes.handover import PROFILE, FakePlc, direct
 from tests.programs import plan_of
 
@@ -26,8 +26,8 @@ def plan(blocks: int = 60, approach: int = 5) -> Plan:
     return replace(plan_of([*lines, b"M2"], approach_blocks=approach), contact_blocks=blocks - 5)
 
 
-async def take(robot: Handover, count: int, from_seq: int = 0) -> list[Executed]:
-    found: list[Executed] = []
+async def take(robot: PlcRobot, count: int, from_seq: int = 0) -> list[ExecutedBlock]:
+    found: list[ExecutedBlock] = []
     async for one in robot.executed(from_seq):
         found.append(one)
         if len(found) == count:
@@ -35,7 +35,7 @@ async def take(robot: Handover, count: int, from_seq: int = 0) -> list[Executed]
     return found
 
 
-async def in_contact(robot: Handover, program: Plan) -> None:
+async def in_contact(robot: PlcRobot, program: Plan) -> None:
     """Opened, loaded, on the way beyond the landing."""
     await robot.open()
     await robot.prepare(program)
@@ -47,7 +47,7 @@ async def in_contact(robot: Handover, program: Plan) -> None:
 
 
 @pytest.fixture
-async def rig(tmp_path: Path) -> AsyncIterator[tuple[FakePlc, Handover]]:
+async def rig(tmp_path: Path) -> AsyncIterator[tuple[FakePlc, PlcRobot]]:
     fake = FakePlc(tmp_path, speed=SLOW)
     async with direct(fake) as robot:
         yield fake, robot
@@ -59,7 +59,7 @@ async def seen(condition: object) -> None:
         await asyncio.sleep(0.005)
 
 
-async def test_it_stands_at_the_landing_when_the_approach_is_told(rig: tuple[FakePlc, Handover]) -> None:
+async def test_it_stands_at_the_landing_when_the_approach_is_told(rig: tuple[FakePlc, PlcRobot]) -> None:
     """The dwells of the proof are over by then: a tool that landed earlier would dig in them."""
     fake, robot = rig
     program = plan()
@@ -73,7 +73,7 @@ async def test_it_stands_at_the_landing_when_the_approach_is_told(rig: tuple[Fak
     await seen(lambda: fake.stands)
 
 
-async def test_a_feed_hold_at_the_controller_is_a_fault_at_once(rig: tuple[FakePlc, Handover]) -> None:
+async def test_a_feed_hold_at_the_controller_is_a_fault_at_once(rig: tuple[FakePlc, PlcRobot]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
     fake.plc.press("feed hold", time.monotonic())
@@ -103,7 +103,7 @@ async def test_a_silent_computer_is_noticed_by_the_controller(tmp_path: Path) ->
 
 
 @pytest.mark.full
-async def test_nothing_starts_when_the_link_is_opened_again(rig: tuple[FakePlc, Handover]) -> None:
+async def test_nothing_starts_when_the_link_is_opened_again(rig: tuple[FakePlc, PlcRobot]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
     await robot.hold()
@@ -120,7 +120,7 @@ async def test_nothing_starts_when_the_link_is_opened_again(rig: tuple[FakePlc, 
 
 
 async def test_an_order_that_a_lost_link_left_standing_is_taken_back_before_the_next(
-    rig: tuple[FakePlc, Handover],
+    rig: tuple[FakePlc, PlcRobot],
 ) -> None:
     fake, robot = rig
     fake.plc.inputs |= {"start": True, "load": True, "reset": True}
@@ -129,7 +129,7 @@ async def test_an_order_that_a_lost_link_left_standing_is_taken_back_before_the_
     assert not fake.stands
 
 
-async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc, Handover]) -> None:
+async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc, PlcRobot]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
     fake.plc.boot_id = "boot-2"
@@ -141,7 +141,7 @@ async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc,
         await robot.resume()
 
 
-async def test_an_emergency_stop_is_told_in_the_controllers_words(rig: tuple[FakePlc, Handover]) -> None:
+async def test_an_emergency_stop_is_told_in_the_controllers_words(rig: tuple[FakePlc, PlcRobot]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
     fake.plc.press("emergency stop", time.monotonic())
@@ -152,7 +152,7 @@ async def test_an_emergency_stop_is_told_in_the_controllers_words(rig: tuple[Fak
 
 
 @pytest.mark.parametrize("percent", [80.0, 0.0, 120.0])
-async def test_another_feed_than_the_programs_is_refused(rig: tuple[FakePlc, Handover], percent: float) -> None:
+async def test_another_feed_than_the_programs_is_refused(rig: tuple[FakePlc, PlcRobot], percent: float) -> None:
     fake, robot = rig
     fake.override = percent
     await robot.open()
@@ -160,7 +160,7 @@ async def test_another_feed_than_the_programs_is_refused(rig: tuple[FakePlc, Han
         await robot.prepare(plan())
 
 
-async def test_a_hold_overtakes_a_start_that_waits(rig: tuple[FakePlc, Handover]) -> None:
+async def test_a_hold_overtakes_a_start_that_waits(rig: tuple[FakePlc, PlcRobot]) -> None:
     """The start waits for the order before it to be taken back; what is told to stay meanwhile stays."""
     fake, robot = rig
     program = plan()
@@ -178,7 +178,7 @@ async def test_a_hold_overtakes_a_start_that_waits(rig: tuple[FakePlc, Handover]
     assert fake.stands
 
 
-async def test_the_file_is_the_program_with_pauses_and_a_proof(rig: tuple[FakePlc, Handover]) -> None:
+async def test_the_file_is_the_program_with_pauses_and_a_proof(rig: tuple[FakePlc, PlcRobot]) -> None:
     fake, robot = rig
     program = plan(10, 3)
     await robot.open()
@@ -206,11 +206,11 @@ async def test_what_cannot_be_handed_over_is_refused(tmp_path: Path) -> None:
 
 
 def test_its_times_are_the_profiles() -> None:
-    robot = Handover("x", PROFILE, list, None)  # type: ignore[arg-type]
+    robot = PlcRobot("x", PROFILE, list, None)  # type: ignore[arg-type]
     assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (8.0, pytest.approx(0.05))
     deaf = PROFILE.variables.model_copy(update={"heartbeat": None})
     changed: ControllerProfile = PROFILE.model_copy(
         update={"watchdog_s": None, "variables": deaf, "in_motion_wired": True}
     )
-    robot = Handover("x", changed, list, None)  # type: ignore[arg-type]
+    robot = PlcRobot("x", changed, list, None)  # type: ignore[arg-type]
     assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (math.inf, 0.0)

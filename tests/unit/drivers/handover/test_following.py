@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from polishd.drivers.handover.following import Following
-from polishd.drivers.handover.report import Report
+from polishd.drivers.handover.following import PlcPoller
+from polishd.drivers.handover.report import ControllerReport
 from tests.fakes.handover import PROFILE, Direct, FakePlc
 from tests.patience import SOON_S
 
@@ -17,14 +17,14 @@ async def test_a_clock_that_stands_between_two_looks_is_no_pace_of_nothing(tmp_p
     began_s = time.monotonic()
     looks, paces = 0, []
 
-    async def look(_: Report) -> None:
+    async def look(_: ControllerReport) -> None:
         nonlocal looks
         looks += 1
         if looks % 3 == 0:
             fake.plc.shown["clock"] = 4.0 * (time.monotonic() - began_s)
         paces.append(following.pace)
 
-    following = Following("it", lambda: Direct(fake), PROFILE, look)
+    following = PlcPoller("it", lambda: Direct(fake), PROFILE, look)
     fake.plc.shown["clock"] = 0.0
     await following.open()
     assert await following.until(lambda: looks >= 30, SOON_S)

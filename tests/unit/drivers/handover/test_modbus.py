@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from polishd.api import ConfigError, LinkError, ProtocolError
 from polishd.config.controller_profile import Variable, load_controller_profile
 from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.handover.registers import place, spans
 from polishd.drivers.transport.address import Tcp
@@ -72,7 +72,7 @@ async def test_a_whole_program_over_modbus(tmp_path: Path) -> None:
     plan = plan_of([b"G1 X%d F60" % (at + 1) for at in range(30)], approach_blocks=5)
     async with cycling(fake), serving(fake, ModbusServer) as (port, _):
         make = lambda: Modbus(Tcp("127.0.0.1", port), PROFILE.variables, 5.0)  # noqa: E731
-        robot = Handover("test PLC", PROFILE, make, Folder(tmp_path))
+        robot = PlcRobot("test PLC", PROFILE, make, Folder(tmp_path))
         try:
             await robot.open()
             await robot.prepare(plan)

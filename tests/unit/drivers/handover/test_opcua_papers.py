@@ -14,7 +14,7 @@ from asyncua.server.user_managers import UserManager
 
 from polishd.api import ConfigError, DeviceContext, LinkError
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.handover.opcua import OpcUa, Papers
+from polishd.drivers.handover.opcua import OpcUa, OpcUaCertificates
 from polishd.plugins.handover.build import build
 from polishd.plugins.handover.options import HandoverOptions
 from polishd.sim_backends.handover.opcua import NAMESPACE, TYPES
@@ -82,7 +82,7 @@ def client(
     password: str = "right",
     silence_s: float = SILENCE_S,
 ) -> OpcUa:
-    papers = Papers(folder / f"{ours}.pem", folder / f"{ours}.key", folder / f"{theirs}.pem")
+    papers = OpcUaCertificates(folder / f"{ours}.pem", folder / f"{ours}.key", folder / f"{theirs}.pem")
     return OpcUa(url, PROFILE.variables, silence_s, "polishd", password, papers=papers)
 
 

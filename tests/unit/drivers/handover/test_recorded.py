@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceRefused, Executed, LinkError, Plan
+from polishd.api import DeviceRefused, ExecutedBlock, LinkError, Plan
 from polishd.drivers.handover.delivery import Delivery, Folder
-from polishd.drivers.handover.driver import Handover
+from polishd.drivers.handover.driver import PlcRobot
 from polishd.drivers.handover.recorded import Recorded, RecordedDelivery
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import Passed, heard_by, talking_to
+from polishd.ports.tap import WireMessage, record_received, record_sent
 from polishd.ports.wire_file import header_line, passed_line, read_recording
 from polishd.testing.replay import replayed
-from polishd.testing.replay_controller import Controller, Replayed, replayed_controller
+from polishd.testing.replay_controller import RecordedController, Replayed, replayed_controller
 from tests.fakes.handover import PROFILE, Direct, FakePlc, cycling
 from tests.patience import SOON_S
 from tests.programs import plan_of
@@ -37,17 +37,17 @@ def plan() -> Plan:
     return plan_of([*(b"G1 X%d F600" % at for at in range(1, BLOCKS)), b"M2"])
 
 
-def recorded(fake: FakePlc, place: Delivery) -> Handover:
+def recorded(fake: FakePlc, place: Delivery) -> PlcRobot:
     delivery = RecordedDelivery(place, FOLDER)
-    return Handover("test PLC", PROFILE, lambda: Recorded(Direct(fake), LINK, delivery), delivery)
+    return PlcRobot("test PLC", PROFILE, lambda: Recorded(Direct(fake), LINK, delivery), delivery)
 
 
-async def polished(robot: Handover) -> list[Executed]:
+async def polished(robot: PlcRobot) -> list[ExecutedBlock]:
     """All of the program."""
     program = plan()
     try:
         async with asyncio.timeout(SOON_S):
-            with talking_to("robot"):
+            with record_sent("robot"):
                 await robot.open()
             await robot.prepare(program)
             await robot.send(program.segments)
@@ -57,12 +57,12 @@ async def polished(robot: Handover) -> list[Executed]:
         await robot.close()
 
 
-def written(path: Path, heard: Sequence[Passed]) -> Path:
+def written(path: Path, heard: Sequence[WireMessage]) -> Path:
     path.write_bytes(header_line("0", "cell", "", {}) + b"".join(passed_line(one, heard[0].at_s) for one in heard))
     return path
 
 
-async def played(path: Path, act: Callable[[Controller, Replayed], Awaitable[None]]) -> None:
+async def played(path: Path, act: Callable[[RecordedController, Replayed], Awaitable[None]]) -> None:
     """An act that ends the link, as the driver hears it."""
     async with replayed_controller(path, "robot") as plc:
         link = plc.variables()
@@ -72,8 +72,8 @@ async def played(path: Path, act: Callable[[Controller, Replayed], Awaitable[Non
 
 
 async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[Passed]()
-    with heard_by(heard.append), talking_to("robot"):
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(heard.append), record_sent("robot"):
         link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
         await link.open()
         read = await link.read()
@@ -103,8 +103,8 @@ async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
 
 
 async def test_a_case_is_played_to_its_driver(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[Passed]()
-    with heard_by(heard.append):
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(heard.append):
         async with cycling(fake):
             executed = await polished(recorded(fake, Folder(tmp_path)))
     files = [one for one in heard if one.link == "ftp://plc/programs"]
@@ -113,14 +113,14 @@ async def test_a_case_is_played_to_its_driver(tmp_path: Path) -> None:
     assert files[1].values["bytes"] == (tmp_path / str(files[1].values["file"])).stat().st_size
     path = written(tmp_path / "case.jsonl", heard)
     async with replayed_controller(path, "robot") as plc:
-        again = await polished(Handover("test PLC", PROFILE, plc.variables, plc))
+        again = await polished(PlcRobot("test PLC", PROFILE, plc.variables, plc))
     assert [one.seq for one in again] == [one.seq for one in executed] == list(range(BLOCKS))
     assert again[-1].end_s == pytest.approx(executed[-1].end_s, abs=PROFILE.report_ms / 1e3)
 
 
 async def test_a_slower_machine_s_heartbeat_may_come_sooner_than_the_first_that_was_recorded(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[Passed]()
-    with heard_by(heard.append), talking_to("robot"):
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(heard.append), record_sent("robot"):
         link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
         await link.open()
         await link.read()
@@ -138,9 +138,9 @@ async def test_a_slower_machine_s_heartbeat_may_come_sooner_than_the_first_that_
 
 
 async def test_an_order_may_be_taken_back_sooner_than_then(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[Passed]()
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
     orders = [{"reset": True}, {"hold": True}, {"reset": False}, {"load": True}]
-    with heard_by(heard.append), talking_to("robot"):
+    with record_received(heard.append), record_sent("robot"):
         link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
         await link.open()
         for values in orders:
@@ -159,8 +159,8 @@ async def test_an_order_may_be_taken_back_sooner_than_then(tmp_path: Path) -> No
 
 
 async def test_an_order_that_is_not_recorded_ends_the_link_and_the_block(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[Passed]()
-    with heard_by(heard.append):
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(heard.append):
         async with cycling(fake):
             await polished(recorded(fake, Folder(tmp_path)))
     path = written(tmp_path / "case.jsonl", heard)
@@ -173,16 +173,16 @@ async def test_an_order_that_is_not_recorded_ends_the_link_and_the_block(tmp_pat
 
 
 async def test_a_file_that_was_refused_is_refused_again(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[Passed]()
-    with heard_by(heard.append):
+    fake, heard = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(heard.append):
         async with cycling(fake):
             with pytest.raises(DeviceRefused, match="no space left"):
                 await polished(recorded(fake, Refuses()))
     path = written(tmp_path / "case.jsonl", heard)
     async with replayed_controller(path, "robot") as plc:
         with pytest.raises(DeviceRefused, match="no space left"):
-            await polished(Handover("test PLC", PROFILE, plc.variables, plc))
-    bytes_only = written(tmp_path / "bytes.jsonl", [Passed(0.0, "robot", "tcp://h:1", "in", b"up")])
+            await polished(PlcRobot("test PLC", PROFILE, plc.variables, plc))
+    bytes_only = written(tmp_path / "bytes.jsonl", [WireMessage(0.0, "robot", "tcp://h:1", "in", b"up")])
     with pytest.raises(ConfigError, match="robot is recorded as bytes"):
         async with replayed_controller(bytes_only, "robot"):
             pass

@@ -10,39 +10,39 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.config.controller_profile import Line, ProgramTable
-from polishd.drivers.handover.program_file import ProgramFile
-from polishd.drivers.handover.proof import Proof
-from polishd.drivers.handover.report import Report
-from polishd.drivers.handover.watch import START_REPORTS, Watch, between
+from polishd.config.controller_profile import LineVariable, ProgramTable
+from polishd.drivers.handover.program_file import PlcProgramFile
+from polishd.drivers.handover.proof import LineCheck
+from polishd.drivers.handover.report import ControllerReport
+from polishd.drivers.handover.watch import START_REPORTS, PlcProgramTracker, between
 from tests.programs import plan_of
 
-LINE = Line(address="line", type="uint32", shows="executed")
+LINE = LineVariable(address="line", type="uint32", shows="executed")
 TABLE = ProgramTable()
 
 
-def report(time_s: float, line: int, *states: str, began_s: float | None = None, **more: object) -> Report:
-    return replace(Report(time_s, frozenset(states or ("running",)), line, began_s), **more)
+def report(time_s: float, line: int, *states: str, began_s: float | None = None, **more: object) -> ControllerReport:
+    return replace(ControllerReport(time_s, frozenset(states or ("running",)), line, began_s), **more)
 
 
 def watch_of(
     blocks: int, stops: tuple[int, ...] = (), expected: list[float] | None = None, proof_s: tuple[float, ...] = ()
-) -> Watch:
+) -> PlcProgramTracker:
     """A watch of that many blocks, told to run at 0 s; a stop has one line in the file before it, and dwells."""
     lines = [b"G1 X%d" % at for at in range(blocks)]
     plan = plan_of(lines, approach_blocks=stops[0] if stops else 0)
     if expected is not None:
         program = replace(plan.program, block=np.arange(blocks), line=np.arange(1, blocks + 1))
         plan = replace(plan, program=program, expected_time_s=np.array(expected))
-    watch = Watch(plan, blocks)
-    watch.file = ProgramFile(lines, stops, TABLE, line=LINE, proof_s=proof_s)
-    watch.proof = Proof(watch.file.proof, proof_s, 1.0)
+    watch = PlcProgramTracker(plan, blocks)
+    watch.file = PlcProgramFile(lines, stops, TABLE, line=LINE, proof_s=proof_s)
+    watch.proof = LineCheck(watch.file.proof, proof_s, 1.0)
     watch.update(report(0.0, 77, "ready"))
     watch.go(0.0)
     return watch
 
 
-def records(watch: Watch) -> list[tuple[float, float]]:
+def records(watch: PlcProgramTracker) -> list[tuple[float, float]]:
     return [(round(watch[k].start_s, 2), round(watch[k].end_s, 2)) for k in range(len(watch))]
 
 
@@ -196,8 +196,8 @@ def test_an_end_before_the_programs_is_a_fault() -> None:
 def test_without_a_word_for_done_the_pause_before_the_end_tells_it() -> None:
     for reaches, state in ((True, "done"), (False, "fault")):
         lines = [b"G1 X1", b"G1 X2", b"M2"]
-        watch = Watch(plan_of(lines), 3)
-        watch.file = ProgramFile(lines, (), TABLE, line=LINE, pause_at_end=True)
+        watch = PlcProgramTracker(plan_of(lines), 3)
+        watch.file = PlcProgramFile(lines, (), TABLE, line=LINE, pause_at_end=True)
         watch.update(report(0.0, 1, "ready"))
         watch.go(0.0)
         watch.update(report(0.1, 1))
@@ -215,7 +215,7 @@ def test_without_a_word_for_done_the_pause_before_the_end_tells_it() -> None:
 DWELLS = (0.5, 0.8)
 
 
-def through(watch: Watch, lag: int, seconds: tuple[float, float] = DWELLS) -> None:
+def through(watch: PlcProgramTracker, lag: int, seconds: tuple[float, float] = DWELLS) -> None:
     """Two moves of 0.3 s, the dwells, the pause; the line runs ahead of the motion by so many."""
     ends = np.cumsum([0.3, 0.3, *seconds])
     for step in range(1, int((ends[-1] + 0.3) / 0.05)):

@@ -7,25 +7,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import ProtocolError
-from polishd.drivers.linuxcnc.dialogue import AXES, Answer, Snapshot, asks, line_of, numbers_of, parse, status_of
+from polishd.drivers.linuxcnc.dialogue import AXES, RshReply, RshSnapshot, asks, line_of, numbers_of, parse, status_of
 
 
 @pytest.mark.parametrize(
     ("line", "answer"),
     [
-        (b"HELLO ACK EMCNETSVR 1.1\r", Answer("hello", True, "EMCNETSVR 1.1")),
-        (b"HELLO NAK\r", Answer("hello", False)),
-        (b"\rSET ENABLE ACK", Answer("set enable", True)),
-        (b"SET RUN NAK", Answer("set run", False)),
-        (b"GET NONSENSE NAK\r", Answer("get nonsense", False)),
-        (b"PROGRAM_LINE 17\r", Answer("get program_line", True, "17")),
-        (b"PROGRAM_STATUS RUNNING\r", Answer("get program_status", True, "RUNNING")),
-        (b"OPERATOR_DISPLAY polishd ab12 4\r", Answer("get operator_display", True, "polishd ab12 4")),
-        (b"ERROR Bad character '?' used\r", Answer("get error", True, "Bad character '?' used")),
-        (b"INIFILE /etc/machine one.ini\r", Answer("get inifile", True, "/etc/machine one.ini")),
+        (b"HELLO ACK EMCNETSVR 1.1\r", RshReply("hello", True, "EMCNETSVR 1.1")),
+        (b"HELLO NAK\r", RshReply("hello", False)),
+        (b"\rSET ENABLE ACK", RshReply("set enable", True)),
+        (b"SET RUN NAK", RshReply("set run", False)),
+        (b"GET NONSENSE NAK\r", RshReply("get nonsense", False)),
+        (b"PROGRAM_LINE 17\r", RshReply("get program_line", True, "17")),
+        (b"PROGRAM_STATUS RUNNING\r", RshReply("get program_status", True, "RUNNING")),
+        (b"OPERATOR_DISPLAY polishd ab12 4\r", RshReply("get operator_display", True, "polishd ab12 4")),
+        (b"ERROR Bad character '?' used\r", RshReply("get error", True, "Bad character '?' used")),
+        (b"INIFILE /etc/machine one.ini\r", RshReply("get inifile", True, "/etc/machine one.ini")),
     ],
 )
-def test_answers_are_understood(line: bytes, answer: Answer) -> None:
+def test_answers_are_understood(line: bytes, answer: RshReply) -> None:
     assert parse(line) == answer
 
 
@@ -77,7 +77,7 @@ def test_no_status() -> None:
 
 
 def test_what_prints_alike_stands() -> None:
-    here = Snapshot(1.0, 1, "running", (0.0, 1.0, 0.0, 0.0, 0.0, 0.0), "")
-    there = Snapshot(1.1, 1, "running", (0.0, 1.00001, 0.0, 0.0, 0.0, 0.0), "")
+    here = RshSnapshot(1.0, 1, "running", (0.0, 1.0, 0.0, 0.0, 0.0, 0.0), "")
+    there = RshSnapshot(1.1, 1, "running", (0.0, 1.00001, 0.0, 0.0, 0.0, 0.0), "")
     assert not here.moved_since(here)
     assert there.moved_since(here)

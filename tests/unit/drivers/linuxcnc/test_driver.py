@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, Executed, LinkError, ProtocolError, RobotTimes
-from polishd.drivers.linuxcnc.connection import Connection
+from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, ExecutedBlock, LinkError, ProtocolError, RobotTimes
+from polishd.drivers.linuxcnc.connection import RshConnection
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.linuxcnc import FakeLinuxCnc
@@ -44,7 +44,7 @@ async def load(robot: LinuxCnc, approach_blocks: int = 0) -> None:
     await robot.send(plan.segments)
 
 
-async def executed(robot: LinuxCnc, count: int = len(BLOCKS)) -> list[Executed]:
+async def executed(robot: LinuxCnc, count: int = len(BLOCKS)) -> list[ExecutedBlock]:
     found = []
     async for one in robot.executed():
         found.append(one)
@@ -244,15 +244,15 @@ async def test_what_is_told_to_stay_while_it_is_being_started_stays(
     """By order, and past a stop that nobody asked for: the stay overtakes the start, which then counts no more."""
     await load(rig.robot, approach_blocks)
     stays: asyncio.Queue[asyncio.Task[None]] = asyncio.Queue()
-    plain = Connection.set_if
+    plain = RshConnection.set_if
 
-    async def late(self: Connection, wanted: Callable[[], bool], command: str) -> None:
+    async def late(self: RshConnection, wanted: Callable[[], bool], command: str) -> None:
         if (command == "set resume") == bool(approach_blocks):
             stays.put_nowait(asyncio.create_task(getattr(rig.robot, how)()))
             await asyncio.sleep(0)
         await plain(self, wanted, command)
 
-    monkeypatch.setattr(Connection, "set_if", late)
+    monkeypatch.setattr(RshConnection, "set_if", late)
     await rig.robot.resume()
     await (await stays.get())
     await asyncio.sleep(0.05)

@@ -10,32 +10,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.drivers.linuxcnc.dialogue import Snapshot, Status
-from polishd.drivers.linuxcnc.program_file import ProgramFile
-from polishd.drivers.linuxcnc.watch import Watch
+from polishd.drivers.linuxcnc.dialogue import RshSnapshot, Status
+from polishd.drivers.linuxcnc.program_file import LinuxCncProgramFile
+from polishd.drivers.linuxcnc.watch import LinuxCncProgramTracker
 from polishd.drivers.transport.file_watch import START_S
 from tests.programs import plan_of
 
 
-def look(time_s: float, line: int, status: Status = "running", x: float | None = None, display: str = "") -> Snapshot:
+def look(
+    time_s: float, line: int, status: Status = "running", x: float | None = None, display: str = ""
+) -> RshSnapshot:
     """``x`` where it stands; it moves with time otherwise."""
-    return Snapshot(time_s, line, status, (time_s if x is None else x, 0.0, 0.0, 0.0, 0.0, 0.0), display)
+    return RshSnapshot(time_s, line, status, (time_s if x is None else x, 0.0, 0.0, 0.0, 0.0, 0.0), display)
 
 
 def watch_of(
     blocks: int, stops: tuple[int, ...] = (), asked: dict[int, float] | None = None, dwells: bool = False
-) -> Watch:
+) -> LinuxCncProgramTracker:
     lines = [b"G1 X%d" % at for at in range(blocks)]
     plan = plan_of(lines)
     at = np.array(sorted(asked or {}), dtype=np.int64)
     times = np.array([(asked or {})[k] for k in at.tolist()])
     program = replace(plan.program, block=at, time_s=times, encoding="dwell" if dwells else "feed")
-    watch = Watch(replace(plan, program=program, expected_time_s=times), blocks)
-    watch.file = ProgramFile(lines, stops, "t")
+    watch = LinuxCncProgramTracker(replace(plan, program=program, expected_time_s=times), blocks)
+    watch.file = LinuxCncProgramFile(lines, stops, "t")
     return watch
 
 
-def records(watch: Watch) -> list[tuple[float, float]]:
+def records(watch: LinuxCncProgramTracker) -> list[tuple[float, float]]:
     return [(round(watch[k].start_s, 6), round(watch[k].end_s, 6)) for k in range(len(watch))]
 
 

@@ -15,12 +15,12 @@ from itertools import pairwise
 
 import pytest
 
-from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, Executed, LinkError, RobotTimes
+from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, ExecutedBlock, LinkError, RobotTimes
 from polishd.drivers.universal_robots.driver import UniversalRobot
-from polishd.drivers.universal_robots.sample import Registers
+from polishd.drivers.universal_robots.sample import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from polishd.sim_backends.universal_robots import controls as m
-from polishd.sim_backends.universal_robots.machine import Machine
+from polishd.sim_backends.universal_robots.machine import UrController
 from polishd.sim_backends.universal_robots.rtde import DATA, SET_INPUTS, VERSION, pack
 from polishd.sim_backends.universal_robots.turning import turned
 from tests.fakes.universal_robot import LOOPBACK, FakeController
@@ -38,12 +38,12 @@ class Rig:
     robot: UniversalRobot
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> UrController:
         return self.fake.machine
 
 
 def robot_at(fake: FakeController, times: RobotTimes = TIMES) -> UniversalRobot:
-    return UniversalRobot(fake.addresses, Settings(Registers(), times.watchdog_s), times)
+    return UniversalRobot(fake.addresses, Settings(UrRegisters(), times.watchdog_s), times)
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ async def load(robot: UniversalRobot, lines: list[bytes] = SLOW) -> None:
     await robot.send(plan.segments)
 
 
-async def executed(robot: UniversalRobot, count: int = STEPS) -> list[Executed]:
+async def executed(robot: UniversalRobot, count: int = STEPS) -> list[ExecutedBlock]:
     found = []
     async for one in robot.executed():
         found.append(one)
@@ -85,12 +85,12 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 # What comes from the controller's side: who does it, and what the driver says of it.
-FAULTS: dict[str, tuple[Callable[[Machine], object], str]] = {
-    "protective stop": (Machine.protective_stop, "protective stop"),
-    "emergency stop": (Machine.emergency_stop, "switched off|emergency stop"),
-    "power off": (Machine.power_off, "switched off"),
-    "pause": (Machine.pause, "paused at the controller"),
-    "stop": (Machine.stop, "stopped at the controller"),
+FAULTS: dict[str, tuple[Callable[[UrController], object], str]] = {
+    "protective stop": (UrController.protective_stop, "protective stop"),
+    "emergency stop": (UrController.emergency_stop, "switched off|emergency stop"),
+    "power off": (UrController.power_off, "switched off"),
+    "pause": (UrController.pause, "paused at the controller"),
+    "stop": (UrController.stop, "stopped at the controller"),
     "another script": (lambda machine: machine.load("def other():\n  sleep(9)\nend"), "another program"),
     "slider": (lambda machine: setattr(machine, "slider", 0.3), "speed slider is at 30 %"),
     "slider at zero": (lambda machine: setattr(machine, "slider", 0.0), "speed slider is at 0 %"),

@@ -10,24 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import DeviceBusy, DeviceRefused, ProtocolError
-from polishd.config.simulator import Robot
+from polishd.config.simulator import SimRobotSection
 from polishd.drivers.universal_robots import rtde
-from polishd.drivers.universal_robots.rtde import FORMATS, Kind, Package, PackageReader, Recipe
+from polishd.drivers.universal_robots.rtde import FORMATS, Package, PackageReader, PackageType, RtdeRecipe
 from polishd.sim_backends.universal_robots import fields
-from polishd.sim_backends.universal_robots.arm import Arm
-from polishd.sim_backends.universal_robots.machine import Machine
-from polishd.sim_backends.universal_robots.rtde import Held, RtdeClient
+from polishd.sim_backends.universal_robots.arm import UrArm
+from polishd.sim_backends.universal_robots.machine import UrController
+from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
 from tests.vectors import vectors
 
 NAMES = ("timestamp", "runtime_state", "target_TCP_speed", "output_int_register_24")
 TYPES = ("DOUBLE", "UINT32", "VECTOR6D", "INT32")
-RECIPE = Recipe(1, NAMES, TYPES)
+RECIPE = RtdeRecipe(1, NAMES, TYPES)
 VALUES = struct.pack(">dI6di", 12.5, 2, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0, -7)
 
 
 def test_what_we_ask_is_as_the_guide_says() -> None:
-    assert rtde.encode(Kind.VERSION, b"\0\2") == b"\0\5V\0\2"
-    assert rtde.encode(Kind.START) == b"\0\3S"
+    assert rtde.encode(PackageType.VERSION, b"\0\2") == b"\0\5V\0\2"
+    assert rtde.encode(PackageType.START) == b"\0\3S"
     assert rtde.ask_inputs(["a", "b"]) == b"\0\6Ia,b"
     assert rtde.ask_outputs(125.0, ["timestamp"]) == b"\0\x14O" + struct.pack(">d", 125.0) + b"timestamp"
 
@@ -103,11 +103,11 @@ def test_a_length_that_cannot_be_ends_the_link() -> None:
 )
 def test_a_setup_that_fails_says_why(answer: bytes, error: type[Exception], said: str) -> None:
     with pytest.raises(error, match=said):
-        Recipe.answered(("a", "b"), answer, "inputs")
+        RtdeRecipe.answered(("a", "b"), answer, "inputs")
 
 
 def test_inputs_are_packed_in_the_order_of_their_recipe() -> None:
-    recipe = Recipe.answered(("b", "a"), b"\3INT32,INT32,", "inputs")
+    recipe = RtdeRecipe.answered(("b", "a"), b"\3INT32,INT32,", "inputs")
     assert recipe.pack({"a": 1, "b": -2}) == b"\0\x0cU\3" + struct.pack(">ii", -2, 1)
 
 
@@ -132,22 +132,22 @@ def test_driver_and_simulator_speak_the_documents_vectors() -> None:
     expected = {name: bytes.fromhex(value) for name, value in vectors("universal_robots").items()}
     outputs = ("timestamp", "runtime_state", "output_int_register_24")
     inputs = ("input_int_register_24", "input_int_register_25")
-    machine = Machine(Robot(), Arm.at((0.0, 0.0, 60.0, 0.0, 0.0)), 0.008, 0.0, 1.0, 0.0)
+    machine = UrController(SimRobotSection(), UrArm.at((0.0, 0.0, 60.0, 0.0, 0.0)), 0.008, 0.0, 1.0, 0.0)
     said: list[bytes] = []
-    client = RtdeClient(machine, Held(), said.append)
-    assert rtde.encode(Kind.VERSION, b"\0\2") == expected["version_ask"]
+    client = RtdeClient(machine, InputOwnership(), said.append)
+    assert rtde.encode(PackageType.VERSION, b"\0\2") == expected["version_ask"]
     assert rtde.ask_outputs(125.0, outputs) == expected["outputs_ask"]
     assert rtde.ask_inputs(inputs) == expected["inputs_ask"]
     for name in ("version", "outputs", "inputs", "start"):
         client.feed(expected[f"{name}_ask"])
     assert said[:3] == [expected[f"{name}_answer"] for name in ("version", "outputs", "inputs")]
     answers = [package.payload for data in said for package in PackageReader().feed(data)]
-    writes = Recipe.answered(inputs, answers[2], "inputs")
+    writes = RtdeRecipe.answered(inputs, answers[2], "inputs")
     assert writes.pack({inputs[0]: 7, inputs[1]: 4711}) == expected["orders"]
     client.feed(expected["orders"])
     assert machine.ints_in[24:26] == [7, 4711]
     machine.time_s, machine.runtime, machine.ints_out[24] = 12.5, 2, 4711
     client.tick(12.492)
     assert said[-1] == expected["sample"]
-    reads = Recipe.answered(outputs, answers[1], "outputs")
+    reads = RtdeRecipe.answered(outputs, answers[1], "outputs")
     assert reads.unpack(said[-1][3:]) == {outputs[0]: (12.5,), outputs[1]: (2,), outputs[2]: (4711,)}

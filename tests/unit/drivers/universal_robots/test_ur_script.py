@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from polishd.api import DeviceRefused
-from polishd.drivers.universal_robots.sample import Registers
-from polishd.drivers.universal_robots.script import Script, Settings, assemble, blocks_of
+from polishd.drivers.universal_robots.sample import UrRegisters
+from polishd.drivers.universal_robots.script import Settings, UrScript, assemble, blocks_of
 from polishd.sim_backends.universal_robots.language import parse
 
 MOVE = b"  movel(p[0.1, 0, 0.06, 0, 3.14, 0], a=1, v=0.02)"
@@ -25,14 +25,14 @@ PROGRAM = [
     b"end",
     b"polish()",
 ]
-SETTINGS = Settings(Registers(), watchdog_s=8.0)
+SETTINGS = Settings(UrRegisters(), watchdog_s=8.0)
 
 
-def script(start: int = 0, spent_s: float = 0.0, settings: Settings = SETTINGS) -> Script:
+def script(start: int = 0, spent_s: float = 0.0, settings: Settings = SETTINGS) -> UrScript:
     return assemble(blocks_of(PROGRAM), start, spent_s, 4711, settings)
 
 
-def lines(found: Script) -> list[str]:
+def lines(found: UrScript) -> list[str]:
     return [line.strip() for line in found.text.decode().splitlines()]
 
 
@@ -63,7 +63,7 @@ def test_it_moves_only_for_its_own_token_and_stops_when_it_hears_nothing() -> No
 
 
 def test_registers_and_the_tools_axis_are_as_configured() -> None:
-    found = script(settings=Settings(Registers(30), 2.0, into_part=False)).text.decode()
+    found = script(settings=Settings(UrRegisters(30), 2.0, into_part=False)).text.decode()
     assert 'rtde_set_watchdog("input_int_register_30", 0.5, "stop")' in found
     assert "p[0, 0, 1, 0, 0, 0]" in found
     assert "p[0, 0, -1, 0, 0, 0]" in script().text.decode()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots import dashboard
-from polishd.drivers.universal_robots.primary import Complaint, MessageReader
+from polishd.drivers.universal_robots.primary import ControllerMessage, MessageReader
 from polishd.sim_backends.universal_robots import primary as simulated
 from tests.fakes.wires import Peer, TcpWire
 
@@ -88,7 +88,7 @@ def test_complaints_are_found_among_states_however_they_are_dribbled() -> None:
     stream = STATE + simulated.complaint(17, "syntax error") + STATE + simulated.complaint(3, "another")
     reader = MessageReader()
     found = [one for at in range(len(stream)) for one in reader.feed(stream[at : at + 1])]
-    assert found == [Complaint(17, "syntax error"), Complaint(3, "another")]
+    assert found == [ControllerMessage(17, "syntax error"), ControllerMessage(3, "another")]
 
 
 @pytest.mark.parametrize(

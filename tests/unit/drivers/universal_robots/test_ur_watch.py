@@ -12,38 +12,40 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polishd.api import ProtocolError
-from polishd.drivers.universal_robots.sample import Phase, Runtime, Sample
+from polishd.drivers.universal_robots.sample import RtdeSample, ScriptPhase, UrRuntimeState
 from polishd.drivers.universal_robots.script import blocks_of
-from polishd.drivers.universal_robots.watch import START_S, Watch
+from polishd.drivers.universal_robots.watch import START_S, UrProgramTracker
 from tests.programs import plan_of
 
 MOVE, DWELL, COMMENT = b"movel(P1, a=1, v=0.1)", b"sleep(0.3)", b"# nothing"
 PROGRAM = [COMMENT, MOVE, DWELL, MOVE, DWELL]
 RATE_S = 0.008
-START = Sample(100.0, Runtime.PLAYING, 7, 1, 1.0, 1.0, 0.0, token=5, block=0, phase=Phase.WAITS, turns=0)
+START = RtdeSample(
+    100.0, UrRuntimeState.PLAYING, 7, 1, 1.0, 1.0, 0.0, token=5, block=0, phase=ScriptPhase.WAITS, turns=0
+)
 
 
-def watch(lines: Sequence[bytes] = PROGRAM) -> Watch:
-    found = Watch(plan_of(lines), len(lines))
+def watch(lines: Sequence[bytes] = PROGRAM) -> UrProgramTracker:
+    found = UrProgramTracker(plan_of(lines), len(lines))
     found.sent(5, blocks_of(lines))
     found.update(START)
     found.ordered(len(lines))
     return found
 
 
-def at(tick: int, block: int, phase: Phase = Phase.RUNS, **changes: float) -> Sample:
+def at(tick: int, block: int, phase: ScriptPhase = ScriptPhase.RUNS, **changes: float) -> RtdeSample:
     return replace(START, **{"time_s": 100.0 + tick * RATE_S, "block": block, "phase": phase, "turns": tick, **changes})
 
 
-def feed(found: Watch, samples: Sequence[Sample]) -> Watch:
+def feed(found: UrProgramTracker, samples: Sequence[RtdeSample]) -> UrProgramTracker:
     for sample in samples:
         found.update(sample)
     return found
 
 
-def done(found: Watch, tick: int) -> Watch:
+def done(found: UrProgramTracker, tick: int) -> UrProgramTracker:
     last = found.blocks
-    return feed(found, [at(tick, last), at(tick + 1, last, Phase.DONE), at(tick + 2, last, Phase.DONE)])
+    return feed(found, [at(tick, last), at(tick + 1, last, ScriptPhase.DONE), at(tick + 2, last, ScriptPhase.DONE)])
 
 
 def test_a_block_lasts_from_the_sample_that_names_it_to_the_one_that_names_the_next() -> None:
@@ -80,7 +82,10 @@ def test_a_dwell_of_nothing_gets_nothing_of_the_move_before_it() -> None:
 def test_no_time_passes_while_it_waits_or_is_held() -> None:
     found = watch()
     found.ordered(2)
-    feed(found, [at(1, 1), at(2, 1), at(3, 2, Phase.WAITS), at(4, 2, Phase.WAITS), at(200, 2, Phase.WAITS)])
+    feed(
+        found,
+        [at(1, 1), at(2, 1), at(3, 2, ScriptPhase.WAITS), at(4, 2, ScriptPhase.WAITS), at(200, 2, ScriptPhase.WAITS)],
+    )
     assert (found.state, len(found)) == ("held", 2)
     found.ordered(5)
     feed(found, [at(201, 2), at(202, 2), at(203, 3), at(204, 3)])
@@ -90,14 +95,14 @@ def test_no_time_passes_while_it_waits_or_is_held() -> None:
 def test_a_start_that_does_not_come_is_a_fault_by_our_own_clock() -> None:
     """Samples from before the order may come in a heap after it."""
     now_s = 50.0
-    found = Watch(plan_of(PROGRAM), len(PROGRAM), lambda: now_s)
+    found = UrProgramTracker(plan_of(PROGRAM), len(PROGRAM), lambda: now_s)
     found.sent(5, blocks_of(PROGRAM))
     found.update(START)
     found.ordered(len(PROGRAM))
-    feed(found, [at(tick, 0, Phase.WAITS) for tick in range(1, 3000)])
+    feed(found, [at(tick, 0, ScriptPhase.WAITS) for tick in range(1, 3000)])
     assert found.state == "running"
     now_s += START_S + 0.1
-    feed(found, [at(3000, 0, Phase.WAITS)])
+    feed(found, [at(3000, 0, ScriptPhase.WAITS)])
     assert (found.state, found.detail) == ("fault", "it does not begin block 0")
 
 
@@ -111,7 +116,7 @@ def test_a_start_that_does_not_come_is_a_fault_by_our_own_clock() -> None:
         ({"robot_mode": 42}, "robot mode 42"),
         ({"slider": 0.5}, "speed slider is at 50 %"),
         ({"slider": 0.0}, "speed slider is at 0 %"),
-        ({"runtime": Runtime.PAUSING}, "paused at the controller"),
+        ({"runtime": UrRuntimeState.PAUSING}, "paused at the controller"),
         ({"token": 6}, "another program"),
         ({"turns": 1, "time_s": 101.0}, "another program, or ours hangs"),
     ],
@@ -124,25 +129,30 @@ def test_what_is_not_as_planned_is_a_fault_at_the_first_sample(changes: dict[str
 
 
 def test_a_program_that_was_stopped_is_a_fault_and_one_that_ends_is_none() -> None:
-    found = feed(watch(), [at(1, 1), at(2, 1, runtime=Runtime.STOPPED), at(3, 1, runtime=Runtime.STOPPED)])
+    found = feed(
+        watch(), [at(1, 1), at(2, 1, runtime=UrRuntimeState.STOPPED), at(3, 1, runtime=UrRuntimeState.STOPPED)]
+    )
     assert (found.state, found.detail) == ("fault", "the program was stopped at the controller")
-    ended = feed(watch(), [at(1, 4), at(2, 5), at(3, 5, Phase.DONE), at(4, 5, Phase.DONE, runtime=Runtime.STOPPED)])
+    ended = feed(
+        watch(),
+        [at(1, 4), at(2, 5), at(3, 5, ScriptPhase.DONE), at(4, 5, ScriptPhase.DONE, runtime=UrRuntimeState.STOPPED)],
+    )
     assert ended.state == "done"
 
 
 def test_a_pause_while_it_is_held_anyway_is_told_and_no_fault() -> None:
     found = watch()
     found.ordered(0)
-    feed(found, [at(1, 0, Phase.WAITS), at(2, 0, Phase.WAITS, runtime=Runtime.PAUSED)])
+    feed(found, [at(1, 0, ScriptPhase.WAITS), at(2, 0, ScriptPhase.WAITS, runtime=UrRuntimeState.PAUSED)])
     assert (found.state, found.ended) == ("held", False)
     assert "paused" in found.detail
 
 
 def test_a_register_of_an_earlier_script_means_nothing() -> None:
-    found = Watch(plan_of(PROGRAM), len(PROGRAM))
+    found = UrProgramTracker(plan_of(PROGRAM), len(PROGRAM))
     feed(found, [at(1, 4)])
     found.sent(9, blocks_of(PROGRAM))
-    feed(found, [at(2, 4), at(3, 4, Phase.DONE)])
+    feed(found, [at(2, 4), at(3, 4, ScriptPhase.DONE)])
     assert (len(found), found.live, found.state) == (0, False, "held")
 
 
@@ -156,15 +166,15 @@ def test_a_block_that_goes_back_or_is_none_is_no_block(blocks: tuple[int, int]) 
 WIRE = struct.Struct(">dIiidd6diiii")
 
 
-def packed(sample: Sample) -> bytes:
+def packed(sample: RtdeSample) -> bytes:
     numbers = (sample.time_s, sample.runtime, sample.robot_mode, sample.safety_mode, sample.slider, sample.scaling)
     speed = (sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0)
     return WIRE.pack(*numbers, *speed, sample.token, sample.block, sample.phase, sample.turns)
 
 
-def unpacked(data: bytes) -> Sample:
+def unpacked(data: bytes) -> RtdeSample:
     values = WIRE.unpack(data)
-    return Sample(
+    return RtdeSample(
         *values[:6], speed_m_s=values[6], token=values[12], block=values[13], phase=values[14], turns=values[15]
     )
 

@@ -12,7 +12,7 @@ import pytest
 from polishd import compiled as compiling
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
 from polishd.plugins.rnc_robot.nc import compiled, scan, stream, write, writer
 from tests.corpus.fuzz import GRAMMARS, program
 from tests.corpus.table import Case, cases
@@ -22,8 +22,8 @@ Patch = pytest.MonkeyPatch
 
 
 @cache
-def profile(name: str) -> Dialect:
-    return cast(Dialect, dialect(name))
+def profile(name: str) -> GcodeDialect:
+    return cast(GcodeDialect, dialect(name))
 
 
 def outcome(name: str, text: bytes, patch: Patch, size: int) -> Program | str:
@@ -129,7 +129,7 @@ def test_a_numba_without_the_private_option_gives_the_same_numbers(monkeypatch: 
     times, old, style = np.array([0.1234, 2.0, 0.3]), np.full(3, np.nan), np.full(3, 3)
     results = []
     for run in (write.direct, counted):
-        out = writer.Numbers(np.zeros(3, dtype=np.int64), np.full(3, -1))
+        out = writer.FormattedNumbers(np.zeros(3, dtype=np.int64), np.full(3, -1))
         results.append(
             (run(times, old, np.ones(3), style, 3, 0, 0.0, out), out.mantissa.tolist(), out.decimals.tolist())
         )

@@ -17,10 +17,10 @@ from polishd.console.demo_files import with_values
 from polishd.hooks.loader import load_plugins
 from polishd.model.errors import PluginError
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, FOLDER, LANGUAGES, Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, FOLDER, LANGUAGES, GcodeDialect, dialect
 from polishd.plugins.rnc_robot.nc.tables import tables
 
-NC = tuple(name for name in DIALECTS if isinstance(dialect(name), Dialect))
+NC = tuple(name for name in DIALECTS if isinstance(dialect(name), GcodeDialect))
 HEAD = "G21 G90 G94\nG0 X0. Y0. Z0.\n"
 Write = Callable[..., Path]
 
@@ -37,11 +37,11 @@ def write(tmp_path: Path) -> Write:
     return make
 
 
-def shop(write: Write, text: str, base: str = "rs274") -> Dialect:
-    return cast(Dialect, dialect(write(f'extends = "{base}"\nname = "shop"\n{text}')))
+def shop(write: Write, text: str, base: str = "rs274") -> GcodeDialect:
+    return cast(GcodeDialect, dialect(write(f'extends = "{base}"\nname = "shop"\n{text}')))
 
 
-def read(profile: Dialect, body: str, head: str = HEAD, end: str = "M2\n") -> Program:
+def read(profile: GcodeDialect, body: str, head: str = HEAD, end: str = "M2\n") -> Program:
     return formats.read(profile, (head + body + end).encode(), "t.nc")
 
 
@@ -73,7 +73,7 @@ def test_shipped(name: str) -> None:
     assert profile.name == name
     assert dialect(name) == profile
     assert dialect(str(FOLDER / f"{name}.toml")) == profile == dialect(FOLDER / f"{name}.toml")
-    if isinstance(profile, Dialect):
+    if isinstance(profile, GcodeDialect):
         found = tables(profile)
         assert found.longest_s == profile.dwell.longest_s
         assert found.g[40] != 0
@@ -84,7 +84,7 @@ def test_shipped(name: str) -> None:
 @pytest.mark.parametrize("name", NC)
 def test_new_dwells_can_be_read(name: str) -> None:
     """``written`` and its unit are one of the words that the dialect reads."""
-    profile = cast(Dialect, dialect(name))
+    profile = cast(GcodeDialect, dialect(name))
     number = "1500" if profile.dwell.words.get("P", profile.dwell.words[next(iter(profile.dwell.words))]).decimal == (
         "refuse"
     ) and profile.dwell.written.endswith("P") else "1.5"  # fmt: skip
@@ -115,7 +115,7 @@ def test_unknown_names(name: str, near: str) -> None:
 
 
 def test_extends_merges_tables_and_replaces_lists(write: Write) -> None:
-    base = cast(Dialect, dialect("fanuc"))
+    base = cast(GcodeDialect, dialect("fanuc"))
     mine = shop(
         write,
         '[dwell.words]\nX = { whole = "ms", decimal = "s" }\n[words]\nneutral = ["S"]\n[g]\npath = [187]\n',
@@ -127,12 +127,12 @@ def test_extends_merges_tables_and_replaces_lists(write: Write) -> None:
     assert (mine.title, mine.feed, mine.m, mine.text) == (base.title, base.feed, base.m, base.text)
     assert {**mine.g, "path": []} == base.g
     assert read(mine, "G1 X1. F60.\nG4 X500\n").time_s.tolist() == [0.5]
-    assert cast(Dialect, dialect("fanuc")) == base
+    assert cast(GcodeDialect, dialect("fanuc")) == base
 
 
 def test_extends_a_file_beside_it(write: Write) -> None:
     write('extends = "grbl"\nname = "a"\n[text]\nblock_delete = "skip"\n', "a")
-    top = cast(Dialect, dialect(write('extends = "a.toml"\nname = "b"\n[dwell]\ndecimals = 1\n', "b")))
+    top = cast(GcodeDialect, dialect(write('extends = "a.toml"\nname = "b"\n[dwell]\ndecimals = 1\n', "b")))
     assert (top.name, top.text.block_delete, top.dwell.decimals, top.axes.rotary) == ("b", "skip", 1, [])
 
 
@@ -250,7 +250,7 @@ def test_the_manual_shows_a_profile_that_loads(write: Write) -> None:
     page = (Path(__file__).parents[4] / "docs" / "programs.md").read_text(encoding="utf-8")
     shown = re.search(r"```toml\n(extends = .*?)```", page, re.DOTALL)
     assert shown is not None
-    profile = cast(Dialect, dialect(write(shown[1])))
+    profile = cast(GcodeDialect, dialect(write(shown[1])))
     assert profile.name == tomllib.loads(shown[1])["name"]
     assert tables(profile).names == 0
 

@@ -12,25 +12,25 @@ from scipy.spatial.transform import Rotation
 
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
 from polishd.plugins.rnc_robot.nc import checks
 
 HEAD = "G21 G90 G94\nG0 X0. Y0. Z0.\n"
-Shop = Callable[..., Dialect]
+Shop = Callable[..., GcodeDialect]
 
 
 @pytest.fixture
 def shop(tmp_path: Path) -> Shop:
     """``shop("[text]\\n...", "fanuc")``: a shipped profile with these keys."""
 
-    def make(text: str, base: str = "rs274") -> Dialect:
+    def make(text: str, base: str = "rs274") -> GcodeDialect:
         (tmp_path / "shop.toml").write_text(f'extends = "{base}"\nname = "shop"\n{text}')
-        return cast(Dialect, dialect(tmp_path / "shop.toml"))
+        return cast(GcodeDialect, dialect(tmp_path / "shop.toml"))
 
     return make
 
 
-def read(profile: Dialect, body: str, head: str = HEAD, end: str = "M2\n") -> Program:
+def read(profile: GcodeDialect, body: str, head: str = HEAD, end: str = "M2\n") -> Program:
     return formats.read(profile, (head + body + end).encode(), "t.nc")
 
 
@@ -58,14 +58,14 @@ def test_whole_positions(shop: Shop) -> None:
     mm = read(shop("[text]\nwhole_positions = 'mm'", "fanuc"), body)
     np.testing.assert_array_equal(mm.end_mm[:, 0], [1500, 2.5])
     with pytest.raises(ProgramError, match="line 3: positions without a decimal point"):
-        read(cast(Dialect, dialect("fanuc")), body)
+        read(cast(GcodeDialect, dialect("fanuc")), body)
 
 
 def test_feeds_without_a_point(shop: Shop) -> None:
     body = "G1 X1. F60\n"
     assert read(shop("[feed]\nwhole = 'as_is'", "haas"), body).time_s.tolist() == [1]
     with pytest.raises(ProgramError, match="line 3: the unit of F"):
-        read(cast(Dialect, dialect("haas")), body)
+        read(cast(GcodeDialect, dialect("haas")), body)
 
 
 def test_vector(shop: Shop) -> None:
@@ -82,7 +82,7 @@ def test_vector(shop: Shop) -> None:
 
 def test_vectors_between_codes() -> None:
     """Fanuc's G43.5: I, J, K are the tool's from there to G49, and of arcs before and after."""
-    fanuc = cast(Dialect, dialect("fanuc"))
+    fanuc = cast(GcodeDialect, dialect("fanuc"))
     found = read(fanuc, "G43.5 H1\nG1 X1. I0. J0. K1. F60.\nG4 X1.\nX2. I1. J0. K1.\nG4 X1.\nG49\n")
     np.testing.assert_allclose(found.axis, [[0, 0, 1], [0.5**0.5, 0, 0.5**0.5]], atol=1e-15)
     assert read(fanuc, "G1 X1. F60.\nG4 X1.\nG2 X2. I0.5\nG4 X1.\n").n == 2

@@ -17,14 +17,14 @@ from polishd.model.errors import ConfigError, ProgramError
 from polishd.model.process import Optic
 from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import DIALECTS, Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import DIALECTS, GcodeDialect, dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.plugins.rnc_robot.make import CHUNK, path_program
 from polishd.process.optics import unit_normals
 from polishd.process.paths.apertures import circle
 from polishd.process.paths.spiral import spiral
 
-NC = [name for name in DIALECTS if isinstance(dialect(name), Dialect)]
+NC = [name for name in DIALECTS if isinstance(dialect(name), GcodeDialect)]
 OPTIC = Optic(120.0, -1.0)
 POINTS = spiral(circle(24), 1.0, 1.0, optic=OPTIC)
 NORMALS = unit_normals(OPTIC, POINTS[:, :2])
@@ -40,9 +40,9 @@ def made(name: str, encoding: Encoding, feed: ArrayLike = 900.0, dwell: ArrayLik
     return text, read(dialect(name), text, "made")
 
 
-def profile(name: str) -> Dialect:
+def profile(name: str) -> GcodeDialect:
     found = dialect(name)
-    assert isinstance(found, Dialect)
+    assert isinstance(found, GcodeDialect)
     return found
 
 

@@ -15,7 +15,7 @@ import pytest
 from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.dialect import Dialect, dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
 from polishd.plugins.rnc_robot.verify import verify
 from tests.corpus.changes import quanta_s
 
@@ -49,8 +49,8 @@ STYLES = {
 
 
 @cache
-def profile(name: str) -> Dialect:
-    return cast(Dialect, dialect(name))
+def profile(name: str) -> GcodeDialect:
+    return cast(GcodeDialect, dialect(name))
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from polishd.api import Program, ProgramError
-from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
 from polishd.plugins.rnc_robot.nc import program as nc
 from polishd.plugins.rnc_robot.nc import stream
-from polishd.plugins.rnc_robot.nc.stream import Passed, look_through, rewrite_stream
+from polishd.plugins.rnc_robot.nc.stream import StreamCounts, look_through, rewrite_stream
 from polishd.workbench.programs.dwell_csv import DwellTable
 from polishd.workbench.programs.files import rewrite_file
 from tests.corpus.fuzz import GRAMMARS, program
@@ -28,7 +28,7 @@ dialect = cache(load)
 WHOLE = 1 << 20
 SIZES = (1, 3, 16, 37)
 """Bytes a piece: from cuts behind every byte to few cuts."""
-RS274 = cast(Dialect, dialect("rs274"))
+RS274 = cast(GcodeDialect, dialect("rs274"))
 HEAD = "G21 G90 G94\nG0 X0 Y0 Z0 A0 C0\n"
 
 PROGRAMS = {
@@ -91,7 +91,7 @@ def other_times(found: Program, seed: int = 0) -> np.ndarray:
     return np.where(rng.random(found.n) < 0.3, found.time_s, found.time_s * rng.uniform(0.3, 3, found.n) + 0.013)
 
 
-def check_figures(found: Program, passed: Passed) -> None:
+def check_figures(found: Program, passed: StreamCounts) -> None:
     assert passed.dialect == found.dialect
     assert passed.encoding == found.encoding
     assert passed.unit == found.unit
@@ -114,7 +114,7 @@ def same_program(one: Program, other: Program) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
-def streamed(name: Dialect, text: bytes, times: np.ndarray) -> tuple[bytes, Passed]:
+def streamed(name: GcodeDialect, text: bytes, times: np.ndarray) -> tuple[bytes, StreamCounts]:
     out = BytesIO()
     passed = rewrite_stream(name, BytesIO(text), "t.nc", Given(times), out)
     return out.getvalue(), passed
@@ -122,7 +122,7 @@ def streamed(name: Dialect, text: bytes, times: np.ndarray) -> tuple[bytes, Pass
 
 def check_all(name: str, text: bytes, sizes: tuple[int, ...], cut: Callable[[int], None]) -> None:
     """Wherever the program is cut, it is the one that is read in one piece."""
-    profile = cast(Dialect, dialect(name))
+    profile = cast(GcodeDialect, dialect(name))
     cut(WHOLE)
     found = nc.read(profile, text, "t.nc")
     times = other_times(found)
@@ -164,7 +164,7 @@ def test_the_corpus(case: Case, cut: Callable[[int], None]) -> None:
 @pytest.mark.parametrize("case", [case for case in cases() if case.refused is not None], ids=str)
 def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
     """In the stream as in memory; cut small, perhaps for another fault of the same program."""
-    profile = cast(Dialect, dialect(case.dialect))
+    profile = cast(GcodeDialect, dialect(case.dialect))
     with pytest.raises(ProgramError) as caught:
         look_through(profile, BytesIO(case.text), "t.nc")
     with pytest.raises(ProgramError) as same:

@@ -7,10 +7,10 @@ import re
 import numpy as np
 import pytest
 
-from polishd.plugins.rnc_robot.text_changes import Change, Rules, changes, skeleton
+from polishd.plugins.rnc_robot.text_changes import ChangeRules, LineChange, changes, skeleton
 
-SAME = Rules(("()", ";"), encoding_changed=False)
-MOVED = Rules(("()", ";"), encoding_changed=True)
+SAME = ChangeRules(("()", ";"), encoding_changed=False)
+MOVED = ChangeRules(("()", ";"), encoding_changed=True)
 BASE = "G0 X0\nG1 X1 F<60>\nG1 X2 F<70>\nM2\n"
 
 
@@ -25,12 +25,12 @@ def marked(text: str) -> tuple[bytes, np.ndarray]:
     return (plain + text[at:]).encode(), np.array(spans, dtype=np.int64).reshape(-1, 2)
 
 
-def found(old: str, new: str, rules: Rules = SAME) -> list[Change]:
+def found(old: str, new: str, rules: ChangeRules = SAME) -> list[LineChange]:
     (before, here), (after, there) = marked(old), marked(new)
     return list(changes(before, after, here, there, rules))
 
 
-def kinds(old: str, new: str, rules: Rules = SAME) -> list[tuple[str, int | None, int | None]]:
+def kinds(old: str, new: str, rules: ChangeRules = SAME) -> list[tuple[str, int | None, int | None]]:
     return [(change.kind, change.old_line, change.new_line) for change in found(old, new, rules)]
 
 
@@ -153,14 +153,14 @@ def test_a_change_of_encoding_hides_nothing(spoil: tuple[str, str]) -> None:
 
 
 def test_the_end_of_a_block_is_none_of_its_words() -> None:
-    moved = Rules(("()",), encoding_changed=True)
+    moved = ChangeRules(("()",), encoding_changed=True)
     assert kinds("G1 X1.;\nG4 X<1.> ;\n", "G1 X1. F<60.>;\n", moved) == [("timing", 1, 1), ("timing", 2, None)]
 
 
 def test_comments_are_the_dialects_own() -> None:
-    assert kinds("MoveL a;\n", "MoveL a; ! G4\n", Rules(("!",), encoding_changed=False)) == [("comment", 1, 1)]
-    assert kinds("movel(p1)\n", "movel(p2)\n", Rules(("#",), encoding_changed=False)) == [("other", 1, 1)]
-    assert kinds("a\n", "b\n", Rules((), encoding_changed=False)) == [("other", 1, 1)]
+    assert kinds("MoveL a;\n", "MoveL a; ! G4\n", ChangeRules(("!",), encoding_changed=False)) == [("comment", 1, 1)]
+    assert kinds("movel(p1)\n", "movel(p2)\n", ChangeRules(("#",), encoding_changed=False)) == [("other", 1, 1)]
+    assert kinds("a\n", "b\n", ChangeRules((), encoding_changed=False)) == [("other", 1, 1)]
 
 
 def test_lines_meet_again_behind_what_was_put_in() -> None:

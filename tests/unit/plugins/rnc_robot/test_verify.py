@@ -16,7 +16,7 @@ from polishd.api import ProgramError
 from polishd.drivers.linuxcnc.interpreter import exact_python
 from polishd.plugins.rnc_robot import canonical
 from polishd.plugins.rnc_robot import verify as verifier
-from polishd.plugins.rnc_robot.dialect import Dialect
+from polishd.plugins.rnc_robot.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
 from polishd.plugins.rnc_robot.formats import read, rewrite
 from polishd.plugins.rnc_robot.verify import Verification, verify
@@ -24,7 +24,7 @@ from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 
 dialect = functools.cache(load)
 RS274 = dialect("rs274")
-assert isinstance(RS274, Dialect)
+assert isinstance(RS274, GcodeDialect)
 HEAD = "G21 G90 G94\nG0 X0 Y0 Z5\nG0 Z0\n"
 DWELL = HEAD + "G1 X1 F60\nG4 P1\nG1 X3\nG4 P.5\nG1 X4 Y1 F60\nG4 P2\nG0 Z5\nM2\n"
 FEED = HEAD + "G1 X1 F60\nG1 X3 F240\nG1 X4 Y1 F42.4264\nG0 Z5\nM2\n"

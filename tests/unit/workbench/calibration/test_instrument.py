@@ -18,7 +18,7 @@ from polishd.console.demo_files import with_values
 from polishd.hooks.cell import load_cell
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
-from polishd.process.absolute import Pose
+from polishd.process.absolute import PartPose
 from polishd.recipe.making import system_of
 from polishd.sim_backends.metropro import DatMap, pack
 from polishd.workbench.calibration.instrument import wanted_poses
@@ -157,7 +157,7 @@ def test_a_person_is_asked_for_each_pose_and_its_map_is_taken(
     heights = maps(turns(4))
     asked: list[float] = []
 
-    async def taken(_config: object, _hooks: object, poses: list[Pose]) -> list[SurfaceMap]:
+    async def taken(_config: object, _hooks: object, poses: list[PartPose]) -> list[SurfaceMap]:
         asked.extend(pose.angle_deg for pose in poses)
         return [SurfaceMap(height, PITCH_MM, sha256=str(k) * 64) for k, height in enumerate(heights)]
 
@@ -176,7 +176,7 @@ def test_maps_are_taken_from_the_cells_own_folder(cell: Path) -> None:
     config, hooks = load_cell(cell)
     heights, said = maps(turns(2)), []
 
-    def ask(pose: Pose, number: int, count: int) -> None:
+    def ask(pose: PartPose, number: int, count: int) -> None:
         said.append((pose.angle_deg, number, count))
         now = DatMap(heights[number - 1], PITCH_MM, part="DEMO-100", taken_s=int(time.time()) + 1)
         (folder / f"m{number}.dat").write_bytes(pack(now))  # measured after it was asked for: an older one is stale

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.plugins.interferometer.formats.x3p import X3P
 from polishd.process.repeats import average
@@ -111,7 +111,7 @@ def test_repeats_of_another_instrument_are_refused_by_name(polishd: Polishd, tmp
     ]
     assert average(maps).used == ("0.dat", "1.dat", "2.dat")
     other = replace(maps[2], instrument="Zygo, system 651366")
-    with pytest.raises(BadMap, match=r"2\.dat is of the instrument"):
+    with pytest.raises(MapError, match=r"2\.dat is of the instrument"):
         average([*maps[:2], other])
 
 

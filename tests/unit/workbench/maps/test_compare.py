@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.show.tables import stdout
 from polishd.workbench.maps.compare import paired
@@ -151,7 +151,7 @@ def test_what_only_one_map_says_is_noted() -> None:
 
 def test_no_data_in_common() -> None:
     empty = SurfaceMap(np.full((60, 48), np.nan), 0.5)
-    with pytest.raises(BadMap, match="shares only 0"):
+    with pytest.raises(MapError, match="shares only 0"):
         paired(empty, SurfaceMap(surface(), 0.5))
 
 

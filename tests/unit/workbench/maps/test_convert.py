@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.hookspecs import SurfaceReader
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.workbench.maps import convert as map_convert
 from polishd.workbench.maps.files import MapSource, readers_for
@@ -140,7 +140,7 @@ def test_a_format_that_claims_to_know_more() -> None:
     height = surface()
     was = SurfaceMap(height, PITCH_MM, unsaid=frozenset({"unit", "surface"}))
     assert map_convert.require_same(was, was, Path("out.dat")) == 0
-    with pytest.raises(BadMap, match=r"out\.dat: the map does not say its surface, and .* --profile"):
+    with pytest.raises(MapError, match=r"out\.dat: the map does not say its surface, and .* --profile"):
         map_convert.require_same(was, SurfaceMap(height, PITCH_MM, unsaid=frozenset({"unit"})), Path("out.dat"))
 
 
@@ -230,7 +230,7 @@ def test_what_does_not_read_back_is_not_written(
 
 def test_what_a_writer_refuses_is_one_message(polishd: Polishd, source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def write(_: SurfaceMap) -> bytes:
-        raise BadMap("heights beyond its integers")
+        raise MapError("heights beyond its integers")
 
     readers = dict(readers_for())
     held = readers["metropro"]

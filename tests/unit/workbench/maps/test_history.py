@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd import __version__
-from polishd.model.errors import BadMap
+from polishd.model.errors import MapError
 from polishd.model.map_history import MOST_CHARACTERS, MOST_DEPTH, MapInput, MapStep
 from polishd.model.surface import SurfaceMap
 from polishd.plugins.interferometer.formats.kept_history import MARK
@@ -82,7 +82,7 @@ def test_one_that_grows_beyond_bounds_is_refused(tmp_path: Path) -> None:
     too_deep = replace(deep, inputs=(MapInput("map", "m.x3p", "", deep),))
     wide = replace(LEAF, options={"mask": ["x" * MOST_CHARACTERS]})
     for history in (too_deep, wide):
-        with pytest.raises(BadMap, match=r"its history is too long: .* begin with the measured maps again"):
+        with pytest.raises(MapError, match=r"its history is too long: .* begin with the measured maps again"):
             X3P.write(SurfaceMap(surface(), PITCH_MM, history=history))
 
 

@@ -18,7 +18,7 @@ import pytest
 from polishd import __version__
 from polishd.config.tolerance import notation
 from polishd.console.demo_files import with_values
-from polishd.model.tolerance import Line
+from polishd.model.tolerance import ToleranceLine
 from polishd.process.tolerance import judge
 from tests import patience
 from tests.unit.said import Polishd
@@ -198,7 +198,7 @@ def test_the_surface_keeps_the_indication_and_no_tighter_one(polishd: Polishd, t
     assert len(limits) == 6
     height = surface()
     mask = np.isfinite(height)
-    lines = [Line(figure, limit) for figure, limit in limits.items()]
+    lines = [ToleranceLine(figure, limit) for figure, limit in limits.items()]
     assert all(0.99 < one.excess <= 1 + 1e-4 for one in judge(lines, height, mask, PITCH_MM))
     assert said["iso10110_14"].startswith("13/")
     twice = notation(said["iso10110_14"].removeprefix("1"))

@@ -16,7 +16,7 @@ import pytest
 import sdfio
 
 from polishd.show.tables import stdout
-from polishd.workbench.maps.files import told_apart
+from polishd.workbench.maps.files import distinguish_names
 from tests.unit.plugins.map_files_other import points_file, sdf_second
 from tests.unit.said import Polishd
 from tests.unit.workbench.maps.maps import PITCH_MM, dat, surface
@@ -381,7 +381,7 @@ def test_maps_of_one_name_are_told_apart(polishd: Polishd, tmp_path: Path) -> No
     ],
 )
 def test_the_shortest_names_that_tell(paths: list[str], names: list[str]) -> None:
-    assert told_apart(paths) == names
+    assert distinguish_names(paths) == names
 
 
 def test_a_profile_is_applied(polishd: Polishd, good: Path) -> None:

@@ -16,7 +16,7 @@ from polishd.plugins.rnc_robot.formats import read, rewrite
 from polishd.plugins.rnc_robot.verify import verify
 from polishd.workbench.programs import files as program_files
 from polishd.workbench.programs.dwell_csv import DwellTable
-from polishd.workbench.programs.files import Written, not_over, rewrite_file, target_file
+from polishd.workbench.programs.files import RewriteResult, not_over, rewrite_file, target_file
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 
 HEAD = b"G21 G90 G94\nG0 X0 Y0 Z0\n"
@@ -25,7 +25,7 @@ DWELL = HEAD + b"G1 X1 F60\nG4 P1\nG1 X3\nG4 P.5\nM2\n"
 
 def rewritten(
     folder: Path, text: bytes, times: list[float], name: str = "rs274", encoding: Encoding | None = None, **said: bool
-) -> tuple[Written, bytes]:
+) -> tuple[RewriteResult, bytes]:
     """What was written, and its bytes."""
     (folder / "p.rnc").write_bytes(text)
     (folder / "d.csv").write_text("".join(f"{time_s!r}\n" for time_s in times))

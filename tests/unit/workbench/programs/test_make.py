@@ -239,7 +239,7 @@ def test_what_is_made_for_a_cell_is_what_its_plan_and_run_take(tmp_path: Path, w
     without_profile = load_config(cell).model_copy(update={"instrument": InstrumentSection()})
     recipe = make_recipe(without_profile, load_own())
     program = steps.read_program(recipe, tmp_path / "made.nc")
-    plan = foresight.fastest(recipe, program)
+    plan = foresight.shortest_time_s(recipe, program)
     assert steps.violations(recipe, plan) == []
     answer = steps.effect_of(replace(recipe, grid_mm=4.0), program, Grid(30, 30, 4.0))
     assert np.isfinite(answer.gamma).all()

@@ -27,7 +27,7 @@ from polishd.recipe.making import make_recipe
 from polishd.workbench.maps.files import MapSource
 from polishd.workbench.setup.answers import answers_of
 from polishd.workbench.setup.arms import ARMS
-from polishd.workbench.setup.draft import gathered
+from polishd.workbench.setup.draft import draft_cell
 from polishd.workbench.setup.seat import Seat, find_seat, reached
 from tests.unit.workbench.maps.maps import dat, surface
 
@@ -66,7 +66,7 @@ def test_an_arm_and_a_part_become_a_cell_whose_program_its_plan_takes(tmp_path: 
     assert (config.part.id, config.part.aperture_mm, config.part.curvature_radius_mm) == ("MIRROR-7", 20.0, 800.0)
     recipe = make_recipe(config, hooks)
     program = steps.read_program(recipe, config.program_path)
-    assert foresight.refusals(recipe, program, hooks.check_plan) == []
+    assert foresight.precheck_plan(recipe, program, hooks.check_plan) == []
     assert not load_profile(tmp_path / "cell" / "instrument.toml").instrument.commissioned
 
 
@@ -290,7 +290,7 @@ def test_a_part_whose_assumed_place_is_out_of_reach_lies_where_the_robot_reaches
 
 def drafted(folder: Path, answers: str) -> CellConfig:
     """The cell of these answers, as it is before its part is moved."""
-    return gathered(answers_of(answers, folder / "answers.toml"), folder / "cell", load_own()).judged()
+    return draft_cell(answers_of(answers, folder / "answers.toml"), folder / "cell", load_own()).judged()
 
 
 @pytest.mark.full
@@ -301,7 +301,7 @@ def test_a_large_part_becomes_a_cell_whose_plan_takes_the_program(tmp_path: Path
     assert "moved to where the robot reaches all of it" in told["look"]["part.origin_mm"]
     config, hooks = load_cell(tmp_path / "cell" / "cell.toml")
     recipe = make_recipe(config, hooks)
-    assert foresight.refusals(recipe, steps.read_program(recipe, config.program_path), hooks.check_plan) == []
+    assert foresight.precheck_plan(recipe, steps.read_program(recipe, config.program_path), hooks.check_plan) == []
 
 
 @pytest.mark.parametrize(

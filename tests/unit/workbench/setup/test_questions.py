@@ -14,8 +14,8 @@ from polishd.config.cell import load_config
 from polishd.hooks.loader import load_own
 from polishd.workbench.setup.answers import Answers
 from polishd.workbench.setup.connected import Connected, MapFolder, SerialPort, can_interfaces, map_folders
-from polishd.workbench.setup.draft import gathered
-from polishd.workbench.setup.questions import Question, asked
+from polishd.workbench.setup.draft import draft_cell
+from polishd.workbench.setup.questions import Question, ask_questions
 
 NOTHING = Connected()
 
@@ -38,7 +38,7 @@ class Person:
 
 
 def answered(folder: Path, person: Person, connected: Connected = NOTHING) -> Answers:
-    return asked(folder / "cell", connected, load_own(), person)
+    return ask_questions(folder / "cell", connected, load_own(), person)
 
 
 def test_each_question_has_a_line_of_why_and_a_part_and_an_arm_become_their_answers(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_each_question_has_a_line_of_why_and_a_part_and_an_arm_become_their_answ
 
 def test_what_only_got_a_return_is_still_to_be_looked_at(tmp_path: Path) -> None:
     person = Person(robot=["ur5e"], process__force_n=["9.5"])
-    draft = gathered(answered(tmp_path, person), tmp_path / "cell", load_own())
+    draft = draft_cell(answered(tmp_path, person), tmp_path / "cell", load_own())
     assert {"process.rpm", "robot.address", "job.tolerance_nm"} <= set(draft.assumed)
     assert "process.force_n" not in draft.assumed
     assert draft.raw["process"]["force_n"] == 9.5
@@ -89,14 +89,14 @@ def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> Non
     answers = answered(tmp_path, person)
     assert person.problems == [("robot.profile", "cannot be left out")]
     assert answers.cell["robot"]["address"] == "opc.tcp://robot-controller:4840"
-    config = gathered(answers, tmp_path / "cell", load_own()).judged()
+    config = draft_cell(answers, tmp_path / "cell", load_own()).judged()
     assert {"handover", "device_profiles"} <= set(config.plugins.load)
 
 
 @pytest.mark.full
 def test_a_usual_address_of_another_type_stays_said(tmp_path: Path) -> None:
     answers = answered(tmp_path, Person(actuator__type=["voice_coil_serial"]))
-    config = gathered(answers, tmp_path / "cell", load_own()).judged()
+    config = draft_cell(answers, tmp_path / "cell", load_own()).judged()
     assert config.actuator.model_dump() == {"type": "voice_coil_serial", "address": "serial:/dev/ttyUSB0?baud=115200"}
 
 

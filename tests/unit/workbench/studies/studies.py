@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from polishd.config.loop_study import LoopStudy
-from polishd.config.sweep_points import Swept
-from polishd.workbench.studies.cases import Making
-from polishd.workbench.studies.loop import Run
+from polishd.config.sweep_points import SweepStudy
+from polishd.workbench.studies.cases import CaseFactory
+from polishd.workbench.studies.loop import ClosedLoopResult
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.working import closed_loop
 
@@ -44,9 +44,9 @@ def line_of(path: Path, start: str) -> int:
     return next(number for number, line in enumerate(lines, 1) if line.startswith(start))
 
 
-def runs_here(study: LoopStudy) -> list[Run]:
+def runs_here(study: LoopStudy) -> list[ClosedLoopResult]:
     """All jobs of a study, in this process, as a worker would do them: of a study that need not be a file."""
-    making = Making(Swept(study.base_dir, {}, study.source, ({},), is_sweep=False))
+    making = CaseFactory(SweepStudy(study.base_dir, {}, study.source, ({},), is_sweep=False))
     with PlantProcess() as plant:
         return [
             closed_loop(study, loop).run(plant, making.plant(study, scenario), scenario, loop, seed)

@@ -12,17 +12,17 @@ from polishd.config.loop_study import LoopStudy, Scenario
 from polishd.config.study import load_study
 from polishd.workbench.studies.confusion import FILE, confusion_page
 from polishd.workbench.studies.kept import read_table
-from polishd.workbench.studies.loop import Run
-from polishd.workbench.studies.loops import Looped, looped
+from polishd.workbench.studies.loop import ClosedLoopResult
+from polishd.workbench.studies.loops import LoopRows, looped
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.verb import study_verb
 from tests.unit.workbench.studies.studies import TABLE_III
 
 EXAMPLES = TABLE_III.parent
-RUN = Run("warm", "rate", 1, "cycles_used", "", (), 1, (18.0, 2.0), (1.0,), (18.0, 2.0), (), False, 1.0)
+RUN = ClosedLoopResult("warm", "rate", 1, "cycles_used", "", (), 1, (18.0, 2.0), (1.0,), (18.0, 2.0), (), False, 1.0)
 
 
-def rows(scenario: Scenario, *named: tuple[str, ...]) -> Looped:
+def rows(scenario: Scenario, *named: tuple[str, ...]) -> LoopRows:
     runs = tuple(replace(RUN, seed=seed, named=names) for seed, names in enumerate(named))
     return looped(runs, {"warm": scenario})
 

@@ -15,7 +15,7 @@ from polishd.process.effect import SparseEffect
 from polishd.recipe.encoding import facts_of
 from polishd.workbench.studies.corrections import (
     PLANTS,
-    Comparison,
+    CorrectionComparison,
     believed_spots,
     compare_corrections,
     removal_wanted,
@@ -34,26 +34,26 @@ def never(path: Path) -> SurfaceMap:
     raise AssertionError("a drawn surface reads nothing")
 
 
-def compare(path: Path) -> Comparison:
+def compare(path: Path) -> CorrectionComparison:
     study = load_study(path)
     assert isinstance(study, CorrectionsStudy)
     return compare_corrections(study, never, lambda words: None)
 
 
 @pytest.fixture(scope="module")
-def shipped() -> Comparison:
+def shipped() -> CorrectionComparison:
     return compare(studies.TABLE_IV)
 
 
-def rms(compared: Comparison, plant: str) -> dict[str, float]:
+def rms(compared: CorrectionComparison, plant: str) -> dict[str, float]:
     return {row.correction: row.rms_nm for row in compared.rows if row.plant == plant}
 
 
-def test_a_row_for_each_correction_and_plant(shipped: Comparison) -> None:
+def test_a_row_for_each_correction_and_plant(shipped: CorrectionComparison) -> None:
     assert [(row.plant, row.correction) for row in shipped.rows] == [(p, c) for p in PLANTS for c in ORDER]
 
 
-def test_the_order_on_a_plant_that_follows_depth(shipped: Comparison) -> None:
+def test_the_order_on_a_plant_that_follows_depth(shipped: CorrectionComparison) -> None:
     """As the issue demands it: none > pointwise ~ linear > power > exact, exact at or below 0.05 of none."""
     left = rms(shipped, "depth")
     assert left["none"] > left["pointwise"] > left["power"] > left["exact"]
@@ -63,7 +63,7 @@ def test_the_order_on_a_plant_that_follows_depth(shipped: Comparison) -> None:
     assert shipped.ratio("depth", "exact") < TABLE_IV_RATIO
 
 
-def test_figures_of_independent_code_lie_near(shipped: Comparison) -> None:
+def test_figures_of_independent_code_lie_near(shipped: CorrectionComparison) -> None:
     """On another start, by other code: none 9.56, pointwise 3.40, linear 3.39 nm; what counts is the ratio."""
     assert shipped.ratio("depth", "pointwise") == pytest.approx(3.40 / 9.56, rel=0.05)
     assert shipped.ratio("depth", "linear") == pytest.approx(3.39 / 9.56, rel=0.05)
@@ -71,21 +71,21 @@ def test_figures_of_independent_code_lie_near(shipped: Comparison) -> None:
     assert rms(shipped, "depth")["power"] < 0.444
 
 
-def test_on_eq_49_alone_pointwise_and_linear_tie(shipped: Comparison) -> None:
+def test_on_eq_49_alone_pointwise_and_linear_tie(shipped: CorrectionComparison) -> None:
     left = rms(shipped, "eq49")
     assert left["pointwise"] == pytest.approx(left["linear"], rel=0.01)
     assert max(left["pointwise"], left["linear"]) < 0.01 * left["none"]
     assert left["exact"] > 10 * left["linear"], "exact is not the truth of this plant"
 
 
-def test_the_ties_are_said(shipped: Comparison) -> None:
+def test_the_ties_are_said(shipped: CorrectionComparison) -> None:
     eq49, depth = tie_words(shipped)
     assert eq49.startswith("plant eq49: pointwise and linear tie, as they must (")
     assert eq49.endswith("R0 diag(gamma) (t/gamma) = R0 t")
     assert depth.startswith("plant depth: pointwise and linear tie here too (")
 
 
-def test_calibrating_the_static_tif_takes_most_of_the_mean_error(shipped: Comparison) -> None:
+def test_calibrating_the_static_tif_takes_most_of_the_mean_error(shipped: CorrectionComparison) -> None:
     """No compensation is mostly a wrong mean rate; that it comes close to the paper's own is why the row is there."""
     none, calibrated = shipped.row("depth", "none"), shipped.row("depth", "calibrated")
     assert calibrated.rms_nm < none.rms_nm / 4
@@ -93,16 +93,16 @@ def test_calibrating_the_static_tif_takes_most_of_the_mean_error(shipped: Compar
     assert piston < 0.02 * np.sqrt(none.rms_nm**2 - none.rms_piston_removed_nm**2)
 
 
-def test_pointwise_is_the_uncorrected_dwell_over_gamma(shipped: Comparison) -> None:
+def test_pointwise_is_the_uncorrected_dwell_over_gamma(shipped: CorrectionComparison) -> None:
     scale = shipped.time_s["none"].max()
     assert np.allclose(shipped.time_s["pointwise"] * shipped.scene.gamma, shipped.time_s["none"], atol=1e-9 * scale)
 
 
-def test_no_dwell_is_negative(shipped: Comparison) -> None:
+def test_no_dwell_is_negative(shipped: CorrectionComparison) -> None:
     assert min(time.min() for time in shipped.time_s.values()) >= 0
 
 
-def test_figures_are_those_of_the_residual_in_the_clear_aperture(shipped: Comparison) -> None:
+def test_figures_are_those_of_the_residual_in_the_clear_aperture(shipped: CorrectionComparison) -> None:
     for row in shipped.rows:
         inside = row.residual_nm[shipped.start.metric_mask]
         assert row.pv_nm == inside.max() - inside.min()
@@ -113,7 +113,7 @@ def test_figures_are_those_of_the_residual_in_the_clear_aperture(shipped: Compar
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_a_plant_removes_the_volume_that_the_contact_states(shipped: Comparison, plant: str) -> None:
+def test_a_plant_removes_the_volume_that_the_contact_states(shipped: CorrectionComparison, plant: str) -> None:
     """Of the inner dwell, whose spots lie on the grid: seconds times the volume rate at each point's depth."""
     scene = shipped.scene
     inner = np.hypot(*scene.program.end_mm[:, :2].T) < 27.0
@@ -132,7 +132,7 @@ def test_the_power_is_the_files(tmp_path: Path) -> None:
     assert left["power"] == pytest.approx(left["linear"], rel=1e-9)
 
 
-def test_exact_is_solved_with_convolutions_and_says_so(shipped: Comparison) -> None:
+def test_exact_is_solved_with_convolutions_and_says_so(shipped: CorrectionComparison) -> None:
     note = next(note for note in shipped.notes if note.startswith("exact: "))
     assert "a sum of 4 convolutions, truncated to" in note
     assert "the plant is the direct matrix" in note
@@ -162,7 +162,7 @@ def test_a_solver_that_is_stopped_is_named(tmp_path: Path) -> None:
     assert stopped == ORDER
 
 
-def test_nothing_needs_to_be_added_but_where_the_file_gives_it_up(shipped: Comparison) -> None:
+def test_nothing_needs_to_be_added_but_where_the_file_gives_it_up(shipped: CorrectionComparison) -> None:
     start = shipped.start
     for unreached in (0.0, 0.02):
         wanted = removal_wanted(start, unreached)[start.solve_mask]
@@ -179,7 +179,7 @@ def test_the_dwell_brings_what_the_regularisation_allows(tmp_path: Path) -> None
     assert rms(heavy, "depth")["exact"] > 10 * rms(light, "depth")["exact"]
 
 
-def test_rows_as_json(shipped: Comparison) -> None:
+def test_rows_as_json(shipped: CorrectionComparison) -> None:
     keys = {"plant", "correction", "pv_nm", "rms_nm", "rms_piston_removed_nm", "band_rms_nm", "dwell_s", "wall_s"}
     assert all(set(facts_of(row)) == keys for row in shipped.rows)
     assert all(isinstance(value, (str, float)) for row in shipped.rows for value in facts_of(row).values())

@@ -13,8 +13,8 @@ import pytest
 from polishd.model.errors import ConfigError
 from polishd.workbench.studies import children, engine
 from polishd.workbench.studies.case import Case, versions
-from polishd.workbench.studies.children import Answer, Task
-from polishd.workbench.studies.engine import Done, work
+from polishd.workbench.studies.children import CaseResult, Task
+from polishd.workbench.studies.engine import FinishedCase, work
 from polishd.workbench.studies.executors import LocalPool
 
 ODD = Path(__file__).with_name("odd_child.py")
@@ -30,7 +30,7 @@ def cases(*what: str) -> list[Case]:
     return [Case(k, k, {"what": one}, None, None, None, str(k)) for k, one in enumerate(what)]
 
 
-def worked(folder: Path, some: list[Case], workers: int = 2, within_s: float = 60.0) -> dict[int, Done]:
+def worked(folder: Path, some: list[Case], workers: int = 2, within_s: float = 60.0) -> dict[int, FinishedCase]:
     with LocalPool(workers) as pool:
         return {done.case.number: done for done in work(folder / "study.toml", some, pool, within_s)}
 
@@ -64,9 +64,9 @@ class Lonely(LocalPool):
 
     def __init__(self) -> None:
         super().__init__(1)
-        self.lack, self.said, self.given = "no worker at x", list[str](), list[tuple[Task, Future[list[Answer]]]]()
+        self.lack, self.said, self.given = "no worker at x", list[str](), list[tuple[Task, Future[list[CaseResult]]]]()
 
-    def submit(self, task: Task) -> Future[list[Answer]]:
+    def submit(self, task: Task) -> Future[list[CaseResult]]:
         self.given.append((task, Future()))
         return self.given[-1][1]
 
@@ -76,7 +76,7 @@ class Lonely(LocalPool):
         self.lack = ""
         for task, future in self.given:
             if not future.done():
-                future.set_result([Answer(case.number, ({},)) for case in task.cases])
+                future.set_result([CaseResult(case.number, ({},)) for case in task.cases])
 
 
 def test_nobody_to_work_is_told_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,19 +11,19 @@ from pathlib import Path
 import pytest
 import typer
 
-from polishd.config.document import parse_toml
+from polishd.config.document import load_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.config.sweep_points import load_swept
 from polishd.model.errors import ComputeError, ConfigError, PolishdError
 from polishd.workbench.studies import loops, plant_process
 from polishd.workbench.studies.cases import cases_of, laid_over
-from polishd.workbench.studies.loops import Looped
+from polishd.workbench.studies.loops import LoopRows
 from polishd.workbench.studies.options import StudyOptions
 from polishd.workbench.studies.plant_process import PlantProcess
 from polishd.workbench.studies.running import run_cases
 from polishd.workbench.studies.verb import study_verb
-from polishd.workbench.studies.working import Bench, run_of
+from polishd.workbench.studies.working import CaseRunner, run_of
 from tests.unit.workbench.studies.studies import TABLE_III, runs_here
 
 EXAMPLES = TABLE_III.parent
@@ -60,14 +60,14 @@ def study_file(folder: Path, loops: str = LOOPS, more: str = "raster = true", **
     return path
 
 
-def looped(path: Path, workers: int = 1) -> Looped:
+def looped(path: Path, workers: int = 1) -> LoopRows:
     """By the engine, in processes."""
     swept = load_swept(path)
     rows = run_cases(swept, StudyOptions(workers=workers)).rows
     return loops.looped([run_of(row) for row in rows], swept.at({}).all_scenarios())  # type: ignore[union-attr]
 
 
-def timeless(found: Looped) -> list[object]:
+def timeless(found: LoopRows) -> list[object]:
     return [replace(run, cpu_s=0.0) for run in found.runs]
 
 
@@ -116,7 +116,7 @@ def test_a_loop_that_does_not_learn_makes_the_same_mistake_again(tmp_path: Path)
 def test_a_plant_that_died_is_no_end_of_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = study_file(tmp_path, near=-0.1)
     (case,) = cases_of(load_swept(path))
-    bench = Bench(path)
+    bench = CaseRunner(path)
     monkeypatch.setattr(plant_process, "COMMAND", ("sh", "-c", "echo out of luck >&2"))
     with pytest.raises(ComputeError, match="out of luck"):
         bench.rows(case)
@@ -166,7 +166,7 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
 def test_every_shipped_scenario_is_another_plant() -> None:
     study = load_study(EXAMPLES / "scenarios.toml")
     assert isinstance(study, LoopStudy)
-    sections, _ = parse_toml(EXAMPLES / "sim.toml")
+    sections, _ = load_toml(EXAMPLES / "sim.toml")
     drawn: dict[str, str] = {}
     with PlantProcess() as plant:
         for name, scenario in study.all_scenarios().items():

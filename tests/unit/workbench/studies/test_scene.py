@@ -11,7 +11,7 @@ from polishd.config.study import CorrectionsStudy, load_study
 from polishd.model.errors import ConfigError
 from polishd.model.surface import Grid
 from polishd.process.contact import hertz_depth_mm
-from polishd.process.dynamic_tif import corrected_spot
+from polishd.process.dynamic_tif import tif_at_point
 from polishd.process.optics import sag_mm
 from polishd.workbench.studies.scene import Scene, lattice_points, make_scene
 from tests.unit.workbench.studies.studies import TABLE_IV, line_of, small, variant
@@ -86,7 +86,7 @@ def test_an_effect_removes_where_the_tool_dwells(tmp_path: Path) -> None:
     scene = scene_of(small(tmp_path))
     time = np.zeros(scene.program.n)
     time[40] = 2.0
-    removal = scene.effect(corrected_spot("exact", scene.gamma)).removal_nm(time)
+    removal = scene.effect(tif_at_point("exact", scene.gamma)).removal_nm(time)
     row, column = np.unravel_index(removal.argmax(), removal.shape)
     place = np.array([scene.grid.x_mm[column], scene.grid.y_mm[row]])
     assert np.linalg.norm(place - scene.program.end_mm[40, :2]) < 1.5
@@ -139,7 +139,7 @@ def test_spots_sink_over_a_free_rim_and_nowhere_else(tmp_path: Path) -> None:
     ring = scene_of(small(tmp_path))
     free = scene_of(small(tmp_path, ("edge_mm = 3.0", 'edge_mm = 3.0\nrim = "free"')))
     assert np.array_equal(free.gamma, ring.gamma)
-    spots = corrected_spot("exact", ring.gamma)
+    spots = tif_at_point("exact", ring.gamma)
     assert np.array_equal(ring.on_part(spots)[0].depth_ratio, ring.gamma)
     deeper = free.on_part(spots)[0].depth_ratio > ring.gamma
     reach = 12.0 - 1.75 - np.hypot(*free.program.end_mm[:, :2].T)  # 1.75 mm: the contact's radius, and its offset

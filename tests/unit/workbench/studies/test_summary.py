@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.workbench.studies.summary import middle, share, summed_up
+from polishd.workbench.studies.summary import middle, share, summarise
 from polishd.workbench.studies.summary_show import summary_pictures, summary_tables
 
 POINTS = 30
@@ -61,7 +61,7 @@ def test_shares_are_wilsons() -> None:
 
 
 def test_groups_pairs_and_what_goes_with_what(rows: list[dict[str, Any]]) -> None:
-    found = summed_up(rows)
+    found = summarise(rows)
     assert found.kind == "loop"
     assert [dict(group.label) for group in found.groups] == [{"loop": "a"}, {"loop": "b"}], "one scenario tells nothing"
     assert [group.failed for group in found.groups] == [10, 11]
@@ -80,7 +80,7 @@ def test_groups_pairs_and_what_goes_with_what(rows: list[dict[str, Any]]) -> Non
 
 def test_a_case_with_an_error_fails_and_has_no_figures(rows: list[dict[str, Any]]) -> None:
     bad = row(30, "a", 0.0, 0, error="killed its worker: signal 9", accepted=None, true_rms_end_nm=None)
-    (first, _) = summed_up([*rows, bad]).groups
+    (first, _) = summarise([*rows, bad]).groups
     assert (first.cases, first.failed, first.errors) == (31, 11, 1)
     assert first.figures["true_rms_end_nm"].median == 14.5
 
@@ -88,7 +88,7 @@ def test_a_case_with_an_error_fails_and_has_no_figures(rows: list[dict[str, Any]
 def test_jobs_of_which_none_came_so_far_as_a_figure_are_jobs_still() -> None:
     none = {"rms_nm": [], "true_rms_end_nm": None, "ended": "error"}
     rows = [{**row(k, "a", 30.0, 0), **none} for k in range(3)]
-    found = summed_up(rows)
+    found = summarise(rows)
     assert found.kind == "loop"
     assert found.groups[0].figures["true_rms_end_nm"].median is None
     assert found.groups[0].share[0] == 1.0
@@ -98,7 +98,7 @@ def test_jobs_of_which_none_came_so_far_as_a_figure_are_jobs_still() -> None:
 
 @pytest.mark.full
 def test_tables_and_pictures_are_of_all_of_it(rows: list[dict[str, Any]]) -> None:
-    found = summed_up(rows)
+    found = summarise(rows)
     titles = [str(table.title) for table in summary_tables("t", found)]
     assert [title.partition(": ")[2].split(",")[0] for title in titles] == [
         "medians", "on the same draws", "rank correlation of true_rms_end_nm with", "share that fails",
@@ -110,7 +110,7 @@ def test_tables_and_pictures_are_of_all_of_it(rows: list[dict[str, Any]]) -> Non
 
 def test_other_kinds_are_known_by_their_figures() -> None:
     one = {"case": 0, "point": 0, "seed": None, "error": None, "plant": "depth", "rms_nm": 2.0, "pv_nm": 9.0}
-    found = summed_up([{**one, "correction": "none", "dwell_s": 1.0}, {**one, "correction": "exact", "dwell_s": 2.0}])
+    found = summarise([{**one, "correction": "none", "dwell_s": 1.0}, {**one, "correction": "exact", "dwell_s": 2.0}])
     assert found.kind == "corrections"
     assert [dict(group.label) for group in found.groups] == [{"correction": "none"}, {"correction": "exact"}]
     assert [one.figure for one in found.paired] == ["rms_nm", "pv_nm", "dwell_s"]

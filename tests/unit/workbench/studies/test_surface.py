@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from polishd.config.study import CorrectionsStudy, load_study
-from polishd.model.errors import BadMap, ConfigError
+from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.process.metrics import split_bands
 from polishd.workbench.studies.surface import random_waves, start_surface, study_grid
@@ -105,7 +105,7 @@ def test_a_map_that_cannot_be_used_is_blamed_on_its_key(tmp_path: Path) -> None:
     path = variant(tmp_path, TABLE_IV, ("rms_nm = 18.5", 'file = "map.dat"'), ("period_mm = [33.0, 120.0]", ""))
 
     def read(path: Path) -> SurfaceMap:
-        raise BadMap(f"{path.name}: the file is empty; export the map again")
+        raise MapError(f"{path.name}: the file is empty; export the map again")
 
     with pytest.raises(ConfigError) as caught:
         start_surface(corrections(path), read)

@@ -14,7 +14,7 @@ from polishd.config.study import load_study
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.surface import FloatArray
 from polishd.workbench.studies.plant_process import PlantProcess
-from polishd.workbench.studies.turned import calibrated, certified
+from polishd.workbench.studies.turned import with_absolute_test, with_certified_map
 from tests.unit.daemon.small import small_recipe
 from tests.unit.workbench.studies.studies import TABLE_III, runs_here
 
@@ -40,7 +40,7 @@ def rms_nm(height_nm: FloatArray) -> float:
 @pytest.mark.full
 def test_the_instruments_astigmatism_is_told_and_comes_off(plant: PlantProcess) -> None:
     drawn(plant, astigmatism_nm=3.0)
-    recipe = calibrated(small_recipe(), plant, POSES)
+    recipe = with_absolute_test(small_recipe(), plant, POSES)
     assert recipe.system is not None
     assert recipe.accept == "bound"
     told = recipe.system.told
@@ -58,7 +58,7 @@ def test_the_instruments_astigmatism_is_told_and_comes_off(plant: PlantProcess) 
 
 def test_what_turns_with_the_part_is_the_parts_as_its_mount_holds_it(plant: PlantProcess) -> None:
     drawn(plant, mount_nm=3.0, mount_turns=True)
-    recipe = calibrated(small_recipe(), plant, POSES)
+    recipe = with_absolute_test(small_recipe(), plant, POSES)
     assert recipe.system is not None
     assert rms_nm(recipe.system.surface.height_nm) < 0.5
     _, alone = plant.truth()
@@ -70,12 +70,12 @@ def test_what_turns_with_the_part_is_the_parts_as_its_mount_holds_it(plant: Plan
 
 @pytest.mark.full
 def test_the_truth_is_judged_by_what_the_certificate_says(plant: PlantProcess) -> None:
-    whole, without = (certified(small_recipe(accept=accept)) for accept in ("bound", "bound_without_power"))
+    whole, without = (with_certified_map(small_recipe(accept=accept)) for accept in ("bound", "bound_without_power"))
     assert (whole.part.alignment, without.part.alignment) == ("tilt", "power")
     assert {whole.accept, without.accept} == {"figure"}
     drawn(plant)
     with pytest.raises(ComputeError, match=r"shifted 0\.3,0 mm.*whole samples of 0\.5 mm"):
-        calibrated(small_recipe(), plant, ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0)))
+        with_absolute_test(small_recipe(), plant, ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0)))
 
 
 @pytest.mark.full

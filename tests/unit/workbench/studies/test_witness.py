@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.document import parse_toml
+from polishd.config.document import load_toml
 from polishd.config.loop_study import LoopStudy
 from polishd.config.study import load_study
 from polishd.model.errors import ConfigError
@@ -52,7 +52,7 @@ def study(folder: Path, loops: str) -> LoopStudy:
 @pytest.mark.full
 def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
     of = study(tmp_path, '[loops.exact]\nwitness = "rate"\n[loops.static]\nwitness = "spot"\n')
-    sections, _ = parse_toml(EXAMPLES / "sim.toml")
+    sections, _ = load_toml(EXAMPLES / "sim.toml")
     (scenario,) = of.all_scenarios().values()
     sections = {**sections, **of.plant_with, "plant": {**sections["plant"], **of.plant_with["plant"]}}
     with PlantProcess() as plant:

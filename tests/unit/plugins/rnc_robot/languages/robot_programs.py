@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from polishd.plugins.rnc_robot.dialect import dialect
-from polishd.plugins.rnc_robot.languages import Profile
+from polishd.plugins.rnc_robot.languages import LanguageProfile
 
 LANGUAGES = ("rapid", "krl", "fanuc-tp", "urscript")
 
@@ -216,10 +216,10 @@ TAIL = {
 }
 
 
-def profile(name: str) -> Profile:
+def profile(name: str) -> LanguageProfile:
     """The shipped profile of a robot language."""
     found = dialect(name)
-    assert isinstance(found, Profile)
+    assert isinstance(found, LanguageProfile)
     return found
 
 

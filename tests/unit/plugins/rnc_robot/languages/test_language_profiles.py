@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from polishd.api import ConfigError, Program, ProgramError
 from polishd.plugins.rnc_robot.dialect import dialect
-from polishd.plugins.rnc_robot.languages import Profile, parse, read, rewrite, split
+from polishd.plugins.rnc_robot.languages import LanguageProfile, parse, read, rewrite, split
 from polishd.plugins.rnc_robot.languages.profile import Dwell
 from polishd.plugins.rnc_robot.languages.template import Writing, compiled
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, around, profile
@@ -106,7 +106,7 @@ def test_a_variant_adds_templates_and_changes_keys(tmp_path: Path) -> None:
         "[added]\nneutral = ['SpindleOn <items>;']\ndwell = ['Rest <time>;']\n"
     )
     language = dialect(own)
-    assert isinstance(language, Profile)
+    assert isinstance(language, LanguageProfile)
     body = b"SpindleOn 1200,tPad;\nMoveL p1,v10,fine,tool0;\nREST 2.5;\n"
     with pytest.raises(ProgramError, match="line 6"):
         read(profile("rapid"), around("rapid", body), "part.mod")
@@ -122,7 +122,7 @@ def test_the_example_of_the_docs_is_a_language(tmp_path: Path) -> None:
     own = tmp_path / "acme.toml"
     own.write_text(toml)
     language = dialect(own)
-    assert isinstance(language, Profile)
+    assert isinstance(language, LanguageProfile)
     text = program_text.encode()
     program = read(language, text, "part.acme")
     assert program.time_s.tolist() == [0.5, 0.25]
@@ -224,7 +224,7 @@ def test_every_key_that_is_wrong_is_named() -> None:
 pieces = st.sampled_from([b"\n", b"\r", b";", b'"', b"0.5", b"(", b"!", b"WaitTime 9;", b"WAIT SEC 9"])
 
 
-def outcome(language: Profile, text: bytes) -> tuple[Program | None, str]:
+def outcome(language: LanguageProfile, text: bytes) -> tuple[Program | None, str]:
     """The program, or what it is refused with; any other error passes."""
     try:
         return read(language, text, "part.txt"), ""

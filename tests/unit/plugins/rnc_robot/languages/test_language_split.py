@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.languages import Profile, read, split
+from polishd.plugins.rnc_robot.languages import LanguageProfile, read, split
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, TP, many, profile
 
 PREAMBLE = "   1:  UFRAME_NUM=1 ;\n   2:  UTOOL_NUM=1 ;\n   3:J P[1] 100% CNT50    ;\n"
 
 
-def limited(name: str, lines: int) -> Profile:
+def limited(name: str, lines: int) -> LanguageProfile:
     """The profile of a controller that takes fewer lines."""
     return profile(name).model_copy(update={"line_limit": lines})
 
