@@ -28,9 +28,9 @@ from polishd.process.transforms.plane import (
     Field,
     columns_back,
     columns_forth,
-    plane,
     rows_back,
     rows_forth,
+    transform_plane,
 )
 
 TINY = np.float32(1e-6)
@@ -101,7 +101,7 @@ def transforms(problem: DwellProblem, times: int) -> None:
     """What so many iterations of ours transform: forth and back, one for the removal and one for each convolution."""
     effect = problem.effect
     assert isinstance(effect, ConvolutionEffect)
-    on = plane(effect.size)
+    on = transform_plane(effect.size)
     fields = np.stack([on.packed(np.ones(on.size))] * (1 + effect.rank))
     kernel(_alone)(times, fields, on.columns(1)[0], on.order)
 
@@ -160,7 +160,7 @@ def lsq_linear(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None
 
 
 def backend(problem: DwellProblem, name: str, goal: Goal, within_s: float) -> None:
-    certificate = qp.solve(problem, within_s, name).certificate
+    certificate = qp.solve_qp(problem, within_s, name).certificate
     if certificate.objective > goal.objective:
         give_up()
 

@@ -19,7 +19,7 @@ from polishd.console.cli import Reason, jobs, opcua, recordings, reports, servic
 from polishd.console.shop_cli import app as shops
 from polishd.model.errors import ComputeError, PolishdError
 from polishd.show.terminal import escape_logs, say
-from polishd.workbench.cli import app as workbench
+from polishd.workbench.cli import offline_app as workbench
 from polishd.workbench.options import Cell, Json
 
 

@@ -15,7 +15,7 @@ from polishd.config.document import TomlDocument, load_toml
 from polishd.config.values import ConfigSection, Positive, Text, as_tuple
 from polishd.model.errors import ConfigError
 
-FOLDER = Path(__file__).with_name("controller_profiles")
+CONTROLLER_PROFILE_DIR = Path(__file__).with_name("controller_profiles")
 LEAST_LOOK_MS = 5.0
 Kind = Literal["bool", "int16", "uint16", "int32", "uint32", "float", "double", "string"]
 Value = bool | int | float | str
@@ -260,7 +260,7 @@ class ControllerProfile(TomlDocument):
 
 def shipped() -> list[str]:
     """Names of the profiles that come with polishd."""
-    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+    return sorted(path.stem for path in CONTROLLER_PROFILE_DIR.glob("*.toml"))
 
 
 def load_controller_profile(name: str, base_dir: Path) -> ControllerProfile:
@@ -273,4 +273,4 @@ def load_controller_profile(name: str, base_dir: Path) -> ControllerProfile:
         return ControllerProfile.of(*load_toml(base_dir / Path(name).expanduser()))
     if name not in shipped():
         raise ConfigError(f"profile {name!r} is not known; known are {', '.join(shipped())}, or the path of a .toml")
-    return ControllerProfile.of(*load_toml(FOLDER / f"{name}.toml"))
+    return ControllerProfile.of(*load_toml(CONTROLLER_PROFILE_DIR / f"{name}.toml"))

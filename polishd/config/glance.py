@@ -41,7 +41,7 @@ def cell_summary(path: Path) -> CellSummary:
 def _said(path: Path, key: str) -> str:
     """The last word on that key of ``[cell]``: that of the file, or of the fragments which are laid over it."""
     raw = _read(path)
-    fragments = [_read(path.parent / Path(name).expanduser()) for name in _included(raw)]
+    fragments = [_read(path.parent / Path(name).expanduser()) for name in _included_files(raw)]
     said = [part["cell"][key] for part in (raw, *fragments) if key in part.get("cell", {})]
     if not said or not isinstance(said[-1], str) or not said[-1]:
         raise LookupError(key)
@@ -55,7 +55,7 @@ def _read(path: Path) -> Mapping[str, Any]:
     return found
 
 
-def _included(raw: Mapping[str, Any]) -> list[str]:
+def _included_files(raw: Mapping[str, Any]) -> list[str]:
     names = raw.get("include", [])
     if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
         raise LookupError("include")

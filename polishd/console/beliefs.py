@@ -16,7 +16,7 @@ from polishd.daemon.history import read_only
 from polishd.daemon.remembering import JournalledEstimates, forget_estimates, journalled_estimates
 from polishd.show.tables import emit, figure_table
 
-COLUMNS = ("tool", "job", "pass", "taught, UTC", "rate", "+-", "ms a block", "more")
+ESTIMATE_COLUMNS = ("tool", "job", "pass", "taught, UTC", "rate", "+-", "ms a block", "more")
 PARAMETERS = ("parameter", "value", "+-", "plans count with")
 
 
@@ -63,7 +63,7 @@ def _words(*, remember: bool, found: bool) -> Iterator[str]:
 
 
 def _table(name: str, found: Iterable[JournalledEstimates]) -> Table:
-    return figure_table(f"{name}: what was learned", COLUMNS, map(_row, found))
+    return figure_table(f"{name}: what was learned", ESTIMATE_COLUMNS, map(_row, found))
 
 
 def _row(one: JournalledEstimates) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from polishd.config.cell import load_config
 from polishd.daemon.history import JobHistory, read_history
 from polishd.show.tables import emit, figure_table, record_table
 
-COLUMNS = ("job", "part", "began, UTC", "took", "passes", "RMS nm", "worst line", "rate", "faults", "outcome")
+HISTORY_COLUMNS = ("job", "part", "began, UTC", "took", "passes", "RMS nm", "worst line", "rate", "faults", "outcome")
 
 
 def history_verb(cell: Path, out: Path | None, *, as_json: bool) -> None:
@@ -42,7 +42,7 @@ def history_table(name: str, jobs: Sequence[JobHistory]) -> Table:
     words = ", ".join(f"{count} {outcome.replace('_', ' ')}" for outcome, count in ended.most_common())
     told = [one.as_forecast for job in jobs for one in job.measured if one.as_forecast is not None]
     held = f"; {sum(told)} of {len(told)} passes as forecast, and 9 of 10 are to be" if told else ""
-    return figure_table(f"{name}: {len(jobs)} jobs ({words}){held}", COLUMNS, map(_row, jobs))
+    return figure_table(f"{name}: {len(jobs)} jobs ({words}){held}", HISTORY_COLUMNS, map(_history_row, jobs))
 
 
 def fault_tables(jobs: Sequence[JobHistory]) -> list[Table]:
@@ -56,7 +56,7 @@ def fault_tables(jobs: Sequence[JobHistory]) -> list[Table]:
     return [record_table("faults", ("kind", "times", "last, UTC", "in", "what"), rows)] if rows else []
 
 
-def _row(job: JobHistory) -> Sequence[str]:
+def _history_row(job: JobHistory) -> Sequence[str]:
     figures = [one.rms_nm for one in job.measured]
     rms = f"{figures[0]:.2f} -> {figures[-1]:.2f}" if len(figures) > 1 else "".join(f"{one:.2f}" for one in figures)
     torn = f" + {job.interrupted} torn" if job.interrupted else ""

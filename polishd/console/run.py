@@ -62,11 +62,11 @@ def run_verb(
     if summaries and len(cells) == 1:
         emit(summaries[""], as_json=as_json, table=lambda: _table(summaries[""]))
     elif summaries:
-        whole = {"exit_code": worst(codes), "cells": {name: _facts(found) for (name, _), found in named}}
+        whole = {"exit_code": worst_exit_code(codes), "cells": {name: _facts(found) for (name, _), found in named}}
         emit(whole, as_json=as_json, table=lambda: Group(*map(_table, summaries.values())))
     for (name, cell), found in named:
         _tell_end(found, cell, f"{name}: " if name else "")
-    return worst(codes)
+    return worst_exit_code(codes)
 
 
 def _table(summary: Mapping[str, Any]) -> RenderableType:
@@ -76,7 +76,7 @@ def _table(summary: Mapping[str, Any]) -> RenderableType:
     return key_table(f"queue: {summary['outcome']}", summary["jobs"].items())
 
 
-def worst(codes: Sequence[int]) -> int:
+def worst_exit_code(codes: Sequence[int]) -> int:
     """A safety stop before everything else, then the highest."""
     return max(codes, key=lambda code: (code == SafetyStop.exit_code, code))
 

@@ -25,7 +25,7 @@ WATCHDOG_S = 30
 START_S = 120
 """Until every cell answers."""
 
-UNIT = """\
+DAEMON_UNIT = """\
 [Unit]
 Description=polishd: {names}
 {network}StartLimitIntervalSec=0
@@ -53,7 +53,7 @@ CPUWeight=1000
 WantedBy={target}
 """
 
-SYSTEM = """\
+DAEMON_SYSTEM_LINES = """\
 LimitNICE=-10
 LimitMEMLOCK=infinity
 OOMScoreAdjust=-500
@@ -105,7 +105,7 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
     names = [config.cell.name for config in configs]
     words = ["run", *(str(path.absolute()) for path in cells), *["--queue"] * queue]
     owner = cells[0].stat().st_uid
-    text = UNIT.format(
+    text = DAEMON_UNIT.format(
         names=", ".join(names).replace("%", "%%"),
         command=command_line(words),
         account=f"User={account(owner)}\n" if system and owner else "",
@@ -115,7 +115,7 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
         device=DeviceError.exit_code,
         network=NETWORK if system else "",
         hardened=HARDENED,
-        system=SYSTEM + PROTECTED if system else "",
+        system=DAEMON_SYSTEM_LINES + PROTECTED if system else "",
         target=target(system=system),
     )
     return "-".join(names), text

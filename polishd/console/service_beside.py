@@ -18,7 +18,7 @@ Beside = Literal["web", "opcua", "shop-link", "shop-serve"]
 WRONG_USE = 2
 """Exit code of a command line that is wrong."""
 
-UNIT = """\
+SERVER_UNIT = """\
 [Unit]
 Description=polishd {what}: {name}
 {network}StartLimitIntervalSec=0
@@ -40,7 +40,7 @@ CPUWeight=20
 WantedBy={target}
 """
 
-SYSTEM = """\
+SERVER_SYSTEM_LINES = """\
 OOMScoreAdjust=500
 """
 """What only the system's own systemd may give. Should memory run out, the daemon is the last to go."""
@@ -80,7 +80,7 @@ def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]
     """What its unit is called after, and its text. ConfigError as of the file that it reads."""
     asked = PROCESSES[process]
     name, owner = asked.name(path), path.stat().st_uid
-    text = UNIT.format(
+    text = SERVER_UNIT.format(
         what=" ".join(asked.words),
         name=name.replace("%", "%%"),
         command=command_line([*asked.words, str(path.absolute())]),
@@ -89,7 +89,7 @@ def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]
         wrong_file=ConfigError.exit_code,
         network=NETWORK if system else "",
         hardened=HARDENED,
-        system=SYSTEM + PROTECTED if system else "",
+        system=SERVER_SYSTEM_LINES + PROTECTED if system else "",
         target=target(system=system),
     )
     return f"{process}-{name}", text

@@ -75,7 +75,7 @@ def add_verb(path: Path, files: Sequence[Path], by: str, *, as_json: bool) -> No
 
 def list_verb(path: Path, *, as_json: bool) -> None:
     """Parts, and the last words."""
-    found = _in(path, lambda sql: {**views.parts(sql), "words": views.words(sql)})
+    found = _in(path, lambda sql: {**views.parts_view(sql), "words": views.words(sql)})
     columns = ("job", "part", "state", "cell", "added", "verdict", "why")
     rows = [
         (one["job"], one["part_id"], one["state"], one["cell"] or "", _when(one["added"]), one["verdict"], _why(one))
@@ -87,7 +87,7 @@ def list_verb(path: Path, *, as_json: bool) -> None:
 def status_verb(path: Path, *, as_json: bool) -> None:
     """Cells, and how many parts are where."""
     cells = cells_of(load_shop(path))
-    found = _in(path, lambda sql: views.status(sql, cells))
+    found = _in(path, lambda sql: views.status_view(sql, cells))
     columns = ("cell", "heard, s ago", "state", "job", "why", "its parts", "passes")
     rows = [
         (one["cell"], _heard(one), one.get("state", ""), one.get("job") or "", one.get("reason") or "", one["claims"],

@@ -21,7 +21,7 @@ Removed = Annotated[str | None, Option(metavar="NAME", help="Their token is wort
 
 
 @app.command("serve")
-def serve(
+def shop_serve(
     *,
     shop: Shop,
     add_cell: Token = None,
@@ -59,7 +59,7 @@ def add(
 
 
 @app.command("list")
-def parts(shop: Shop, as_json: Json = False) -> None:
+def shop_parts(shop: Shop, as_json: Json = False) -> None:
     """The parts of a shop: what waits, which cell has what, and how each ended; and what was decided over them."""
     from polishd.console.shop import list_verb
 

@@ -57,10 +57,10 @@ async def run_queue(
             desk = QueueRequests(config, shift.queue, shift.added, bus.publish)
             daemon = QueueDaemon(cell, shift, desk, bus, holds=holds, until_empty=until_empty)
             with telling(daemon):
-                return await _serve(config, daemon, shift)
+                return await _serve_queue(config, daemon, shift)
 
 
-async def _serve(config: CellConfig, daemon: QueueDaemon, shift: QueueRunner) -> dict[str, Any]:
+async def _serve_queue(config: CellConfig, daemon: QueueDaemon, shift: QueueRunner) -> dict[str, Any]:
     """Answer the socket until the queue is left; the cell is safe then."""
     started = utc_now()
     async with serving(config.state_dir, daemon.handlers, daemon.bus):

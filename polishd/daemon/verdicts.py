@@ -12,7 +12,7 @@ from polishd.model import errors
 from polishd.model.cycle import Outcome
 
 How = Literal["accepted", "rejected", "put aside"]
-Queue = Literal["goes on", "stops", "waits"]
+QueueEffect = Literal["goes on", "stops", "waits"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class ResultRule:
     ends: tuple[Outcome | type[errors.PolishdError], ...]
     how: How | None
     """None: the job is not over; a person mends the cause while the cell is held, or the daemon ends."""
-    queue: Queue
+    queue: QueueEffect
     why: str
 
 

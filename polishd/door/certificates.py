@@ -24,7 +24,7 @@ LOOK_S = 1.0
 """Between two looks at the files."""
 WARN_S = 21 * 86400.0
 """So long before it expires that is said."""
-AGAIN_S = 86400.0
+EXPIRY_AGAIN_S = 86400.0
 """After so long it is said again."""
 
 
@@ -98,7 +98,7 @@ class Certificate:
         wrong = "; ".join(filter(None, (self._problem, self._expiry())))
         kind = f"{self._problem} {self._expires_s} {self._expires_s < self._clock()}" if wrong else ""
         said, at_s = self._said
-        if wrong and (kind != said or self._clock() - at_s >= AGAIN_S):
+        if wrong and (kind != said or self._clock() - at_s >= EXPIRY_AGAIN_S):
             log.warning("%s", wrong)
             self._said = (kind, self._clock())
         elif not wrong:

@@ -21,7 +21,7 @@ ROUNDING = 1e-3
 """Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
 
 
-def profiled(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
+def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
     """The map as it lies on the part, less the instrument's own error where that was told; BadMap as `as_profiled`."""
     lying = as_profiled(surface, instrument)
     return lying if system is None else system.off(lying)

@@ -57,7 +57,7 @@ def condition(
 
     ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
     """
-    profiled = figuring.profiled(surface, recipe.instrument, recipe.system)
+    profiled = figuring.map_on_part(surface, recipe.instrument, recipe.system)
     lies = CENTRED
     if recipe.instrument is not None:
         lies = register(profiled, recipe.instrument, recipe.outline, last)

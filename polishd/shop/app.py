@@ -59,7 +59,7 @@ def application(shop: ShopFile, database: Database, certificate: Certificate | N
 
     def status(sql: DatabaseTransaction, _who: str, _said: dict[str, Any]) -> Any:
         tls = None if certificate is None else certificate.facts()
-        return {"shop": shop.shop.name, "certificate": tls, **views.status(sql, cells_of(shop))}
+        return {"shop": shop.shop.name, "certificate": tls, **views.status_view(sql, cells_of(shop))}
 
     routes = [
         of_cell("report", _report),
@@ -67,7 +67,7 @@ def application(shop: ShopFile, database: Database, certificate: Certificate | N
         of_cell("refuse", _refuse),
         of_cell("file", _file),
         of_people("status", status),
-        of_people("parts", lambda sql, _who, _said: {**views.parts(sql), "words": views.words(sql)}),
+        of_people("parts", lambda sql, _who, _said: {**views.parts_view(sql), "words": views.words(sql)}),
         of_people("history", lambda sql, _who, _said: views.history(sql)),
         of_people("lessons", lambda sql, _who, _said: views.lessons(sql)),
         of_people("add", _add, Role.OPERATE),

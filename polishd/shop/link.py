@@ -115,7 +115,7 @@ class ShopLink:
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
         """What others have learned is told to the daemon where it is of use; each is looked at once."""
-        if offers and (wanted := told.wanted(self._config.state_dir, offers)):
+        if offers and (wanted := told.wanted_rates(self._config.state_dir, offers)):
             self._daemon("shop_offer", {"offers": wanted})
         self._seen |= {tuple(one.values()) for one in offers}
 

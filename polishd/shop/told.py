@@ -17,7 +17,7 @@ from polishd.shop.feed import CellReport
 
 MOST_EVENTS = 500
 """In one report."""
-AGAIN_S = 86400.0
+LESSON_AGAIN_S = 86400.0
 """What another cell learned of a recipe is offered again when it is newer by so much."""
 
 _JOBS = "SELECT id, name, part_id, started, ended, outcome, detail FROM job WHERE id = ?"
@@ -46,11 +46,11 @@ def read_report(
         passes = _of(journal, _PASSES, touched)
         jobs = _of(journal, _JOBS, touched)
         return CellReport(
-            journal=_hash(first),
+            journal=_row_hash(first),
             first=upto + 1,
             last=rows[-1][0] if rows else upto,
-            before=_hash(before[0]) if before else "",
-            tail=_hash(rows[-1]) if rows else "",
+            before=_row_hash(before[0]) if before else "",
+            tail=_row_hash(rows[-1]) if rows else "",
             now=now,
             events=[row for row in rows if row[4] != PassProgressed.name],
             jobs=jobs,
@@ -72,7 +72,7 @@ def has_claim(state_dir: Path, claim: str) -> bool:
         return journal.execute("SELECT 1 FROM queue WHERE claim = ?", (claim,)).fetchone() is not None
 
 
-def wanted(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def wanted_rates(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Those of which this cell has no lesson of its own, and none that was offered lately."""
     with read_only(state_dir) as journal:
         return [offer for offer in offers if not _known(journal, offer)]
@@ -87,7 +87,7 @@ def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
         "AND id > ifnull((SELECT max(id) FROM event WHERE name = ?), 0)"
     )
     (at_s,) = journal.execute(sql, (ShopRateReceived.name, offer["recipe"], FORGOTTEN)).fetchone()
-    return at_s is not None and offer["at_s"] < at_s + AGAIN_S
+    return at_s is not None and offer["at_s"] < at_s + LESSON_AGAIN_S
 
 
 def _of(journal: sqlite3.Connection, sql: str, jobs: Iterable[int]) -> list[tuple[Any, ...]]:
@@ -119,5 +119,5 @@ def _claims(journal: sqlite3.Connection, also: Sequence[str], asking: str) -> di
     return {**said, **{claim: {"state": "unknown"} for claim in unknown}}
 
 
-def _hash(row: tuple[Any, ...]) -> str:
+def _row_hash(row: tuple[Any, ...]) -> str:
     return hashlib.sha256(json.dumps(row).encode()).hexdigest()[:16]

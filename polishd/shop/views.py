@@ -14,7 +14,7 @@ UNHEARD_S = 60.0
 """A cell that has said nothing for so long is told to be away."""
 
 
-def status(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
+def status_view(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
     """Its cells, what each does and for how long it has said nothing, and how many parts are where.
 
     ``names``: of cells that have a token; one that has never reported has None in the place of ``heard_s``.
@@ -37,7 +37,7 @@ def status(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
     return {"cells": sorted(cells, key=itemgetter("cell")), "parts": parts}
 
 
-def parts(sql: DatabaseTransaction) -> dict[str, Any]:
+def parts_view(sql: DatabaseTransaction) -> dict[str, Any]:
     """All parts in the order in which they came, and whose each is; then what was decided, and who wanted it."""
     rows = sql.rows(
         "SELECT part.job, part.part_id, part.state, part.added, part.by, part.verdict, part.reason, part.ended, "

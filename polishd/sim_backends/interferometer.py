@@ -17,7 +17,7 @@ from polishd.config.simulator import SimConfig
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends import metropro
 from polishd.sim_backends.bus import Message
-from polishd.sim_backends.runtime import SimRuntime, replace
+from polishd.sim_backends.runtime import SimRuntime, replace_file
 from polishd.sim_backends.seeing import add_imaging_errors, add_instrument_errors
 from polishd.sim_backends.truth import stream
 
@@ -101,7 +101,7 @@ def write_artefact(config: SimConfig, path: Path, rng: np.random.Generator) -> N
         height += bump.height_nm * np.outer(np.exp(-0.5 * down**2), np.exp(-0.5 * across**2))
     height[grid.radius_mm() > artefact.diameter_mm / 2] = np.nan
     seen = add_imaging_errors(height, config.interferometer.faults)
-    replace(path, _pack(seen, pitch, artefact.part_id, (0, 0)))
+    replace_file(path, _pack(seen, pitch, artefact.part_id, (0, 0)))
 
 
 def _pack(height_nm: FloatArray, pitch_mm: float, part: str, origin_px: tuple[int, int]) -> bytes:

@@ -156,7 +156,7 @@ def announce(name: str, endpoint: str) -> None:
         print(json.dumps({"ready": name, "endpoint": endpoint, "pid": os.getpid()}), flush=True)  # noqa: T201
 
 
-def replace(path: Path, data: bytes) -> None:
+def replace_file(path: Path, data: bytes) -> None:
     """Write a file whole."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     beside.write_bytes(data)

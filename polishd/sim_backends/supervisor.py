@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.sim_backends.runtime import ROOT, Start, replace, until_ended
+from polishd.sim_backends.runtime import ROOT, Start, replace_file, until_ended
 
 DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader", "force_sensor", "monitor")
 READY_S = 30.0
@@ -96,8 +96,8 @@ class SimSupervisor:
             "state": str(self.start.state),
         }
         pids = {"supervisor": os.getpid(), **{name: child.pid for name, child in self.children.items()}}
-        replace(self.start.state / "pids.json", json.dumps(pids, indent=1).encode())
-        replace(self.start.state / "endpoints.json", json.dumps(message, indent=1).encode())
+        replace_file(self.start.state / "pids.json", json.dumps(pids, indent=1).encode())
+        replace_file(self.start.state / "endpoints.json", json.dumps(message, indent=1).encode())
         print(f"READY {json.dumps(message)}", flush=True)  # noqa: T201
 
     async def _mourn(self, name: str, child: asyncio.subprocess.Process) -> None:

@@ -15,15 +15,15 @@ from polishd.workbench.options import Cell, Json, Picture
 from polishd.workbench.programs.cli import app as programs
 from polishd.workbench.studies.cli import app as studies
 
-app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
-app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
-app.add_typer(programs, name="program", no_args_is_help=True)
-app.add_typer(maps, name="map", no_args_is_help=True)
-app.add_typer(devices, name="device", no_args_is_help=True)
-app.add_typer(studies, name="study", no_args_is_help=True)
+offline_app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
+offline_app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
+offline_app.add_typer(programs, name="program", no_args_is_help=True)
+offline_app.add_typer(maps, name="map", no_args_is_help=True)
+offline_app.add_typer(devices, name="device", no_args_is_help=True)
+offline_app.add_typer(studies, name="study", no_args_is_help=True)
 
 
-@app.command()
+@offline_app.command()
 def init(
     *,
     folder: Annotated[Path, Argument(metavar="DIR", help="Where the cell is to stand; made where it is not there.")],
@@ -40,7 +40,7 @@ def init(
     init_verb(folder, answers, dry_run=dry_run, force=force, as_json=as_json)
 
 
-@app.command()
+@offline_app.command()
 def tif(
     cell: Cell,
     depth_ratio: Annotated[float, Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
@@ -53,7 +53,7 @@ def tif(
     tif_verb(cell, depth_ratio, out, as_json=as_json)
 
 
-@app.command()
+@offline_app.command()
 def compliance(
     cell: Cell,
     program: Annotated[Path | None, Option(metavar="P.rnc", help="Along this program, too.")] = None,

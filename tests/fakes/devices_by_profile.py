@@ -8,7 +8,7 @@ from polishd.api import ActuatorTimes
 from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profiled import make
 from polishd.drivers.profiled.actuator import ProfiledActuator
-from polishd.drivers.profiled.shelf import FOLDER, profile_of
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR, profile_of
 from polishd.drivers.transport.address import SerialLine, Tcp
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -21,7 +21,7 @@ def shipped(name: str) -> DeviceProfile:
 
 def file_of(name: str) -> Path:
     """Where it stands."""
-    return EXAMPLES / name if name.endswith(".toml") else FOLDER / f"{name}.toml"
+    return EXAMPLES / name if name.endswith(".toml") else DEVICE_PROFILE_DIR / f"{name}.toml"
 
 
 def voice_coil_modbus(

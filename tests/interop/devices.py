@@ -7,7 +7,7 @@ import struct
 from pathlib import Path
 from typing import Literal, Protocol
 
-from polishd.drivers.profiled.shelf import FOLDER
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR
 from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
 from tests.system.sim_rig import Cell, wait_for
 
@@ -27,7 +27,7 @@ home = [0.0, 0.0, 0.0, 15.0, 0.0]
 kind = "modbus_tcp"
 [spindle]
 kind = "profile"
-profile = "{FOLDER}/automationdirect_gs2.toml"
+profile = "{DEVICE_PROFILE_DIR}/automationdirect_gs2.toml"
 watchdog_s = 60.0
 """
 RTU = f"""
@@ -39,7 +39,7 @@ home = [0.0, 0.0, 0.0, 15.0, 0.0]
 kind = "modbus_rtu"
 [spindle]
 kind = "profile_tcp"
-profile = "{FOLDER}/hitachi_wj200.toml"
+profile = "{DEVICE_PROFILE_DIR}/hitachi_wj200.toml"
 watchdog_s = 60.0
 """
 RANGE, ADDRESS = 3, 2

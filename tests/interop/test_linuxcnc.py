@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.profiled.shelf import FOLDER
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR
 from polishd.drivers.transport.address import SerialLine, Tcp
 from tests.interop import devices as d
 from tests.interop.hal import hal
@@ -118,7 +118,7 @@ def test_mb2hal_works_our_plc(devices: Cell, tmp_path: Path) -> None:
 def inverter(tmp_path: Path) -> Iterator[Cell]:
     """A GS2 as the shipped profile has it, with the registers that LinuxCNC's driver looks at beside."""
     more = "".join(f"\n[registers.at_{address:04x}]\naddress = 0x{address:04X}\n" for address in GS2_HAS)
-    (tmp_path / "gs2.toml").write_text((FOLDER / "automationdirect_gs2.toml").read_text() + more)
+    (tmp_path / "gs2.toml").write_text((DEVICE_PROFILE_DIR / "automationdirect_gs2.toml").read_text() + more)
     with cell(tmp_path, d.PRESSING + SPINDLE, "--only", "spindle") as found:
         yield found
 

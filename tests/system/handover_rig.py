@@ -10,7 +10,7 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from polishd.config.cell import load_config
-from polishd.config.controller_profile import FOLDER
+from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
 from polishd.console.demo_files import DemoFiles
 from polishd.console.simulator import simulated_cell
 from tests.system.cell_rig import PATIENT, with_keys, with_part, without, write_small
@@ -34,7 +34,7 @@ def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFi
 
 def hand_over(files: DemoFiles, kind: Kind) -> None:
     """The cell's robot becomes such a controller, with a profile of its own that is patient with a busy machine."""
-    shipped = (FOLDER / f"{PROFILES[kind]}.toml").read_text()
+    shipped = (CONTROLLER_PROFILE_DIR / f"{PROFILES[kind]}.toml").read_text()
     (files.out / "controller.toml").write_text(
         shipped.replace("watchdog_s = 8.0", "watchdog_s = 20.0\nsilence_s = 6.0")
     )

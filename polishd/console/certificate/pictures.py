@@ -40,7 +40,7 @@ def before_and_after(before: ReconstructedMap, after: ReconstructedMap) -> Pictu
         return Picture("maps", caption, png(page, DPI))
 
 
-def spectra(before: CertificateSurface, after: CertificateSurface) -> Picture | None:
+def spectra_picture(before: CertificateSurface, after: CertificateSurface) -> Picture | None:
     """Both PSDs; None where a map does not carry it."""
     if before.psd is None or after.psd is None:
         return None

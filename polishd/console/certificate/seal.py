@@ -98,7 +98,7 @@ def make_key(path: Path) -> str:
 
 def private_key(path: Path) -> Ed25519PrivateKey:
     """The shop's key; ConfigError where it cannot be read, others may read it, or it is none."""
-    content = _read(path)
+    content = _read_bytes(path)
     require_private(path, "the shop's key: ")
     try:
         key = serialization.load_pem_private_key(content, password=None)
@@ -112,7 +112,7 @@ def private_key(path: Path) -> Ed25519PrivateKey:
 def public_key(path: Path) -> Ed25519PublicKey:
     """A public key; ConfigError where it cannot be read, or is none."""
     try:
-        key = serialization.load_pem_public_key(_read(path))
+        key = serialization.load_pem_public_key(_read_bytes(path))
     except (ValueError, UnsupportedAlgorithm):
         _none(path, "public")
     return key if isinstance(key, Ed25519PublicKey) else _none(path, "public")
@@ -123,7 +123,7 @@ def _none(path: Path, kind: str) -> NoReturn:
     raise ConfigError(f"{path}: is no {kind} Ed25519 key in PEM; polishd report key FILE makes a pair{other}")
 
 
-def _read(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:

@@ -144,7 +144,7 @@ def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
     maps = DocumentSection("Before and after", (), (), [pictures.before_and_after(drawn.before, drawn.after)])
     masks = DocumentSection("Masks", [Table((), rows)])
     yield Chapter("The surface", [], [maps, masks])
-    both = pictures.spectra(content.before, content.after)
+    both = pictures.spectra_picture(content.before, content.after)
     spectra = [] if both is None else [DocumentSection("Power spectra", (), (), [both])]
     figures = [*of_form(drawn.after.reported.answer), *of_detail(drawn.after.reported, spectrum=False)]
     yield Chapter("The surface after polishing", [], [*spectra, *figures])

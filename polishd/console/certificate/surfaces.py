@@ -93,7 +93,7 @@ class MapReconstructor:
         instrument = None if profile is None else profile.instrument
         source = read_map(path, self._readers.values())
         lies = record_of(Registration, stats.get("registration") or {})
-        lying = figuring.profiled(source, instrument, self._system(profile, stats.get("system") or ""))
+        lying = figuring.map_on_part(source, instrument, self._system(profile, stats.get("system") or ""))
         clean, _ = figuring.of_part(lying, self._terms["instrument.spike_mads"], self._nominal(), lies)
         grid, mask = _aperture(run, cycle)
         alignment = self._terms["part.alignment"]

@@ -57,7 +57,7 @@ def verify(path: Path, key: Ed25519PublicKey | None) -> Verified:
         ConfigError: there is no twin, or it is no certificate.
     """
     twin_path = path.with_suffix(TWIN) if path.suffix.lower() == PDF else path
-    content = _read(twin_path, path)
+    content = _read_certificate(twin_path, path)
     raw, twin = _parsed(twin_path, content)
     signed_by = "" if key is None or twin.seal.signature is None else twin.seal.signature.key_id
     findings = (*_content(twin_path, content, raw, twin), *_signature(raw, twin, key), _pdf(path, twin_path, twin))
@@ -65,7 +65,7 @@ def verify(path: Path, key: Ed25519PublicKey | None) -> Verified:
     return Verified(twin.number, findings, signed_by if proved else "")
 
 
-def _read(twin_path: Path, asked: Path) -> bytes:
+def _read_certificate(twin_path: Path, asked: Path) -> bytes:
     try:
         return twin_path.read_bytes()
     except OSError as error:

@@ -11,14 +11,14 @@ from polishd.console.rehearsal.draft import SIM_STATE, RehearsalDraft
 from polishd.console.rehearsal.part import require_force
 from polishd.console.rehearsal.wires import wire
 from polishd.drivers.profiled.make import address_of
-from polishd.drivers.profiled.shelf import FOLDER, profile_of
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR, profile_of
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp
 
 MOST_N = 50.0
 TOUCH_MM = 5.0
 """Where the simulated actuator meets the part, half-way of its stroke."""
 LANDS_S, LIFTS_S, SPINS_S, USUAL_RPM = 2.0, 4.0, 3.0, 3000
-WITHIN = 0.8
+DRIVE_TIME_SHARE = 0.8
 """Share of the longest time that the cell allows which a simulated device takes, where it is slower by itself."""
 CIA402_ACTUATOR = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "rest_increments": 0, "balance_n": 2.0}
 CIA402_SPINDLE = {"rpm_per_unit": 0.1}
@@ -50,8 +50,8 @@ def _add_times(draft: RehearsalDraft, device: str, times: Mapping[str, Any]) -> 
     """What the simulated one takes, and where it touches."""
     for key, usual_s, allowed in (("land_s", LANDS_S, "landing_s"), ("lift_s", LIFTS_S, "retract_s")):
         if allowed in times:
-            takes_s = min(usual_s, WITHIN * float(times[allowed]))
-            draft.put("actuator", key, takes_s, f"at most {WITHIN:g} x {device}.{allowed}")
+            takes_s = min(usual_s, DRIVE_TIME_SHARE * float(times[allowed]))
+            draft.put("actuator", key, takes_s, f"at most {DRIVE_TIME_SHARE:g} x {device}.{allowed}")
     if "unpowered" in times:
         draft.put("actuator", "unpowered", times["unpowered"], f"{device}.unpowered")
     touch_off = draft.config.touch_off
@@ -120,8 +120,8 @@ def add_spindle(draft: RehearsalDraft, device: str) -> None:
     if "watchdog_s" in options:
         draft.put("spindle", "watchdog_s", options["watchdog_s"], draft.origin(f"{device}.watchdog_s"))
     if "spin_s" in options:
-        spin_s = min(SPINS_S, WITHIN * options["spin_s"] * 1000.0 / rpm)
-        draft.put("spindle", "spin_s", spin_s, f"process.rpm in at most {WITHIN:g} x {device}.spin_s")
+        spin_s = min(SPINS_S, DRIVE_TIME_SHARE * options["spin_s"] * 1000.0 / rpm)
+        draft.put("spindle", "spin_s", spin_s, f"process.rpm in at most {DRIVE_TIME_SHARE:g} x {device}.spin_s")
 
 
 def _add_baud(draft: RehearsalDraft, device: str, real: object) -> None:
@@ -149,7 +149,7 @@ def _add_profile(draft: RehearsalDraft, device: str, port: str, options: Mapping
     named = options["profile"]
     profile = profile_of(named, draft.config.base_dir)
     own = named.endswith(".toml")
-    path = draft.config.resolve(named) if own else FOLDER / f"{named}.toml"
+    path = draft.config.resolve(named) if own else DEVICE_PROFILE_DIR / f"{named}.toml"
     if own:
         draft.laid[f"{device}.profile"] = str(path.absolute())
     real = wire(draft, device, port, options["address"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from polishd.config.controller_profile import FOLDER, ControllerProfile, load_controller_profile
+from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
 from polishd.console.demo_files import free_port
 from polishd.console.rehearsal.draft import LOOPBACK, SIM_STATE, RehearsalDraft
 from polishd.console.rehearsal.part import home, most_a_deg
@@ -136,7 +136,7 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
 def _handover(draft: RehearsalDraft, device: str) -> None:
     options, port = draft.options(device), free_port()
     profile = load_controller_profile(options["profile"], draft.config.base_dir)
-    usual = load_controller_profile(f"plc-{profile.link}", FOLDER)
+    usual = load_controller_profile(f"plc-{profile.link}", CONTROLLER_PROFILE_DIR)
     draft.put("robot", "kind", profile.link, f"link of {device}.profile")
     draft.put("robot", "port", port, "free on this computer")
     draft.put("robot", "report_ms", profile.report_ms, f"report_ms of {device}.profile")

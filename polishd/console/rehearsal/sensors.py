@@ -12,7 +12,7 @@ from polishd.console.rehearsal.wires import wire
 from polishd.drivers.transport.address import SerialLine
 
 LOADS_S, UNLOADS_S, FILTER_S, RANGE_N = 30.0, 20.0, 0.03, 60.0
-WITHIN = 0.4
+LOADER_TIME_SHARE = 0.4
 """Share of the longest change that loading, or unloading, takes where the simulated loader is slower by itself."""
 ROOM = 0.1
 """How far a signal is inside a bound, relative to it."""
@@ -24,7 +24,12 @@ def add_loader(draft: RehearsalDraft, device: str) -> None:
     options = _line(draft, device, "loader", "loader_line", "loader")
     change_s = float(options.get("change_s", 120.0))
     for key, usual_s in (("load_s", LOADS_S), ("unload_s", UNLOADS_S)):
-        draft.put("loader", key, min(usual_s, WITHIN * change_s), f"at most {WITHIN:g} x {device}.change_s")
+        draft.put(
+            "loader",
+            key,
+            min(usual_s, LOADER_TIME_SHARE * change_s),
+            f"at most {LOADER_TIME_SHARE:g} x {device}.change_s",
+        )
 
 
 def add_force_sensor(draft: RehearsalDraft, device: str) -> None:

@@ -19,7 +19,7 @@ def listed(number: int, body: str) -> str:
     return name[1:]
 
 
-def value(name: str, body: str) -> float | bool | None:
+def parse_value(name: str, body: str) -> float | bool | None:
     """The answer to ``V?,name``: a number, a state, or None where the box does not know it."""
     text = body.removeprefix(f"V,{name},")
     if text == body or not (text in _STATES or _NUMBER.fullmatch(text)):

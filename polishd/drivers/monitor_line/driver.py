@@ -39,7 +39,7 @@ class MonitorLine(ReadOnlyLineDevice):
         while True:
             begun_s = time.monotonic()
             for name in names:
-                value = codec.value(name, await self.ask(f"V?,{name}"))
+                value = codec.parse_value(name, await self.ask(f"V?,{name}"))
                 yield Signal(time.monotonic(), name, value)
             await asyncio.sleep(max(begun_s + PERIOD_S - time.monotonic(), 0.0))
 

@@ -22,9 +22,9 @@ from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import ProfileTransport
 from polishd.drivers.transport.pace import PeriodicTimer
 
-BEAT_S = 0.05
+ACTUATOR_BEAT_S = 0.05
 """Period of samples and heartbeats."""
-AT_REST = "the tool is off its rest: only retracting opens the link again"
+TOOL_OFF_REST = "the tool is off its rest: only retracting opens the link again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
         table = wire.profile.actuator
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no actuator")
-        super().__init__(wire, times, times.watchdog_s, AT_REST)
+        super().__init__(wire, times, times.watchdog_s, TOOL_OFF_REST)
         self._table: ActuatorTable = table
         self._asked_n = 0.0
         self._retracts = 0
@@ -89,7 +89,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
-        pace = PeriodicTimer(BEAT_S)
+        pace = PeriodicTimer(ACTUATOR_BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield ForceSample(
@@ -113,7 +113,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
                 raise DeviceFault(f"{self._wire.name}: does not retract, fault {reading.fault} ({reading.faults})")
             if time.monotonic() > deadline:
                 raise DeviceFault(f"{self._wire.name}: not retracted after {self._times.lifted_s:g} s")
-            await asyncio.sleep(BEAT_S)
+            await asyncio.sleep(ACTUATOR_BEAT_S)
         await self._clear(reading.fault)
         await self._link.ask(lambda: self._wire.order("rest"), urgent=True)
 
@@ -134,7 +134,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
                 raise DeviceRefused(f"{self._wire.name}: was retracted while landing")
             if time.monotonic() > deadline:
                 raise DeviceFault(f"{self._wire.name}: no contact after {self._times.landing_s:g} s")
-            await asyncio.sleep(BEAT_S)
+            await asyncio.sleep(ACTUATOR_BEAT_S)
 
     async def _set_point(self, force_n: float) -> None:
         # where no order engages, the set point alone lands it

@@ -9,12 +9,12 @@ from polishd.config.device_file import load_device_profile
 from polishd.config.device_profile import DeviceProfile
 from polishd.config.places import did_you_mean, join_words
 
-FOLDER = Path(__file__).with_name("profiles")
+DEVICE_PROFILE_DIR = Path(__file__).with_name("profiles")
 
 
 def shipped() -> list[str]:
     """Names, in order."""
-    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+    return sorted(path.stem for path in DEVICE_PROFILE_DIR.glob("*.toml"))
 
 
 def profile_of(name: str, base_dir: Path) -> DeviceProfile:
@@ -27,4 +27,4 @@ def profile_of(name: str, base_dir: Path) -> DeviceProfile:
             f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
         )
         raise ConfigError(f"profile {name!r} is not known{hint}")
-    return load_device_profile(FOLDER / f"{name}.toml")
+    return load_device_profile(DEVICE_PROFILE_DIR / f"{name}.toml")

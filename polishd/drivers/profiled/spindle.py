@@ -22,13 +22,13 @@ from polishd.drivers.profiled.device import ProfiledDevice
 from polishd.drivers.profiled.wire import ProfileTransport
 from polishd.drivers.transport.pace import PeriodicTimer
 
-BEAT_S = 0.1
+SPINDLE_BEAT_S = 0.1
 """Period of samples, which feed the drive's watchdog."""
 TOLERANCE = 0.02
 ARRIVED = 0.015
 """At which a speed counts as reached: the readings after it scatter, and are to stay within the tolerance."""
 STANDS_RPM = 1.0
-AT_REST = "the spindle may turn: only stopping opens the link again"
+SPINDLE_MAY_TURN = "the spindle may turn: only stopping opens the link again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
         table = wire.profile.spindle
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no spindle")
-        super().__init__(wire, times, times.watchdog_s, AT_REST)
+        super().__init__(wire, times, times.watchdog_s, SPINDLE_MAY_TURN)
         self._table: SpindleTable = table
         self._asked_rpm = 0.0
         self._orders = 0
@@ -93,7 +93,7 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
 
     async def samples(self) -> AsyncIterator[SpeedSample]:
         """See Spindle."""
-        pace = PeriodicTimer(BEAT_S)
+        pace = PeriodicTimer(SPINDLE_BEAT_S)
         while True:
             reading = await self._link.ask(self._beat)
             yield SpeedSample(time.monotonic(), reading.rpm, self._asked_rpm, reading.fault)
@@ -112,7 +112,7 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
             if time.monotonic() > deadline:
                 said = f"{rpm:g} rpm not reached, {reading.rpm:g} rpm after {self._times.spin_s:.1f} s"
                 raise DeviceFault(f"{self._wire.name}: {said}")
-            await asyncio.sleep(BEAT_S)
+            await asyncio.sleep(SPINDLE_BEAT_S)
 
     async def _stop(self) -> None:
         self._orders += 1
@@ -122,7 +122,7 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
             if time.monotonic() > deadline:
                 said = f"still at {reading.rpm:g} rpm {self._times.spin_s:.1f} s after the stop command"
                 raise DeviceFault(f"{self._wire.name}: {said}")
-            await asyncio.sleep(BEAT_S)
+            await asyncio.sleep(SPINDLE_BEAT_S)
         await self._clear(reading.fault)
 
     async def _turn(self, rpm: float) -> None:

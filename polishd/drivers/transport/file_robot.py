@@ -10,12 +10,12 @@ from polishd.api import DeviceRefused, Plan, RobotTimes, Segment
 from polishd.drivers.transport.file_watch import FileProgramTracker
 from polishd.drivers.transport.program_robot import ProgramRobot
 
-W = TypeVar("W", bound=FileProgramTracker)
+FileTracker = TypeVar("FileTracker", bound=FileProgramTracker)
 Goes = Callable[[float], bool]
 """Asked right before the order to run, with the controller's time: whether it is still wanted."""
 
 
-class FileRobot(ProgramRobot[W]):
+class FileRobot(ProgramRobot[FileTracker]):
     """The Robot port but for what differs between controllers: see the abstract methods.
 
     It stops only where the file has a pause: at the plan's own stops, and the first ``until``. A stop that nobody asked
@@ -36,15 +36,15 @@ class FileRobot(ProgramRobot[W]):
         """Make the controller ready for another program. DeviceRefused where it is not to have one."""
 
     @abstractmethod
-    def _watched(self, plan: Plan, blocks: int) -> W:
+    def _watched(self, plan: Plan, blocks: int) -> FileTracker:
         """What will follow that program."""
 
     @abstractmethod
-    async def _load(self, plan: Plan, watch: W) -> None:
+    async def _load(self, plan: Plan, watch: FileTracker) -> None:
         """Give the controller the file, and set ``watch.file``. DeviceRefused where it does not take it."""
 
     @abstractmethod
-    async def _run(self, watch: W, goes: Goes) -> None:
+    async def _run(self, watch: FileTracker, goes: Goes) -> None:
         """Order it to run, from the beginning or on from where it stands."""
 
     async def prepare(self, plan: Plan) -> None:
@@ -88,7 +88,7 @@ class FileRobot(ProgramRobot[W]):
         """Where the file is to have a pause."""
         return {plan.approach_blocks, plan.contact_blocks, self._target or 0}
 
-    async def _start(self, plan: Plan, watch: W) -> None:
+    async def _start(self, plan: Plan, watch: FileTracker) -> None:
         """From the beginning, or on from where it stands."""
         stays = self._stays
         self._pending = False

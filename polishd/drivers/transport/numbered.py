@@ -16,7 +16,7 @@ from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 from polishd.ports.stream import ByteStream
 
-LONGEST = 120
+NUMBERED_LINE_BYTES = 120
 """Bytes of a line."""
 OPEN_S = 1.0
 _LINE = re.compile(rb"\$([ -)+-~]*)\*([0-9A-F]{2})\r?")
@@ -31,7 +31,7 @@ def encode(number: int, body: str) -> bytes:
 def decode(line: bytes) -> tuple[int, str] | None:
     """Number and body of a line without its LF; None where it is broken: such lines are dropped."""
     start = line.rfind(b"$")
-    match = _LINE.fullmatch(line[start:]) if start >= 0 and len(line) - start <= LONGEST else None
+    match = _LINE.fullmatch(line[start:]) if start >= 0 and len(line) - start <= NUMBERED_LINE_BYTES else None
     if match is None or int(match[2], 16) != _checksum(match[1]):
         return None
     number, comma, body = match[1].decode("ascii").partition(",")
@@ -72,7 +72,7 @@ class NumberedLines:
         """Open the wire, anew where it is open."""
         await self.disconnect()
         self._stream = await open_stream(self._address, OPEN_S)
-        self._lines = LineReader(self._stream, longest=LONGEST)
+        self._lines = LineReader(self._stream, longest=NUMBERED_LINE_BYTES)
 
     async def disconnect(self) -> None:
         """Idempotent."""

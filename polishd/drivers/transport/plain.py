@@ -20,7 +20,7 @@ from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 from polishd.ports.stream import ByteStream
 
 T = TypeVar("T")
-LONGEST = 1000
+PLAIN_LINE_BYTES = 1000
 """Bytes of an answer."""
 
 
@@ -54,7 +54,7 @@ class PlainLines:
             await self.close()
             try:
                 self._stream = await open_stream(self._address, self._silence_s)
-                self._lines = LineReader(self._stream, LONGEST)
+                self._lines = LineReader(self._stream, PLAIN_LINE_BYTES)
                 await self._queue.start()
                 await self.ask(self._hello)
             except BaseException:

@@ -12,10 +12,10 @@ from polishd.drivers.transport.blocks import new_blocks
 from polishd.drivers.transport.program_watch import ProgramTracker
 from polishd.model.devices import RobotState
 
-W = TypeVar("W", bound=ProgramTracker)
+Tracker = TypeVar("Tracker", bound=ProgramTracker)
 
 
-class ProgramRobot(ABC, Generic[W]):
+class ProgramRobot(ABC, Generic[Tracker]):
     """Of the Robot port what such robots share: blocks are collected, what is executed is told as it is watched."""
 
     longest_line: int
@@ -27,7 +27,7 @@ class ProgramRobot(ABC, Generic[W]):
         self._times = times
         self._plan: Plan | None = None
         self._lines: list[bytes] = []
-        self._watch: W | None = None
+        self._watch: Tracker | None = None
         self._target: int | None = None
         """Blocks below it are to be run; None for all."""
         self._pending = False
@@ -83,7 +83,7 @@ class ProgramRobot(ABC, Generic[W]):
                 return
             await self._background.until(_news(watch))
 
-    def _announce(self, plan: Plan, make: Callable[[Plan, int], W]) -> None:
+    def _announce(self, plan: Plan, make: Callable[[Plan, int], Tracker]) -> None:
         """Begin to collect its blocks, and to watch it; what was there before is dropped."""
         self._plan, self._lines, self._target, self._pending = plan, [], None, False
         self._watch = make(plan, len(plan.segments) or plan.program.block_count)
@@ -117,7 +117,7 @@ class ProgramRobot(ABC, Generic[W]):
             self._watch.drop("aborted")
         self._background.fire()
 
-    def _loaded(self) -> tuple[Plan, W]:
+    def _loaded(self) -> tuple[Plan, Tracker]:
         if self._plan is None or self._watch is None:
             raise DeviceRefused(f"{self._name}: no program: prepare one first")
         return self._plan, self._watch

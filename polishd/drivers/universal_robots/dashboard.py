@@ -16,7 +16,7 @@ ANSWER_S = 1.0
 GREETING = b"Connected: Universal Robots Dashboard Server"
 _UNKNOWN = re.compile(r"could not understand|not supported", re.IGNORECASE)
 _YES_OR_NO = re.compile(r"(?:[\w ]+: )?(true|false)", re.IGNORECASE | re.ASCII)
-LONGEST = 4096
+DASHBOARD_LINE_BYTES = 4096
 
 
 async def ask(address: Tcp, question: str, within_s: float = ANSWER_S) -> str:
@@ -26,7 +26,7 @@ async def ask(address: Tcp, question: str, within_s: float = ANSWER_S) -> str:
     """
     stream = await open_stream(address, CONNECT_S)
     try:
-        lines = LineReader(stream, LONGEST)
+        lines = LineReader(stream, DASHBOARD_LINE_BYTES)
         deadline = time.monotonic() + within_s
         greeting = await lines.next(max(deadline - time.monotonic(), 0.0))
         if not greeting.startswith(GREETING):

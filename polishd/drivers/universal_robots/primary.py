@@ -13,7 +13,7 @@ from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.streams import open_stream
 
 CONNECT_S = 0.8
-LONGEST = 1 << 20
+PRIMARY_PACKET_BYTES = 1 << 20
 BYTES_S, PIECE = 1e6, 1 << 16
 """A slow controller takes so many bytes a second."""
 QUIET_S = 5.0
@@ -44,7 +44,7 @@ class MessageReader:
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
             size, kind = _HEAD.unpack_from(self._bytes)
-            if not _HEAD.size <= size <= LONGEST:
+            if not _HEAD.size <= size <= PRIMARY_PACKET_BYTES:
                 raise ProtocolError(f"primary interface: a message of {size} bytes")
             if len(self._bytes) < size:
                 return

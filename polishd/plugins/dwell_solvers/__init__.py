@@ -25,6 +25,6 @@ def polishd_dwell_solvers() -> Sequence[DwellSolver]:
     """The default solver first."""
     return [
         *(DwellSolver(own.NAME, own.solve) for own in OWN),
-        DwellSolver(qp.NAME, qp.solve),
-        *(DwellSolver(f"{qp.NAME}:{name}", partial(qp.solve, backend=name)) for name in qp.installed()),
+        DwellSolver(qp.QP_NAME, qp.solve_qp),
+        *(DwellSolver(f"{qp.QP_NAME}:{name}", partial(qp.solve_qp, backend=name)) for name in qp.installed()),
     ]

@@ -20,7 +20,7 @@ from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.limit import SLOWEST, TimeLimit
 from polishd.process.dwell.validation import check
 
-NAME = "qp"
+QP_NAME = "qp"
 ENOUGH = 1e-6
 """KKT residual (see Certificate) up to which an answer counts as converged, whatever the backend says of it."""
 DENSE_POINTS = 1.5
@@ -62,7 +62,7 @@ def installed() -> list[str]:
     return [*(name for name in BACKENDS if name in there), *sorted(set(there) - set(BACKENDS))]
 
 
-def solve(problem: DwellProblem, within_s: float, backend: str | None = None) -> DwellSolution:
+def solve_qp(problem: DwellProblem, within_s: float, backend: str | None = None) -> DwellSolution:
     """Solve as a quadratic program; needs the effect as a matrix, or one that can be written out.
 
     A backend has no feasible best so far: where the time runs out, what it has is clipped to the bounds and certified
@@ -94,7 +94,9 @@ def solve(problem: DwellProblem, within_s: float, backend: str | None = None) ->
         if dwell is None:
             continue
         answers.append(
-            certified(problem, dwell, solver=f"{NAME}:{name}", iterations=0, seconds=limit.cpu_s, stopped="converged")
+            certified(
+                problem, dwell, solver=f"{QP_NAME}:{name}", iterations=0, seconds=limit.cpu_s, stopped="converged"
+            )
         )
         if answers[-1].certificate.kkt_residual <= ENOUGH:
             return answers[-1]

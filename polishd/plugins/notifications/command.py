@@ -16,7 +16,7 @@ from pydantic import Field
 from polishd.api import ConfigError, LinkError, Notification
 from polishd.config.values import ConfigSection
 
-SAID_BYTES = 500
+OUTPUT_BYTES = 500
 """As much of the end of its standard error is told."""
 
 
@@ -60,6 +60,6 @@ class Command:
                 process.wait()
                 raise LinkError(f"{self._argv[0]}: was killed after {self._within_s:g} s") from None
             if code:
-                said.seek(max(said.seek(0, os.SEEK_END) - SAID_BYTES, 0))
+                said.seek(max(said.seek(0, os.SEEK_END) - OUTPUT_BYTES, 0))
                 words = " ".join(said.read().decode("utf-8", "replace").split())
                 raise LinkError(f"{self._argv[0]}: ended with {code}: {words}".rstrip(": "))

@@ -16,7 +16,7 @@ from polishd.config.values import ConfigSection
 from polishd.plugins.notifications.tls import LOOPBACK, STEP_S, trusting
 
 NTFY_PRIORITY: Mapping[Severity, str] = {Severity.INFO: "2", Severity.WARNING: "4", Severity.ALARM: "5"}
-SAID_BYTES = 200
+REPLY_BYTES = 200
 """As much of a refusal is told."""
 
 
@@ -111,7 +111,7 @@ class Webhook:
         try:
             connection.request("POST", path, body, dict(headers))
             with connection.getresponse() as answer:
-                said = " ".join(answer.read(SAID_BYTES).decode("utf-8", "replace").split())
+                said = " ".join(answer.read(REPLY_BYTES).decode("utf-8", "replace").split())
             if not 200 <= answer.status <= 299:
                 raise HTTPException(f"answered {answer.status} {answer.reason}: {said}".rstrip(": "))
         finally:

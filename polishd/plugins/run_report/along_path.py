@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from polishd.plugins.run_report.folder import Arrays, FloatArray
 from polishd.show.style import BLUE, GREEN, INK, MUTED, ORANGE, SEQUENTIAL, figure, ruled
 
-WIDTH_IN = 10.6
+PATH_WIDTH_IN = 10.6
 
 
 def compliance_and_gamma(plan: Arrays) -> Figure:
     """The robot's compliance and the depth ratio that follows from it: along the path, and where on the part."""
-    fig = figure(WIDTH_IN, 5.6)
+    fig = figure(PATH_WIDTH_IN, 5.6)
     grid = fig.add_gridspec(2, 2, width_ratios=[1.9, 1.0])
     rows = (
         ("compliance_um_per_n", "Linear equivalent compliance", "compliance (µm/N)", BLUE),
@@ -37,7 +37,7 @@ def dwell(plan: Arrays) -> Figure:
     """Where the time goes: per millimetre of path over the part, and the spread of times about their lower bound."""
     time_s = np.asarray(plan["time_s"], dtype=np.float64)
     lower_s = np.asarray(plan["lower_s"], dtype=np.float64)
-    fig = figure(WIDTH_IN, 3.9)
+    fig = figure(PATH_WIDTH_IN, 3.9)
     grid = fig.add_gridspec(1, 2, width_ratios=[1.0, 1.45])
     where = fig.add_subplot(grid[0, 0])
     scatter(where, plan, time_s, "time per point (s)", percentile=99.5)
@@ -59,7 +59,7 @@ def executed(plan: Arrays, done_s: FloatArray) -> Figure:
     """Executed time against the time that the plan expected, point by point and summed along the path."""
     asked = np.asarray(plan["expected_s"], dtype=np.float64)
     known = np.isfinite(done_s)
-    fig = figure(WIDTH_IN, 3.6)
+    fig = figure(PATH_WIDTH_IN, 3.6)
     grid = fig.add_gridspec(1, 2, width_ratios=[1.0, 1.9])
     each = fig.add_subplot(grid[0, 0])
     top = max(

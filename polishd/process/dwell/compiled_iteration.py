@@ -23,9 +23,9 @@ from polishd.process.transforms.plane import (
     FftPlanArrays,
     columns_back,
     columns_forth,
-    plane,
     rows_back,
     rows_forth,
+    transform_plane,
 )
 
 Floats = NDArray[np.float32]
@@ -121,7 +121,7 @@ class Compiled:
 
 def compiled_iteration(size: tuple[int, int]) -> Compiled:
     """For domains of that size."""
-    return Compiled(plane(size))
+    return Compiled(transform_plane(size))
 
 
 def _begin(work: IterationBuffers, order: FftPlanArrays) -> None:

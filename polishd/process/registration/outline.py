@@ -54,7 +54,7 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
         raise MapError(f"the map's outline is {diameter:.3f} mm across, {diameter_mm:g} mm expected and "
                      f"{tolerance_mm:g} mm allowed: the pitch is wrong, it is another part, or another aperture; mend "
                      "instrument.aperture_mm or the pitch")  # fmt: skip
-    seen = _seen(x[held] - centre_x, y[held] - centre_y)
+    seen = _visible_turn(x[held] - centre_x, y[held] - centre_y)
     if seen < LEAST_RIM:
         raise MapError(f"only {seen:.0%} of the part's rim is seen, at least {LEAST_RIM:.0%} is needed to place it: "
                      "centre the part in the frame, or register by fiducials")  # fmt: skip
@@ -118,7 +118,7 @@ def _step(x: FloatArray, y: FloatArray, centre_x: float, centre_y: float) -> tup
     return float(centre_x + step[0]), float(centre_y + step[1]), float(step[2])
 
 
-def _seen(dx: FloatArray, dy: FloatArray) -> float:
+def _visible_turn(dx: FloatArray, dy: FloatArray) -> float:
     """Share of the sectors of the circle that hold a sample of the rim."""
     sector = np.floor((np.arctan2(dy, dx) + np.pi) / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS
     return np.unique(sector).size / SECTORS

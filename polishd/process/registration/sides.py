@@ -53,7 +53,7 @@ def fit_polygon(height_nm: FloatArray, pitch_mm: float, part: Polygon, tolerance
                      f"{part}, {tolerance_mm:g} mm allowed: the pitch is wrong, or it is another part; mend the part's "
                      "outline or the pitch")  # fmt: skip
     known = found.jac[:, :3].T @ found.jac[:, :3] / len(found.jac)
-    seen = _seen(part, turn, shift, rim[:, held].T, 2 * pitch_mm + abs(grown))
+    seen = _visible_share(part, turn, shift, rim[:, held].T, 2 * pitch_mm + abs(grown))
     if seen < LEAST_RIM or np.linalg.eigvalsh(known)[0] < LEAST_KNOWN:
         raise MapError(f"{seen:.0%} of the part's rim is seen, and it does not say where the part lies in all "
                      "directions: centre the part in the frame, or register by fiducials")  # fmt: skip
@@ -78,7 +78,7 @@ def _gap_mm(place: FloatArray, rim: FloatArray, part: Polygon) -> FloatArray:
     return np.asarray(part.inside_mm(x, y) + place[3], dtype=np.float64)
 
 
-def _seen(part: Polygon, turn: float, shift: tuple[float, float], rim: FloatArray, within_mm: float) -> float:
+def _visible_share(part: Polygon, turn: float, shift: tuple[float, float], rim: FloatArray, within_mm: float) -> float:
     """Share of the outline's length that has a sample (n, 2) of the rim beside it."""
     corner = np.vstack([part.corners(), part.corners()[:1]])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1))])

@@ -23,9 +23,9 @@ from polishd.process.transforms.plane import (
     FftPlanArrays,
     columns_back,
     columns_forth,
-    plane,
     rows_back,
     rows_forth,
+    transform_plane,
 )
 
 Floats = NDArray[np.float32]
@@ -99,7 +99,7 @@ class CompiledSpread:
 
 def compiled_spread(effect: SpreadEffect) -> CompiledSpread:
     """The effect by compiled code."""
-    on, weights, finer = plane(effect.where.size), effect.weights, effect.finer
+    on, weights, finer = transform_plane(effect.where.size), effect.weights, effect.finer
     places = on.places()
     rows, columns = effect.where.lattice
     fields = np.stack([on.packed(np.zeros(on.size))] * effect.rank)

@@ -76,7 +76,7 @@ class FftFields:
         return np.zeros((count, 2, self.order.slabs * _PAIR, COUNT), np.float32)
 
 
-def plane(size: tuple[int, int]) -> FftFields:
+def transform_plane(size: tuple[int, int]) -> FftFields:
     """Fields of that size, products of 2, 3 and 5 only."""
     ny, nx = size
     (row, along), (column, down) = length(nx), length(ny)

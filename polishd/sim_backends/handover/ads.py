@@ -21,7 +21,7 @@ INFO_BY_NAME, SUM_READ, SUM_WRITE, DATA = 0xF009, 0xF080, 0xF081, 0x4040
 OK, NO_SERVICE, NO_GROUP, BAD_SIZE, NO_SYMBOL = 0, 0x701, 0x702, 0x705, 0x710
 RESPONSE = 0x0005
 STRING_BYTES = 256
-TYPES: dict[str, tuple[str, int, str]] = {
+ADS_TYPES: dict[str, tuple[str, int, str]] = {
     "bool": ("BOOL", 33, "?"),
     "uint16": ("UINT", 18, "<H"),
     "uint32": ("UDINT", 19, "<I"),
@@ -104,7 +104,7 @@ class AdsServer:
         name = symbol.removeprefix(PREFIX)
         if not symbol.startswith(PREFIX) or name not in KINDS:
             return NO_SYMBOL, b""
-        plc_type, number, _ = TYPES[KINDS[name]]
+        plc_type, number, _ = ADS_TYPES[KINDS[name]]
         texts = b"".join(text.encode() + b"\0" for text in (symbol, plc_type, ""))
         at = _NAMES.index(name) * STRING_BYTES
         lengths = (len(symbol), len(plc_type), 0)
@@ -135,19 +135,19 @@ def _at(group: int, offset: int) -> str:
 
 
 def _size(name: str) -> int:
-    form = TYPES[KINDS[name]][2]
+    form = ADS_TYPES[KINDS[name]][2]
     return struct.calcsize(form) if form else STRING_BYTES
 
 
 def _packed(name: str, value: Value) -> bytes:
-    form = TYPES[KINDS[name]][2]
+    form = ADS_TYPES[KINDS[name]][2]
     if not form:
         return str(value).encode()[: STRING_BYTES - 1].ljust(STRING_BYTES, b"\0")
     return struct.pack(form, value)
 
 
 def _unpacked(name: str, data: bytes) -> Value:
-    form = TYPES[KINDS[name]][2]
+    form = ADS_TYPES[KINDS[name]][2]
     if not form:
         return data.partition(b"\0")[0].decode("utf-8", "replace")
     value: Value = struct.unpack(form, data)[0]

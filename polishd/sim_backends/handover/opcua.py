@@ -15,7 +15,7 @@ from polishd.sim_backends.handover.plc import Plc
 from polishd.sim_backends.runtime import LOOPBACK
 
 NAMESPACE = "urn:polishd:handover"
-TYPES = {
+OPCUA_TYPES = {
     "start": ua.VariantType.Boolean,
     "hold": ua.VariantType.Boolean,
     "reset": ua.VariantType.Boolean,
@@ -50,7 +50,7 @@ async def served(plc: Plc) -> AsyncIterator[int]:
     index = await server.register_namespace(NAMESPACE)
     space = server.iserver.aspace
     folder = await server.nodes.objects.add_object(index, "polishd")
-    for name, kind in TYPES.items():
+    for name, kind in OPCUA_TYPES.items():
         value = plc.inputs[name] if name in plc.inputs else plc.shown[name]
         node = await folder.add_variable(ua.NodeId.from_string(f"ns={index};s={name}"), name, value, kind)
         if name in plc.inputs:

@@ -17,8 +17,8 @@ from polishd.sim_backends.mechanics import hybrid, serial
 def reached(robot: HybridRobot | SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
     """(n,) whether the robot can be there: tips (n, 3) mm, unit tool axes (n, 3) from the tip into the spindle."""
     if isinstance(robot, HybridRobot):
-        return hybrid.posed(robot, tip_mm, axis).reached
-    return serial.posed(robot, tip_mm, axis).reached
+        return hybrid.solve_hybrid_poses(robot, tip_mm, axis).reached
+    return serial.solve_serial_poses(robot, tip_mm, axis).reached
 
 
 KEPT = 16
@@ -36,7 +36,7 @@ class Reaching:
         """As `reached`."""
         if isinstance(self.robot, HybridRobot) or not len(tip_mm):
             return reached(self.robot, tip_mm, axis)
-        at = serial.posed(self.robot, tip_mm, axis, self._known)
+        at = serial.solve_serial_poses(self.robot, tip_mm, axis, self._known)
         kept = at.reached.nonzero()[0][:: -max(len(tip_mm) // KEPT, 1)]
         if len(kept):
             self._known = serial.Known(tip_mm[kept], axis[kept], at.joints[kept])
@@ -51,7 +51,7 @@ def tip_gives_mm_per_n(
     Arguments as of `reached`.
     """
     if isinstance(robot, HybridRobot):
-        at = hybrid.posed(robot, tip_mm, axis)
-        return at.reached, hybrid.gives_mm_per_n(robot, at)
-    arm = serial.posed(robot, tip_mm, axis)
-    return arm.reached, serial.gives_mm_per_n(robot, arm)
+        at = hybrid.solve_hybrid_poses(robot, tip_mm, axis)
+        return at.reached, hybrid.hybrid_compliance_mm_per_n(robot, at)
+    arm = serial.solve_serial_poses(robot, tip_mm, axis)
+    return arm.reached, serial.serial_compliance_mm_per_n(robot, arm)

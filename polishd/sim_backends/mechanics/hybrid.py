@@ -52,7 +52,7 @@ class SimHybridPoses:
     """(n, 3, 3) by each limb (column) of unit push: force along w, moments about e and v."""
 
 
-def posed(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> SimHybridPoses:
+def solve_hybrid_poses(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> SimHybridPoses:
     """Where its members are at tips (n, 3) and unit tool axes (n, 3)."""
     wrist = tip_mm + robot.tool_length_mm * axis
     distance = np.linalg.norm(wrist, axis=1)
@@ -77,7 +77,7 @@ def posed(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> SimHybrid
     return SimHybridPoses(can, tip_mm, axis, along, up_mm, ends, limbs, limb_mm, outer, inner, carried)
 
 
-def gives_mm_per_n(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
+def hybrid_compliance_mm_per_n(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
     """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the robot cannot be."""
     result = np.zeros((len(at.tip_mm), 3, 3))
     stored = _stored(robot, at)[at.reached]

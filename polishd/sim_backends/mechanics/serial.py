@@ -92,7 +92,9 @@ class Known:
     """(n, 6) turns from home, rad."""
 
 
-def posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known | None = None) -> SimSerialPoses:
+def solve_serial_poses(
+    robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known | None = None
+) -> SimSerialPoses:
     """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way.
 
     From poses that are ``known``, where there are any, which is quicker; from home where that leads nowhere.
@@ -152,7 +154,7 @@ def _posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Floa
     return SimSerialPoses(found & regular & _within(robot, joints), joints, motion)
 
 
-def gives_mm_per_n(robot: SerialRobot, at: SimSerialPoses) -> FloatArray:
+def serial_compliance_mm_per_n(robot: SerialRobot, at: SimSerialPoses) -> FloatArray:
     """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the arm cannot be.
 
     A force's moment about a joint is force times what the tip moves for a turn of it.

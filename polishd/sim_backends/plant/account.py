@@ -11,7 +11,7 @@ import numpy as np
 
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.plant.part import TruePart
-from polishd.sim_backends.runtime import replace
+from polishd.sim_backends.runtime import replace_file
 
 
 @dataclass(slots=True)
@@ -130,5 +130,5 @@ class DwellAccount:
             "programs": books,
             "truth": "truth.npz",
         }
-        replace(folder / "dwell_account.json", json.dumps(message).encode())
+        replace_file(folder / "dwell_account.json", json.dumps(message).encode())
         part.write(folder / "truth.npz")

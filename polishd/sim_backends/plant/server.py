@@ -22,7 +22,7 @@ from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.timeline import Timeline
 from polishd.sim_backends.plant.witness import SimEventLog
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.runtime import Start, announce, cancel_all, replace, until_ended
+from polishd.sim_backends.runtime import Start, announce, cancel_all, replace_file, until_ended
 
 TICK_S = 0.02
 SUMMARY_S = 1.0
@@ -245,7 +245,7 @@ def build(start: Start) -> PlantServer:
     witness = SimEventLog(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
     told = {**asdict(hidden), "effects": asdict(drawn)}
-    replace(start.state / "truth.json", json.dumps(told, indent=1, default=np.ndarray.tolist).encode())
+    replace_file(start.state / "truth.json", json.dumps(told, indent=1, default=np.ndarray.tolist).encode())
     return PlantServer(start, world, witness, seat=config.plant.part_id)
 
 

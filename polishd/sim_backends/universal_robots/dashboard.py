@@ -18,7 +18,7 @@ from polishd.sim_backends.universal_robots.machine import UrController
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 _SAFETY = {NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP"}
-LONGEST = 1000
+DASHBOARD_LINE_BYTES = 1000
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class Dashboard:
     def feed(self, data: bytes) -> None:
         """Answer each whole line."""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        self._rest = self._rest[-LONGEST:]
+        self._rest = self._rest[-DASHBOARD_LINE_BYTES:]
         for line in lines:
             self._answer(line.decode("utf-8", "replace").strip())
 

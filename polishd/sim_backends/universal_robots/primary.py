@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 _DEPTH = re.compile(rb"^[ \t]*(?:def|thread|while|if|sec)\b.*:[ \t]*(?:#.*)?\r?$")
 _END = re.compile(rb"^[ \t]*end[ \t]*(?:#.*)?\r?$")
-LONGEST = 64 << 20
+PRIMARY_BYTES = 64 << 20
 STATE = 16
 
 

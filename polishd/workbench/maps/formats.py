@@ -25,7 +25,9 @@ def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
     own = asked.keys() if cell is None else readers_for().keys()
     answers = [{**format_answer(reader), "own": reader.name in own} for reader in asked.values()]
     columns = ("format", "endings", "reads", "writes", "dated by", "installed by")
-    emit({"formats": answers}, as_json=as_json, table=lambda: record_table("formats", columns, map(_row, answers)))
+    emit(
+        {"formats": answers}, as_json=as_json, table=lambda: record_table("formats", columns, map(_format_row, answers))
+    )
 
 
 def format_answer(reader: SurfaceReader) -> dict[str, Any]:
@@ -43,7 +45,7 @@ def format_answer(reader: SurfaceReader) -> dict[str, Any]:
     }
 
 
-def _row(answer: dict[str, Any]) -> tuple[str, ...]:
+def _format_row(answer: dict[str, Any]) -> tuple[str, ...]:
     extra = answer["extra"]
     by = "polishd" if answer["own"] else "a plugin of the cell"
     return (

@@ -33,7 +33,7 @@ COLOURS = {"peak": ORANGE, "valley": BLUE}
 MARKS = {"peak": "^", "valley": "v"}
 
 
-def heights(found: MapReportData) -> Picture:
+def height_picture(found: MapReportData) -> Picture:
     """The level map with its peak and valley, and the lines through them, along x and y."""
     caption = (
         "Piston and tilt removed; red is high. Marked: peak (triangle up) and valley (triangle down); the dashed lines "
@@ -73,7 +73,7 @@ def slopes(found: MapReportData, slope_urad: FloatArray) -> Picture:
         return Picture("slope", caption, png(page, DPI), wide=False)
 
 
-def spectrum(found: MapReportData) -> Picture:
+def spectrum_picture(found: MapReportData) -> Picture:
     """The radially averaged PSD up to Nyquist, with the lines that the drawing has for it."""
     psd = found.answer["psd"]
     lines = [line for line in found.lines if line.figure == "psd"]

@@ -100,7 +100,7 @@ def _surface(found: MapReportData) -> DocumentSection:
     pvr = f"PVr: PV of a fit of {answer['pvr_terms']} Zernike terms (fringe) and three times the RMS of what it leaves."
     places = ("place", "height, nm", f"x, {found.unit}", f"y, {found.unit}")
     tables = [Table(("height", "nm", _waves(answer)), level), Table(places, marks)]
-    return DocumentSection("Surface", tables, [heights, pvr], [pictures.heights(found)])
+    return DocumentSection("Surface", tables, [heights, pvr], [pictures.height_picture(found)])
 
 
 def _aberrations(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
@@ -190,7 +190,7 @@ def _periods(found: MapReportData, *, spectrum: bool) -> Iterator[DocumentSectio
     ]
     note = "The surface split by ideal band-passes; a dash is no limit, or a band that the samples do not show."
     table = Table(("band", "below, mm", "above, mm", "RMS, nm"), rows)
-    yield DocumentSection("Spatial periods", [table], [note], [pictures.spectrum(found)] if spectrum else [])
+    yield DocumentSection("Spatial periods", [table], [note], [pictures.spectrum_picture(found)] if spectrum else [])
 
 
 def _zernike(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:

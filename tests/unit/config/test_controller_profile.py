@@ -6,7 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.controller_profile import FOLDER, ControllerProfile, load_controller_profile, shipped
+from polishd.config.controller_profile import (
+    CONTROLLER_PROFILE_DIR,
+    ControllerProfile,
+    load_controller_profile,
+    shipped,
+)
 from polishd.model.errors import ConfigError
 
 LEAST = """
@@ -44,7 +49,7 @@ def test_shipped_profiles_may_polish(name: str) -> None:
     found.require_usable()
     assert found.variables.feed_hold is not None
     assert found.watchdog_s is not None
-    text = (FOLDER / f"{name}.toml").read_text()
+    text = (CONTROLLER_PROFILE_DIR / f"{name}.toml").read_text()
     assert text.startswith("#"), "it says of what it is"
     if name in ("twincat-nci", "sinumerik-opcua"):
         assert "not tried on the device" in text

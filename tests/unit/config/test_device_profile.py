@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from polishd.config.device_file import load_device_profile
-from polishd.drivers.profiled.shelf import FOLDER, profile_of, shipped
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR, profile_of, shipped
 from polishd.model.errors import ConfigError
 from polishd.workbench.devices.verbs import TEMPLATES
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
-FILES = [*FOLDER.glob("*.toml"), *TEMPLATES.glob("*.toml"), EXAMPLES / "line_drive.toml"]
+FILES = [*DEVICE_PROFILE_DIR.glob("*.toml"), *TEMPLATES.glob("*.toml"), EXAMPLES / "line_drive.toml"]
 MODBUS = (TEMPLATES / "actuator_modbus.toml").read_text()
 LINES = (EXAMPLES / "line_drive.toml").read_text()
-SPINDLE = (FOLDER / "delta_ms300.toml").read_text()
+SPINDLE = (DEVICE_PROFILE_DIR / "delta_ms300.toml").read_text()
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from polishd.config.cell import load_config
-from polishd.config.controller_profile import FOLDER as CONTROLLERS
+from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR as CONTROLLERS
 from polishd.config.controller_profile import load_controller_profile
 from polishd.config.device_file import load_device_profile
 from polishd.config.document import MOST_LEVELS
@@ -20,7 +20,7 @@ from polishd.config.loop_study import load_scenario
 from polishd.config.profile import load_profile
 from polishd.config.simulator import load_simulator
 from polishd.config.sweep_points import load_swept
-from polishd.drivers.profiled.shelf import FOLDER as DEVICES
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR as DEVICES
 from polishd.model.errors import ConfigError
 from tests.unit.said import Polishd
 

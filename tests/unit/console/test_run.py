@@ -11,7 +11,7 @@ import pytest
 
 from polishd.console import run as running
 from polishd.console.demo_files import DemoFiles, with_values, write_demo
-from polishd.console.run import worst
+from polishd.console.run import worst_exit_code
 from polishd.daemon.app import CellRun
 from polishd.daemon.endings import safety_of
 from polishd.model import errors
@@ -162,4 +162,4 @@ def test_two_cells_have_two_state_folders(polishd: Polishd, two: list[str]) -> N
 
 
 def test_the_worst_code() -> None:
-    assert [worst(codes) for codes in ([0, 0], [0, 1], [1, 10, 5], [10, 7])] == [0, 1, 10, 7]
+    assert [worst_exit_code(codes) for codes in ([0, 0], [0, 1], [1, 10, 5], [10, 7])] == [0, 1, 10, 7]

@@ -23,7 +23,7 @@ from polishd.daemon.job import Job
 from polishd.daemon.journal import Journal
 from polishd.daemon.journal_records import BlockRecord
 from polishd.daemon.queue import NewJob, Queue, QueueEntry
-from polishd.daemon.queue_app import _serve
+from polishd.daemon.queue_app import _serve_queue
 from polishd.daemon.queue_daemon import IN_THE_WAY, QueueDaemon
 from polishd.daemon.shift import QueueRunner, resume_open_job
 from polishd.daemon.states import DaemonState
@@ -684,7 +684,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     hall.add("a").fake.with_loader()
     hall.ends["a"] = [end]
     await hall.build()
-    serving: Any = _serve(SimpleNamespace(state_dir=hall.tmp_path), hall.daemon, hall.shift)  # type: ignore[arg-type]
+    serving: Any = _serve_queue(SimpleNamespace(state_dir=hall.tmp_path), hall.daemon, hall.shift)  # type: ignore[arg-type]
     hall.task = asyncio.ensure_future(serving)
     await hall.wait(hall.journal.cut_off)
     hall.daemon.stop()

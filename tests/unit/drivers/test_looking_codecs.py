@@ -67,12 +67,12 @@ def test_faults_have_words() -> None:
 
 @pytest.mark.parametrize(("name", "value"), [("number", 1.25), ("unknown", None)])
 def test_values_are_read_as_the_document_says(name: str, value: float | None) -> None:
-    assert monitor_codec.value("slurry_flow", body(MONITOR[name])) == value
+    assert monitor_codec.parse_value("slurry_flow", body(MONITOR[name])) == value
 
 
 def test_states_and_names_are_read_as_the_document_says() -> None:
-    assert monitor_codec.value("guard_closed", body(MONITOR["state"])) is True
-    assert monitor_codec.value("guard_closed", "V,guard_closed,OFF") is False
+    assert monitor_codec.parse_value("guard_closed", body(MONITOR["state"])) is True
+    assert monitor_codec.parse_value("guard_closed", "V,guard_closed,OFF") is False
     assert monitor_codec.listed(0, body(MONITOR["list"])) == "slurry_flow"
     assert monitor_codec.listed(7, body(MONITOR["list_end"])) == ""
 
@@ -86,7 +86,7 @@ def test_what_is_no_force_is_a_protocol_error(answer: str) -> None:
 @pytest.mark.parametrize("answer", ["V,other,1.0", "V,flow,", "V,flow,nan", "V,flow,1e3", "V,flow,on", "V,flow", "OK"])
 def test_what_is_no_value_is_a_protocol_error(answer: str) -> None:
     with pytest.raises(ProtocolError, match=r"no answer to V\?,flow"):
-        monitor_codec.value("flow", answer)
+        monitor_codec.parse_value("flow", answer)
 
 
 @pytest.mark.parametrize("answer", ["LS,1,flow", "LS,0,", "LS,0,a b", "LS,0flow", "LS", "LS,0,-x"])
@@ -97,7 +97,7 @@ def test_what_is_no_name_is_a_protocol_error(answer: str) -> None:
 
 @given(st.text(max_size=30))
 def test_nonsense_is_a_protocol_error_or_a_reading(text: str) -> None:
-    for read in (force_codec.force, lambda said: monitor_codec.value("flow", said)):
+    for read in (force_codec.force, lambda said: monitor_codec.parse_value("flow", said)):
         try:
             read(text)
         except ProtocolError:

@@ -86,7 +86,7 @@ def test_both_forms_have_the_same_minimum(make: object, hessian: bool, monkeypat
     problem = make()
     monkeypatch.setitem(qp.BACKENDS, "clarabel", replace(qp.BACKENDS["clarabel"], takes_hessian=hessian))
     ours = newton_cg.solve(problem, 20, 1e-11).certificate
-    theirs = qp.solve(problem, 20, "clarabel").certificate
+    theirs = qp.solve_qp(problem, 20, "clarabel").certificate
     assert theirs.objective == pytest.approx(ours.objective, rel=1e-8)
 
 
@@ -108,7 +108,7 @@ def spied(monkeypatch: pytest.MonkeyPatch, answer: float | None = None) -> list[
 def test_the_hessian_is_formed_where_points_are_no_denser_than_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     programs = spied(monkeypatch)
     for problem in (bounded(), few_samples()):
-        qp.solve(problem, 20)
+        qp.solve_qp(problem, 20)
     assert [program.A is None for program in programs] == [True, False]
     for program in programs:
         assert program.P.has_sorted_indices  # else piqp answers nonsense
@@ -124,7 +124,7 @@ def test_what_the_hessian_form_does_not_solve_is_tried_without(monkeypatch: pyte
         return solve(program, **rest)
 
     monkeypatch.setattr(qpsolvers, "solve_problem", poor)
-    certificate = qp.solve(bounded(), 20).certificate
+    certificate = qp.solve_qp(bounded(), 20).certificate
     assert certificate.stopped == "converged"
     assert certificate.kkt_residual <= 1e-6
 
@@ -132,14 +132,14 @@ def test_what_the_hessian_form_does_not_solve_is_tried_without(monkeypatch: pyte
 def test_infinite_upper_bounds() -> None:
     problem = dwell_problem(radius_mm=8)
     problem = replace(problem, upper_s=np.full(problem.effect.n, np.inf))
-    ours, theirs = newton_cg.solve(problem, 20, 1e-11), qp.solve(problem, 20)
+    ours, theirs = newton_cg.solve(problem, 20, 1e-11), qp.solve_qp(problem, 20)
     assert ours.certificate.objective == pytest.approx(theirs.certificate.objective, rel=1e-8)
 
 
 def test_bounds_that_meet_leave_no_choice() -> None:
     problem = dwell_problem(radius_mm=6)
     fixed = replace(problem, upper_s=problem.lower_s.copy())
-    np.testing.assert_allclose(qp.solve(fixed, 20).time_s, problem.lower_s)
+    np.testing.assert_allclose(qp.solve_qp(fixed, 20).time_s, problem.lower_s)
 
 
 # effects that are no matrix
@@ -156,14 +156,14 @@ def test_convolutions_are_written_out_as_the_matrix_that_they_are() -> None:
 
 def test_the_qp_and_the_transforms_agree() -> None:
     problem = lattice_problem(radius_mm=9)
-    ours, theirs = douglas_rachford.solve(problem, 30, 1e-9).certificate, qp.solve(problem, 30).certificate
+    ours, theirs = douglas_rachford.solve(problem, 30, 1e-9).certificate, qp.solve_qp(problem, 30).certificate
     assert theirs.objective == pytest.approx(ours.objective, rel=1e-8)
 
 
 def test_too_many_convolutions_are_refused_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qp, "MOST_ENTRIES", 1000)
     with pytest.raises(ComputeError, match=r"points of \d+ samples each are too many for a QP: use douglas_rachford"):
-        qp.solve(lattice_problem(radius_mm=7), 5)
+        qp.solve_qp(lattice_problem(radius_mm=7), 5)
 
 
 def test_the_qp_cannot_use_an_effect_that_it_knows_no_matrix_of() -> None:
@@ -174,7 +174,7 @@ def test_the_qp_cannot_use_an_effect_that_it_knows_no_matrix_of() -> None:
         removal_nm, adjoint = problem.effect.removal_nm, problem.effect.adjoint
 
     with pytest.raises(ComputeError, match="a QP needs the effect as a matrix, not as Opaque: use newton_cg"):
-        qp.solve(replace(problem, effect=Opaque()), 5)
+        qp.solve_qp(replace(problem, effect=Opaque()), 5)
 
 
 # refusals
@@ -183,18 +183,18 @@ def test_the_qp_cannot_use_an_effect_that_it_knows_no_matrix_of() -> None:
 def test_the_qp_checks_the_problem_first() -> None:
     problem = dwell_problem(radius_mm=6)
     with pytest.raises(ComputeError, match="lower_s is above upper_s at point 0"):
-        qp.solve(replace(problem, upper_s=problem.lower_s / 2), 5)
+        qp.solve_qp(replace(problem, upper_s=problem.lower_s / 2), 5)
 
 
 def test_without_a_backend_it_says_which_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qpsolvers, "available_solvers", [])
     with pytest.raises(ComputeError, match="no QP backend is installed: one of clarabel"):
-        qp.solve(dwell_problem(radius_mm=6), 5)
+        qp.solve_qp(dwell_problem(radius_mm=6), 5)
 
 
 def test_a_backend_that_is_not_installed_is_named_with_those_that_are() -> None:
     with pytest.raises(ComputeError, match="QP backend gurobo is not installed; there are: clarabel"):
-        qp.solve(dwell_problem(radius_mm=6), 5, "gurobo")
+        qp.solve_qp(dwell_problem(radius_mm=6), 5, "gurobo")
 
 
 def test_dense_backends_are_not_offered_and_unknown_ones_come_last(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +206,7 @@ def test_dense_backends_are_not_offered_and_unknown_ones_come_last(monkeypatch: 
 def test_a_backend_that_finds_nothing_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qpsolvers, "solve_problem", lambda program, **rest: qpsolvers.Solution(program))
     with pytest.raises(ComputeError, match="clarabel found no dwell within 5 s"):
-        qp.solve(dwell_problem(radius_mm=6), 5, "clarabel")
+        qp.solve_qp(dwell_problem(radius_mm=6), 5, "clarabel")
 
 
 def test_a_backend_that_fails_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,7 +215,7 @@ def test_a_backend_that_fails_is_an_error(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(qpsolvers, "solve_problem", fails)
     with pytest.raises(ComputeError, match="clarabel failed: singular"):
-        qp.solve(dwell_problem(radius_mm=6), 5, "clarabel")
+        qp.solve_qp(dwell_problem(radius_mm=6), 5, "clarabel")
 
 
 @pytest.mark.parametrize(("within_s", "stopped", "asked"), [(100.0, "iterations", 2), (0.0, "deadline", 1)])
@@ -224,7 +224,7 @@ def test_what_a_backend_believes_of_its_answer_does_not_count(
 ) -> None:
     problem = dwell_problem(radius_mm=6)
     programs = spied(monkeypatch, answer=-1.0)
-    solution = qp.solve(problem, within_s)
+    solution = qp.solve_qp(problem, within_s)
     assert (solution.certificate.stopped, len(programs)) == (stopped, asked)
     np.testing.assert_array_equal(solution.time_s, problem.lower_s)
     assert solution.certificate.kkt_residual > 0.1
@@ -238,7 +238,7 @@ def test_the_time_that_is_left_is_what_the_backend_gets(monkeypatch: pytest.Monk
         return qpsolvers.Solution(program, x=np.zeros(program.q.shape))
 
     monkeypatch.setattr(qpsolvers, "solve_problem", spy)
-    qp.solve(dwell_problem(radius_mm=6), 7.0, "clarabel")
+    qp.solve_qp(dwell_problem(radius_mm=6), 7.0, "clarabel")
     assert 0 < asked["time_limit"] <= 7.0
 
 
@@ -261,13 +261,13 @@ def test_a_backend_that_was_starved_is_asked_again_for_longer(
     monkeypatch.setattr(time, "monotonic", lambda: slowness * cpu)
     monkeypatch.setattr(qpsolvers, "solve_problem", backend)
     monkeypatch.setattr(qp, "_forms", lambda problem, how: [True])
-    qp.solve(dwell_problem(radius_mm=6), 10.0, "clarabel")
+    qp.solve_qp(dwell_problem(radius_mm=6), 10.0, "clarabel")
     assert given == pytest.approx(asked)
 
 
 def test_out_of_time_it_says_so_or_refuses() -> None:
     try:
-        certificate = qp.solve(dwell_problem(radius_mm=30), 0.02).certificate
+        certificate = qp.solve_qp(dwell_problem(radius_mm=30), 0.02).certificate
     except ComputeError as error:
         assert "found no dwell within" in str(error)  # noqa: PT017  either is honest
     else:

@@ -13,7 +13,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.splitting import splitting
 from polishd.process.transforms.butterflies import forward_fft, inline, inverse_fft, length
 from polishd.process.transforms.lanes import COUNT, load, store
-from polishd.process.transforms.plane import columns_back, columns_forth, plane, rows_back, rows_forth
+from polishd.process.transforms.plane import columns_back, columns_forth, rows_back, rows_forth, transform_plane
 from tests.unit.process.lattices import lattice_problem
 
 
@@ -40,7 +40,7 @@ def test_a_length_with_another_factor_is_refused() -> None:
 
 @pytest.mark.parametrize("size", [(90, 60), (32, 32), (45, 75), (64, 30), (1, 8)])
 def test_a_field_has_the_spectrum_of_rfft2(size: tuple[int, int]) -> None:
-    on, field = plane(size), noise(*size).astype(np.float32)
+    on, field = transform_plane(size), noise(*size).astype(np.float32)
     kept = on.packed(field)
     np.testing.assert_array_equal(on.unpacked(kept), field)
     for slab in range(on.order.slabs):

@@ -299,7 +299,7 @@ def checked(recipe: Recipe, program: Program, measured: MeasureResult) -> DwellS
 
 
 def test_an_independent_solver_agrees(program: Program, measured: MeasureResult) -> None:
-    recipe = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=0.0)
+    recipe = small_recipe(cross_check=DwellSolver("qp", qp.solve_qp), cross_check_above=0.0)
     certificate = checked(recipe, program, measured).certificate
     assert certificate.cross_check == "qp"
     assert certificate.cross_check_gap == pytest.approx(0.0, abs=1e-3)
@@ -330,7 +330,7 @@ def test_nobody_is_asked_about_what_is_proved(program: Program, measured: Measur
     assert more.cross_check is None
     assert more.gap is not None
     assert more.gap <= proved.gap / 2
-    doubtful = small_recipe(cross_check=DwellSolver("qp", qp.solve), cross_check_above=1e-13)
+    doubtful = small_recipe(cross_check=DwellSolver("qp", qp.solve_qp), cross_check_above=1e-13)
     assert checked(doubtful, program, measured).certificate.cross_check == "qp"
 
 

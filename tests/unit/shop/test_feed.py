@@ -125,4 +125,4 @@ def test_a_row_that_is_none_takes_nothing_of_its_report(shop: Database) -> None:
         take(shop, told(1, 3, jobs=[[1]]))
     assert numbers(shop) == []
     with shop.transaction() as sql:
-        assert views.status(sql, ())["cells"] == []
+        assert views.status_view(sql, ())["cells"] == []

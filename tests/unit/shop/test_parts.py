@@ -45,7 +45,7 @@ def release(shop: Database, job: str, *, gone: bool = False) -> str:
 
 def states(shop: Database) -> dict[str, str]:
     with shop.transaction() as sql:
-        return {one["job"]: one["state"] for one in views.parts(sql)["parts"]}
+        return {one["job"]: one["state"] for one in views.parts_view(sql)["parts"]}
 
 
 def words(shop: Database) -> list[str]:
@@ -128,7 +128,7 @@ def test_what_was_refused_is_for_another_cell(shop: Database) -> None:
         assert parts.claim(sql, "north", "1") == {"part": None, "over": True}
     assert claim(shop, "north", "2") is None
     with shop.transaction() as sql:
-        assert views.parts(sql)["parts"][0]["not_for"] == "north: refused: it is too large"
+        assert views.parts_view(sql)["parts"][0]["not_for"] == "north: refused: it is too large"
     assert claim(shop, "south", "3") == "a"
 
 

@@ -63,7 +63,7 @@ def test_a_soft_wrist_joint_gives_by_its_lever_squared() -> None:
     """A alone: the tip turns about the axis across w and the tool."""
     soft = dataclasses.replace(RIGID, a_stiffness_n_mm_per_rad=4e7)
     tip, axis = random_poses(5, soft)
-    at = hybrid.posed(soft, tip, axis)
+    at = hybrid.solve_hybrid_poses(soft, tip, axis)
     tilt = np.cross(at.along, axis)
     moved = np.cross(tilt / np.linalg.norm(tilt, axis=1)[:, None], -soft.tool_length_mm * axis)
     expected = moved[:, :, None] * moved[:, None, :] / 4e7
@@ -76,7 +76,7 @@ def test_limbs_alone_give_as_three_springs_along_the_up_limb() -> None:
     lean = np.radians(1.0)
     axis = np.array([[np.sin(lean), 0.0, -np.cos(lean)]])
     tip = np.array([[0.0, 0.0, 1700.0]]) - soft.tool_length_mm * axis
-    at = hybrid.posed(soft, tip, axis)
+    at = hybrid.solve_hybrid_poses(soft, tip, axis)
     upright = float(at.limbs[0, 0] @ at.along[0])
     # the load at the tip is beside w, by the tool's lean: its moment is carried across, not along
     along = at.along[0] @ tip_gives_mm_per_n(soft, tip, axis)[1][0] @ at.along[0]
@@ -95,7 +95,7 @@ def test_the_up_limb_alone_is_a_cantilever() -> None:
     lean = np.radians(1.0)
     axis = np.array([[np.sin(lean), 0.0, -np.cos(lean)]])
     tip = np.array([[0.0, 0.0, 1700.0]]) - soft.tool_length_mm * axis
-    at = hybrid.posed(soft, tip, axis)
+    at = hybrid.solve_hybrid_poses(soft, tip, axis)
     stored = hybrid._stored(soft, at)[0]
     push = stored[:, :3] * np.sqrt(soft.limb_stiffness_n_per_mm)
     across = -(push @ at.limbs[0]) - np.eye(3)  # (force, 3) in the UP limb

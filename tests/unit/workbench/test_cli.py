@@ -11,7 +11,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from polishd import cli
-from polishd.workbench.cli import app as workbench
+from polishd.workbench.cli import offline_app as workbench
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 VERBS = {"calibrate", "compliance", "device", "init", "map", "program", "study", "tif"}
@@ -36,7 +36,7 @@ def test_it_needs_no_daemon(words: tuple[str, ...]) -> None:
         f"import atexit, sys\nsys.argv = ['polishd', *{words!r}]\n"
         "others = ('polishd.daemon', 'polishd.console', 'polishd.cli')\n"
         "atexit.register(lambda: print(*(name for name in others if name in sys.modules), file=sys.stderr))\n"
-        "from polishd.workbench.cli import app\napp()"
+        "from polishd.workbench.cli import offline_app\noffline_app()"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, timeout=60)
     assert ended.stderr.decode().strip() == ""

@@ -53,7 +53,7 @@ def parse(path: Path) -> SurfaceMap:
         height = hdf5.samples(source, data)
         unit, optics = _unit(source, data)
         height = _scaled(height, hdf5.number(source, data, "No Data"), unit.nm)
-        about = _about(source, links)
+        about = _read_attributes(source, links)
         scale = _pitch(source, data)
         origin = hdf5.attribute(source, data, "Coordinates")
         odd = _contradictions(source, data, optics)
@@ -190,7 +190,7 @@ def _pitch(source: hdf5.Hdf5Contents, data: Any) -> Pitch:
     return pitch(source.path, metres[0] * 1e3, metres[1] * 1e3)
 
 
-def _about(source: hdf5.Hdf5Contents, links: dict[tuple[str, str], str]) -> dict[str, Any]:
+def _read_attributes(source: hdf5.Hdf5Contents, links: dict[tuple[str, str], str]) -> dict[str, Any]:
     """Part, instrument, time and the text of a history, from the attributes of the measurement."""
     place = links.get((links.get(("Root", "Measurement"), ""), "Attributes"), "/Measurement/Attributes")
     node = hdf5.member(source, place)

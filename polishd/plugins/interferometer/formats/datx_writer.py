@@ -50,7 +50,7 @@ def write(surface: SurfaceMap) -> bytes:
     with h5py.File(held, "w") as file:
         file.create_dataset("MetaData", data=table, track_times=False)
         _data(file, f"/Data/Surface/{place}", surface)
-        _about(file.create_group(f"/Attributes/{about}"), surface)
+        _write_attributes(file.create_group(f"/Attributes/{about}"), surface)
     return held.getvalue()
 
 
@@ -77,7 +77,7 @@ def _data(file: h5py.File, place: str, surface: SurfaceMap) -> None:
     data.attrs.create("Z Converter", np.array([("HeightCat", "NanoMeters", optics)], dtype=converter), dtype=converter)
 
 
-def _about(group: h5py.Group, surface: SurfaceMap) -> None:
+def _write_attributes(group: h5py.Group, surface: SurfaceMap) -> None:
     import h5py
 
     text = h5py.string_dtype("utf-8")

@@ -17,19 +17,19 @@ from polishd.plugins.interferometer.formats.scales import checked
 from polishd.plugins.interferometer.formats.zygo import ZygoHeader
 from polishd.plugins.interferometer.formats.zygo_text import HASH, TextFormat, require_end
 
-FORMAT = TextFormat("zygo_xyz", 1, (b"Zygo XYZ Data File",))
+ZYGO_XYZ_FORMAT = TextFormat("zygo_xyz", 1, (b"Zygo XYZ Data File",))
 NO_DATA = b"No Data"
 NM_PER_UM = 1e3
 SIGNED = "its header says an inverted sign, and the heights are taken as they stand: the program that wrote them did it"
 
 
-def read(path: Path) -> SurfaceMap:
+def read_zygo_xyz(path: Path) -> SurfaceMap:
     """Read a map: each pixel must be listed exactly once. BadMap for whatever is torn, broken or absurd."""
-    content, header = FORMAT.opened(path, smallest=6)
+    content, header = ZYGO_XYZ_FORMAT.opened(path, smallest=6)
     height_nm = checked(path, _heights_um(path, content, header) * NM_PER_UM, NM_PER_UM)
     factors = {"nm_per_unit": NM_PER_UM, "origin_px": header.origin}
     odd = (SIGNED,) if header.sign else ()
-    return FORMAT.surface(path, content, height_nm, factors=factors, warnings=odd, **header.about(path))
+    return ZYGO_XYZ_FORMAT.surface(path, content, height_nm, factors=factors, warnings=odd, **header.about(path))
 
 
 def _end(path: Path, content: bytes, start: int) -> int:
@@ -83,4 +83,4 @@ def _corner(path: Path, first: FloatArray, header: ZygoHeader) -> tuple[int, int
     raise MapError(f"{path}: its first point ({first[0]:g}, {first[1]:g}) is no corner of its phase frame")
 
 
-ZYGO_XYZ = FORMAT.reader(read, ".xyz")
+ZYGO_XYZ = ZYGO_XYZ_FORMAT.reader(read_zygo_xyz, ".xyz")

@@ -17,7 +17,7 @@ from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.handover.opcua import OpcUa, OpcUaCertificates
 from polishd.plugins.handover.build import build
 from polishd.plugins.handover.options import HandoverOptions
-from polishd.sim_backends.handover.opcua import NAMESPACE, TYPES
+from polishd.sim_backends.handover.opcua import NAMESPACE, OPCUA_TYPES
 
 PROFILE = load_controller_profile("plc-opcua", Path())
 SILENCE_S = 20.0
@@ -63,7 +63,7 @@ async def url(folder: Path) -> AsyncIterator[str]:
     await server.load_certificate(str(folder / "server.pem"))
     await server.load_private_key(str(folder / "server.key"), format="PEM")
     index = await server.register_namespace(NAMESPACE)
-    for name, kind in TYPES.items():
+    for name, kind in OPCUA_TYPES.items():
         node = ua.NodeId.from_string(f"ns={index};s={name}")
         value = "" if kind is ua.VariantType.String else ua.get_default_value(kind)
         await server.nodes.objects.add_variable(node, name, value, kind)

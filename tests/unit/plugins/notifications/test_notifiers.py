@@ -19,7 +19,7 @@ from polishd.model.concern import Severity
 from polishd.model.errors import ConfigError, LinkError
 from polishd.model.notification import Notification
 from polishd.plugins.notifications import polishd_notifiers, tls
-from polishd.plugins.notifications.webhook import SAID_BYTES
+from polishd.plugins.notifications.webhook import REPLY_BYTES
 from tests.fakes.receivers import mail_server, web_server
 from tests.patience import within
 from tests.system.sim_rig import alive, wait_for
@@ -200,7 +200,7 @@ def test_a_webhook_that_is_not_accepted_tells_the_host_and_no_secret(folder: Pat
     assert said.startswith(f"{hook.url}: answered {status} ")
     assert SECRET not in said
     assert "/hook/T0" not in said
-    assert len(said) < SAID_BYTES + 100
+    assert len(said) < REPLY_BYTES + 100
 
 
 def test_a_webhook_over_tls(folder: Path, certificate: tuple[Path, ssl.SSLContext]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.profiled.shelf import FOLDER, shipped
+from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR, shipped
 from tests.fakes.devices_by_profile import file_of
 from tests.unit.said import Polishd
 
@@ -21,7 +21,7 @@ def test_the_list_says_what_was_tried(polishd: Polishd) -> None:
 
 def test_show_gives_the_file_to_start_from(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("device", "show", "hitachi_wj200", "--toml")
-    assert said.out == (FOLDER / "hitachi_wj200.toml").read_text()
+    assert said.out == (DEVICE_PROFILE_DIR / "hitachi_wj200.toml").read_text()
     (tmp_path / "mine.toml").write_text(said.out)
     assert polishd("device", "check", tmp_path / "mine.toml").code == 0
 
@@ -77,7 +77,7 @@ def test_bad_raw_examples_are_told(polishd: Polishd, raw: str, why: str) -> None
 
 
 def test_check_warns_of_what_may_be_forgotten(polishd: Polishd, tmp_path: Path) -> None:
-    slow = (FOLDER / "delta_ms300.toml").read_text().replace("baud = 9600", "baud = 1200")
+    slow = (DEVICE_PROFILE_DIR / "delta_ms300.toml").read_text().replace("baud = 9600", "baud = 1200")
     (tmp_path / "slow.toml").write_text(slow.replace('reverse = ["set_point = asked", "command = 0x22"]', ""))
     warnings = polishd("device", "check", tmp_path / "slow.toml", "--json").answer["warnings"]
     for words in ("set 1 s at the device", "raise serial.baud", "turns forward only"):
