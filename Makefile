@@ -34,7 +34,7 @@ test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)
 
 test-maps: $(VENV)/.installed ## of those, 100,000 broken files of each map format and 10,000 writes into the folder
-	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/test_map_fuzz.py tests/campaigns/test_folder_campaign.py $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/interferometer/test_map_fuzz.py tests/campaigns/test_folder_campaign.py $(ARGS)
 
 ways-out: $(VENV)/.installed ## of those, every way out of contact in real time, and its table in docs/cycle.md
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)

@@ -15,19 +15,19 @@ import numpy as np
 
 from benchmarks.dwell_cases import surface
 from benchmarks.harness import Progress, Row, Runner, race
-from polishd.hooks.cell import load_cell
+from polishd.commissioning.init.answers import answers_of
+from polishd.commissioning.init.write_cell import new_cell, write_cell
 from polishd.model.program import Program
 from polishd.model.surface import Grid, SurfaceMap
-from polishd.plugins.removal_models import along_path
-from polishd.recipe import dwell_step, steps
-from polishd.recipe.making import make_recipe
-from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import MeasureResult
-from polishd.workbench.setup.answers import answers_of
-from polishd.workbench.setup.verb import new_cell, write_cell
+from polishd.pipeline import dwell_step, steps
+from polishd.pipeline.build_recipe import make_recipe
+from polishd.pipeline.recipe import Recipe
+from polishd.pipeline.records import MeasureResult
+from polishd.plugin_loader import load_cell
+from polishd.plugins import removal_along_path
 
 RMS_NM = 100.0
-CHOSEN = along_path.WORTH_S, along_path.WIDE
+CHOSEN = removal_along_path.WORTH_S, removal_along_path.WIDE
 MATRIX, NONE = (float("inf"), 0), (-1.0, 0)
 """The same with which it always takes a matrix, and with which it always tries to do without."""
 
@@ -108,5 +108,5 @@ def prepared(case: Case, folder: Path) -> Part:
 
 def solved(part: Part, choice: tuple[float, int]) -> None:
     """The whole solve step. It runs in a fork, so what is set here is gone with it."""
-    along_path.WORTH_S, along_path.WIDE = choice
+    removal_along_path.WORTH_S, removal_along_path.WIDE = choice
     dwell_step.solve(part.recipe, part.program, part.measured)

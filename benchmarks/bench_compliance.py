@@ -8,12 +8,10 @@ from functools import partial
 import numpy as np
 
 from benchmarks.harness import Progress, Row, peak_mb, race
-from polishd.model.process import ToolProcess
-from polishd.model.robot import HybridRobot
+from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray
-from polishd.process.compliance import depth_ratio, equivalent_compliance
-from polishd.process.contact import hertz_depth_mm
-from polishd.process.robot import reachable, tip_compliance_mm_per_n
+from polishd.process.removal.contact import hertz_depth_mm
+from polishd.process.robot.compliance import depth_ratio, equivalent_compliance, reachable, tip_compliance_mm_per_n
 
 POSES = 160_000
 MOST_MB = 2000.0

@@ -15,13 +15,12 @@ from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import QuadraticObjective, quadratic
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.dynamic_tif import effect_matrix
-from polishd.process.effect import SparseEffect
-from polishd.process.paths.apertures import circle
-from polishd.process.paths.raster import raster
-from polishd.process.spot import HertzSpot
+from polishd.process.dwell.quadratic import QuadraticObjective, choose_piston_nm, quadratic, regularisation_from_rho
+from polishd.process.removal.dynamic_tif import effect_matrix
+from polishd.process.removal.effect import SparseEffect
+from polishd.process.removal.tif import HertzSpot
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
 
 GAP = 1e-6
 RADII_MM = (50.0, 150.0)

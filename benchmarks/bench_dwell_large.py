@@ -10,10 +10,10 @@ from benchmarks import dwell_peers as peers
 from benchmarks.bench_dwell import Goal, lbfgsb
 from benchmarks.dwell_cases import Case, build
 from benchmarks.harness import Progress, Row, Runner, cpu_seconds, peak_mb, race
-from polishd.plugins.dwell_solvers import qp
-from polishd.process.convolution import ConvolutionEffect
+from polishd.plugins import dwell_solvers
 from polishd.process.dwell import douglas_rachford
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.removal.convolution import ConvolutionEffect
 
 GAP = 1e-6
 SMALL = Case(50, 5, 1e-4)
@@ -56,7 +56,8 @@ def cold(case: Case, problem: DwellProblem, goal: Goal, progress: Progress) -> R
             "scipy lsq_linear": partial(peers.lsq_linear, problem, f, goal),
         }
         slow |= {
-            f"qpsolvers {name}": partial(peers.backend, problem, name, goal, QUICK_CAP_S) for name in qp.installed()
+            f"qpsolvers {name}": partial(peers.backend, problem, name, goal, QUICK_CAP_S)
+            for name in dwell_solvers.installed()
         }
     too_large = entries(problem) > MOST_QP_ENTRIES
     capped: dict[str, float | None] = {}

@@ -17,19 +17,19 @@ import numpy as np
 from benchmarks.bench_dwell import path
 from benchmarks.harness import Progress, Row
 from polishd.model.dwell import WarmStart
-from polishd.model.limits import Envelope
 from polishd.model.process import ToolProcess
+from polishd.model.program import Envelope
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process import motion
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.dynamic_tif import CorrectedSpot, effect_matrix, tif_at_point
-from polishd.process.effect import SparseEffect
-from polishd.process.paths.apertures import circle
-from polishd.process.paths.raster import raster
-from polishd.process.spot import HertzSpot
-from polishd.workbench.studies.surface import random_waves
+from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
+from polishd.process.removal.dynamic_tif import CorrectedSpot, effect_matrix, tif_at_point
+from polishd.process.removal.effect import SparseEffect
+from polishd.process.removal.tif import HertzSpot
+from polishd.process.robot import motion
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
+from polishd.studies.scene import random_waves
 
 DIAMETER_MM, EDGE_MM, OVER_MM, PITCH_MM = 100.0, 3.0, 3.0, 0.5
 LINES_MM, BLOCK_MM = 0.5, 1.0

@@ -12,13 +12,13 @@ from benchmarks.bench_dwell import path
 from benchmarks.harness import Progress, Row, Runner, peak_mb, race
 from polishd.model.process import ToolProcess
 from polishd.model.surface import FloatArray, Grid
-from polishd.process import contact
-from polishd.process.dynamic_tif import effect_matrix
-from polishd.process.effect import Effect, SparseEffect
-from polishd.process.paths.apertures import circle
-from polishd.process.paths.raster import raster
-from polishd.process.spot import HertzSpot, hertz_spot
-from polishd.process.spreading.effect import spread_effect
+from polishd.process.removal import contact
+from polishd.process.removal.dynamic_tif import effect_matrix
+from polishd.process.removal.effect import Effect, SparseEffect
+from polishd.process.removal.spread_effect import spread_effect
+from polishd.process.removal.tif import HertzSpot, hertz_spot
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
 
 MOST_ENTRIES = 100_000_000
 """Of a matrix that is made here: 1.2 GB, and twice that while it is made."""

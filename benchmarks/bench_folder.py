@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks.harness import Progress, Row
 from polishd.api import DeviceContext
-from polishd.plugins.interferometer.folder import FolderOptions, WatchedFolder
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.sim_backends.metropro import DatMap, pack
+from polishd.plugins.interferometer.watched_folder import FolderOptions, WatchedFolder
+from polishd.sim_backends.common.metropro import DatMap, pack
 
 FOLDERS, MAPS = 6, 18
 """Side by side, and one after another in each."""

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Progress, Row
-from polishd.console.demo_files import write_demo
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
 Cost = tuple[float, float]
 """CPU and wall seconds."""
@@ -27,7 +27,7 @@ TURNS = 9
 LIMIT_S = 0.5
 PEERS: dict[str, tuple[str, ...]] = {"python": ("-c", "pass"), "numpy": ("-c", "import numpy")}
 MODULES = ("polishd", "polishd.api", "polishd.plugins.interferometer")
-MAP = ("-m", "polishd.cli", "map")
+MAP = ("-m", "polishd.cli.app", "map")
 SAMPLES = 200
 VERBS = ("status", "check")
 """Of the demo's cell, where no daemon runs: its program has 9,410 timed points."""

@@ -2,7 +2,7 @@
 
 Each size is a process of its own; the peak is what the kernel says of it (VmHWM, which is begun anew for each stage),
 beside what it held when the stage began. Disk: bytes of the journal and of executed.csv for a block, beside what
-``recipe.disk`` counts with.
+``pipeline.disk_space`` counts with.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from benchmarks.long_path import (
     nc_program,
     nc_stages,
 )
-from polishd.recipe.disk import CSV_BYTES, ROW_BYTES
+from polishd.pipeline.disk_space import CSV_BYTES, ROW_BYTES
 
 BLOCKS = (100_000, 1_000_000, 2_000_000)
 LINES = 1_000_000

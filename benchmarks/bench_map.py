@@ -23,12 +23,13 @@ from prysm.interferogram import Interferogram
 from prysm.polynomials import lstsq, noll_to_nm, zernike_nm_sequence
 
 from benchmarks.harness import Progress, Row, peak_mb, race
+from polishd.maps.figures import figured
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.process import metrics
-from polishd.process.conditioning import fill_holes
-from polishd.process.registration import outline
-from polishd.workbench.maps.figures import figured
+from polishd.process.metrology import registration, zernike
+from polishd.process.metrology.conditioning import fill_holes
+from polishd.process.metrology.spectra import radial_psd, split_bands
+from polishd.process.metrology.statistics import slope, without
 
 SIDE = 1024
 PITCH_MM = 0.44
@@ -97,26 +98,26 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
     """Ours and prysm's of each step, given what the steps before made."""
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
-    level = metrics.without(height, mask, "tilt")
+    level = without(height, mask, "tilt")
     theirs = Interferogram.from_zygo_dat(path)
     return {
         "import .dat": (lambda: METROPRO.read(path), lambda: Interferogram.from_zygo_dat(path)),
-        "level": (lambda: metrics.without(height, mask, "tilt"), lambda: theirs.copy().remove_tiptilt()),
+        "level": (lambda: without(height, mask, "tilt"), lambda: theirs.copy().remove_tiptilt()),
         "register by the outline": (lambda: register(height), None),
         "fill 40 holes": (lambda: filled(level, mask), None),
-        f"{TERMS} Zernike terms": (lambda: metrics.zernike.fit(level, mask, TERMS), lambda: zernike_prysm(theirs)),
-        "PSD, radial": (lambda: metrics.radial_psd(level, mask, PITCH_MM), lambda: psd_prysm(theirs)),
-        "three bands": (lambda: metrics.split_bands(level, mask, PITCH_MM, EDGES_MM), lambda: bands_prysm(theirs)),
-        "slope": (lambda: metrics.slope(level, mask, PITCH_MM), None),
+        f"{TERMS} Zernike terms": (lambda: zernike.fit(level, mask, TERMS), lambda: zernike_prysm(theirs)),
+        "PSD, radial": (lambda: radial_psd(level, mask, PITCH_MM), lambda: psd_prysm(theirs)),
+        "three bands": (lambda: split_bands(level, mask, PITCH_MM, EDGES_MM), lambda: bands_prysm(theirs)),
+        "slope": (lambda: slope(level, mask, PITCH_MM), None),
     }
 
 
 def figures(height_nm: FloatArray, mask: np.ndarray) -> object:
     """Each figure that prysm has, and slope, one after the other."""
-    level = metrics.without(height_nm, mask, "tilt")
-    bands = metrics.split_bands(level, mask, PITCH_MM, EDGES_MM)
-    terms = metrics.zernike.fit(level, mask, TERMS)
-    return bands, terms, metrics.radial_psd(level, mask, PITCH_MM), metrics.slope(level, mask, PITCH_MM)
+    level = without(height_nm, mask, "tilt")
+    bands = split_bands(level, mask, PITCH_MM, EDGES_MM)
+    terms = zernike.fit(level, mask, TERMS)
+    return bands, terms, radial_psd(level, mask, PITCH_MM), slope(level, mask, PITCH_MM)
 
 
 def figures_prysm(surface: Interferogram) -> object:
@@ -132,11 +133,11 @@ def whole(path: Path) -> object:
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
     place = register(height)
-    level = metrics.without(height, mask, "tilt")
+    level = without(height, mask, "tilt")
     whole_surface = filled(level, mask)
-    terms = metrics.zernike.fit(level, mask, TERMS)
-    psd = metrics.radial_psd(level, mask, PITCH_MM)
-    return place, whole_surface, terms, psd, metrics.split_bands(level, mask, PITCH_MM, EDGES_MM)
+    terms = zernike.fit(level, mask, TERMS)
+    psd = radial_psd(level, mask, PITCH_MM)
+    return place, whole_surface, terms, psd, split_bands(level, mask, PITCH_MM, EDGES_MM)
 
 
 def whole_prysm(path: Path) -> object:
@@ -149,7 +150,7 @@ def whole_prysm(path: Path) -> object:
 
 def register(height_nm: FloatArray) -> object:
     """Where the part is, by its rim."""
-    return outline.fit_circle(height_nm, PITCH_MM, 2 * RADIUS_MM, 2.0)
+    return registration.fit_circle(height_nm, PITCH_MM, 2 * RADIUS_MM, 2.0)
 
 
 def filled(height_nm: FloatArray, mask: np.ndarray) -> FloatArray:

@@ -16,14 +16,13 @@ from benchmarks.dwell_cases import UNREACHED, surface
 from benchmarks.harness import Progress, Row, Runner, race
 from polishd.model.dwell import DwellSolution
 from polishd.model.surface import Grid
-from polishd.process.dwell import spectral
+from polishd.process.dwell import alternating_directions
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import quadratic
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.effect import Effect
-from polishd.process.paths.apertures import circle
-from polishd.process.paths.raster import raster
-from polishd.process.spreading.effect import SpreadEffect, spread_effect
+from polishd.process.dwell.quadratic import choose_piston_nm, quadratic, regularisation_from_rho
+from polishd.process.removal.effect import Effect
+from polishd.process.removal.spread_effect import SpreadEffect, spread_effect
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
 
 GAP = 1e-6
 CASES = (Case(300.0, 1.0, 1.0, 10.0, 1e-3), Case(200.0, 0.5, 0.93, 10.0, 1e-3))
@@ -54,7 +53,7 @@ class Part:
         self.program = path(raster(circle(case.diameter_mm), case.step_mm, case.step_mm))
         self.gamma = np.asarray(0.875 + 0.035 * np.sin(self.program.end_mm[:, 0] / 30))
         self.problem = self.of(self.without())
-        self.goal = reached(spectral.solve(self.problem, 3600.0, 0.0, GAP / 100))  # a proved gap
+        self.goal = reached(alternating_directions.solve(self.problem, 3600.0, 0.0, GAP / 100))  # a proved gap
 
     @property
     def name(self) -> str:
@@ -86,7 +85,7 @@ def ours(part: Part) -> None:
 
 
 def of(problem: DwellProblem, goal: Goal) -> None:
-    require(quadratic(problem), spectral.solve(problem, 3600.0, 0.0, GAP).time_s, problem, goal)
+    require(quadratic(problem), alternating_directions.solve(problem, 3600.0, 0.0, GAP).time_s, problem, goal)
 
 
 def by_lbfgsb(part: Part) -> None:

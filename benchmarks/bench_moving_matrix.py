@@ -15,8 +15,8 @@ from benchmarks.harness import Progress, Row, Runner, race
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
-from polishd.process.dynamic_tif import effect_matrix
-from polishd.process.effect import SparseEffect
+from polishd.process.removal.dynamic_tif import effect_matrix
+from polishd.process.removal.effect import SparseEffect
 
 
 def rows(progress: Progress) -> Iterator[Row]:

@@ -21,7 +21,7 @@ from benchmarks.harness import MIN_REPEATS, PEER_CAP_S, Progress, Row, Runner, c
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
-from polishd.plugins.rnc_robot.nc import stream
+from polishd.plugins.rnc_robot.gcode import rewrite
 
 LINES = 1_000_000
 SLICE = 10_000
@@ -36,7 +36,7 @@ import re, sys
 from pathlib import Path
 import numpy as np
 from polishd.plugins.rnc_robot.dialect import dialect
-from polishd.plugins.rnc_robot.nc.stream import rewrite_stream
+from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream
 class Times:
     def take(self, count):
         return np.full(count, 0.1234)
@@ -104,7 +104,7 @@ class Times:
 def file_to_file(path: Path) -> None:
     """Read a file to points, and write one with other times: what ``polishd program rewrite`` does."""
     with path.open("rb") as file, path.with_suffix(".new").open("wb") as out:
-        passed = stream.rewrite_stream(RS274, file, "bench", Times(), out)
+        passed = rewrite.rewrite_stream(RS274, file, "bench", Times(), out)
     if 2 * passed.points < passed.lines - 99:
         raise RuntimeError(f"{passed.points} points in {passed.lines} lines")
 

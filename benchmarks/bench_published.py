@@ -18,9 +18,8 @@ from benchmarks.dwell_cases import spot
 from benchmarks.harness import Progress, Row, race
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.dwell import interior_point
-from polishd.process.dwell.arrays import DwellCase, array_problem
-from polishd.process.dwell.tools import ArrayTool, ToolsDwell, dwell_of_tools
-from polishd.process.metrics.slopes import slope
+from polishd.process.dwell.from_arrays import ArrayTool, DwellCase, ToolsDwell, array_problem, dwell_of_tools
+from polishd.process.metrology.statistics import slope
 
 DIAMETER_MM, EDGE_MM, PITCH_MM, RMS_NM = 60.0, 2.0, 1.0, 45.42
 LONGEST_MM, SHORTEST_MM = 60.0, 3.0

@@ -22,9 +22,9 @@ import numpy as np
 from benchmarks.dwell_cases import Case, build
 from benchmarks.harness import Progress, Row, running_cell
 from polishd.drivers.force_sensor_line import ForceSensorLine
-from polishd.drivers.profiled import make
-from polishd.drivers.profiled.shelf import profile_of
-from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.profile_device import build as make
+from polishd.drivers.profile_device.build import profile_of
+from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SocketcandAddress, Tcp, parse_address
 from polishd.process.dwell import newton_cg

@@ -21,13 +21,13 @@ from benchmarks.harness import Progress, Row
 from polishd.model.outline import Polygon
 from polishd.model.process import FLAT, Optic
 from polishd.model.surface import Grid
-from polishd.process.curved import on_curved
-from polishd.process.dwell import spectral
+from polishd.process.dwell import alternating_directions
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.paths.apertures import circle, over_outline
-from polishd.process.paths.raster import raster
-from polishd.process.spreading.effect import spread_effect
+from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
+from polishd.process.removal.contact import on_curved
+from polishd.process.removal.spread_effect import spread_effect
+from polishd.process.toolpath.apertures import circle, over_outline
+from polishd.process.toolpath.paths import raster
 
 DISCS = tuple(Case(diameter_mm, 1.0, 1.0, 10.0, 1e-3) for diameter_mm in (110.0, 200.0, 360.0, 640.0, 1130.0, 2200.0))
 """10^4 to 4 * 10^6 blocks."""
@@ -71,7 +71,7 @@ def measured(case: Case, *, hexagon: bool) -> dict[str, float]:
     target = height + choose_piston_nm(height, solve, effect.removal_nm(lower))
     p = regularisation_from_rho(effect, solve, 1e-4)
     problem = DwellProblem(effect, target, solve, solve, lower, np.full(lower.size, np.inf), p)
-    certificate = spectral.solve(problem, 36_000.0).certificate
+    certificate = alternating_directions.solve(problem, 36_000.0).certificate
     most = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
     assert certificate.stopped == "converged"
     assert most is not None

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.harness import MIN_REPEATS, Progress, Row, running_cell
-from polishd.daemon.stream import CHUNK
-from polishd.drivers.robot_link import RobotLink
+from polishd.daemon.contact.streaming import CHUNK
+from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from polishd.model.program import Plan, Program, Segment
 

@@ -17,11 +17,9 @@ from tempfile import TemporaryDirectory
 from distributed import LocalCluster
 
 from benchmarks.harness import Progress, Row
-from polishd.config.sweep_points import load_swept
-from polishd.workbench.studies.case import Case
-from polishd.workbench.studies.cases import cases_of
-from polishd.workbench.studies.engine import work
-from polishd.workbench.studies.executors import DaskCluster, Executor, LocalPool
+from polishd.config.sweep import load_swept
+from polishd.studies.cases import Case, cases_of
+from polishd.studies.engine import DaskCluster, Executor, LocalPool, work
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 WORKERS = 2

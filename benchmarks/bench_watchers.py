@@ -23,14 +23,19 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import MIN_REPEATS, Progress, Row
+from polishd.cli.demo import commission_demo
+from polishd.commissioning.rehearsal.simulated_cell import (
+    DemoFiles,
+    demo_program,
+    simulated_cell,
+    with_values,
+    write_demo,
+)
 from polishd.config.cell import load_config
-from polishd.console.demo import commission_demo
-from polishd.console.demo_files import DemoFiles, demo_program, with_values, write_demo
-from polishd.console.simulator import simulated_cell
-from polishd.daemon import client
-from polishd.door.users import Role, UserFile, users_path
+from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from polishd.model.surface import FloatArray
+from polishd.web.http.users import Role, UserFile, users_path
 
 WATCHERS, ASKED_PER_S = 50, 200.0
 USERS = 8

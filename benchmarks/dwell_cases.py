@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.convolution import ConvolutionEffect, sum_of_convolutions
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
+from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
+from polishd.process.removal.convolution import ConvolutionEffect, sum_of_convolutions
 
 PEAK_NM_S = 160.0
 FINE = 8

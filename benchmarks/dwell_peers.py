@@ -13,25 +13,25 @@ from scipy.sparse.linalg import LinearOperator
 
 from benchmarks.bench_dwell import Goal, require
 from polishd.model.surface import FloatArray
-from polishd.plugins.dwell_solvers import qp
-from polishd.process.convolution import ConvolutionEffect
+from polishd.plugins import dwell_solvers
 from polishd.process.dwell import douglas_rachford, newton_cg
+from polishd.process.dwell.douglas_rachford import SplittingState, splitting
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import QuadraticObjective
-from polishd.process.dwell.splitting import SplittingState, splitting
-from polishd.process.transforms.butterflies import inline
-from polishd.process.transforms.kernel import kernel
-from polishd.process.transforms.lanes import COUNT, load, store
-from polishd.process.transforms.plane import (
+from polishd.process.fft.simd import COUNT, load, store
+from polishd.process.fft.transforms import (
     Columns,
     FftPlanArrays,
     Field,
     columns_back,
     columns_forth,
+    inline,
+    kernel,
     rows_back,
     rows_forth,
     transform_plane,
 )
+from polishd.process.removal.convolution import ConvolutionEffect
 
 TINY = np.float32(1e-6)
 Indices = NDArray[np.int64]
@@ -160,7 +160,7 @@ def lsq_linear(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None
 
 
 def backend(problem: DwellProblem, name: str, goal: Goal, within_s: float) -> None:
-    certificate = qp.solve_qp(problem, within_s, name).certificate
+    certificate = dwell_solvers.solve_qp(problem, within_s, name).certificate
     if certificate.objective > goal.objective:
         give_up()
 

@@ -19,14 +19,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy import optimize
 
-from polishd.model.process import ToolProcess
-from polishd.model.robot import HybridRobot
+from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray
-from polishd.process.compliance import depth_ratio, equivalent_compliance
-from polishd.process.contact import hertz_depth_mm
-from polishd.process.robot import reachable, tip_compliance_mm_per_n
-from polishd.process.robot.parallel import geometry_of
-from polishd.process.robot.workspace import place
+from polishd.process.removal.contact import hertz_depth_mm
+from polishd.process.robot.compliance import depth_ratio, equivalent_compliance, reachable, tip_compliance_mm_per_n
+from polishd.process.robot.hybrid import geometry_of, place
 
 PUBLISHED_UM_PER_N = np.array([1.04, 1.97])
 ROUNDING_UM_PER_N = 0.005

@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 
 Progress = Callable[[str], None]
 Runner = Callable[[], object]

@@ -11,21 +11,19 @@ from typing import Any, cast
 
 import numpy as np
 
-from polishd.daemon.for_people import RunFolderWriter
-from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.stream import streaming
+from polishd.daemon.contact.streaming import streaming
+from polishd.daemon.job.run_folder_writer import RunFolderWriter
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.journal.records import BlockRecord
 from polishd.drivers.robot_link.driver import _hash_of
+from polishd.interfaces import Clock, Robot
 from polishd.model.devices import ExecutedBlock, RobotProgress
-from polishd.model.limits import Envelope
-from polishd.model.program import Plan, Program, Segment, Segments
-from polishd.plugins.plan_guard.checks import CHECKS
+from polishd.model.program import Envelope, Plan, Program, Segment, Segments
+from polishd.pipeline.run_folder import RunFolder
+from polishd.plugins.plan_checks import CHECKS
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import dialect
-from polishd.plugins.run_report.folder import _executed
-from polishd.ports.clock import Clock
-from polishd.ports.devices import Robot
-from polishd.recipe.folder import RunFolder
+from polishd.reports.run_reader import _executed
 
 BOUNDS = {
     "read": 200,

@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TextIO
 
-from polishd import cli
+from polishd.cli import app
 from polishd.daemon.health import Health
 
 EVERY_S = 0.005
@@ -46,4 +46,4 @@ def probe(path: Path) -> None:
 
 if __name__ == "__main__":
     probe(Path(sys.argv.pop(1)))
-    cli.main()
+    app.main()

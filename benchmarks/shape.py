@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from polishd.show.tables import record_table, stdout
+from polishd.rendering.terminal import record_table, stdout
 
 EMPTY = 3
 """Lines: what is not longer is a package's mark, and says nothing of files."""

@@ -6,10 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from polishd.process.dwell.arrays import DwellCase, array_problem, dwell_from_arrays
-from polishd.process.dwell.budget import floor_cost
-from polishd.process.dwell.curve import price_curve
+from polishd.process.dwell.from_arrays import DwellCase, array_problem, dwell_from_arrays
 from polishd.process.dwell.interior_point import solve
+from polishd.process.dwell.residual_curve import floor_cost, price_curve
 
 # A map of 30 x 20 mm at 0.5 mm: x to the right, y up, heights in nm, the lowest at zero. NaN where there is no data.
 x_mm, y_mm = np.arange(61) * 0.5, np.arange(41) * 0.5

@@ -1,7 +1,9 @@
 """polishd: the controller daemon of an unattended robotic polishing cell for optics.
 
-What `polishd.researcher` has is also here, as ``polishd.read_map``, and is imported when it is asked for.
+What `polishd.analysis` has is also here, as ``polishd.read_map``, and is imported when it is asked for.
 """
+
+from __future__ import annotations
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -16,7 +18,7 @@ def __getattr__(name: str) -> Any:
     ``from polishd import hookspecs`` asks for the module here first: modules of polishd's own are left to the import.
     """
     if not name.startswith("_") and find_spec(f"{__name__}.{name}") is None:
-        researcher = import_module("polishd.researcher")
+        researcher = import_module("polishd.analysis")
         if name in researcher.__all__:
             return getattr(researcher, name)
     raise AttributeError(f"module 'polishd' has no attribute {name!r}")

@@ -21,7 +21,7 @@ def main() -> None:
             signal.signal(signal.SIGALRM, _interrupt)
             signal.signal(signal.SIGINT, _interrupt)
             sys.unraisablehook = _unraisable
-        from polishd.cli import main as command_line
+        from polishd.cli.app import main as command_line
 
         command_line()
     except KeyboardInterrupt:
@@ -36,7 +36,7 @@ def main() -> None:
 
 def _leave(code: object) -> NoReturn:
     """Exit, whatever hangs."""
-    if (threads := sys.modules.get("polishd.threads")) is not None:
+    if (threads := sys.modules.get("polishd.util.threads")) is not None:
         threads.leave_hung(code if isinstance(code, int) else int(code is not None))
     sys.exit(code)  # type: ignore[arg-type]
 

@@ -1,5 +1,7 @@
 """The one import for plugin authors: hooks, records, nouns, ports, errors, and what drivers are made of."""
 
+from __future__ import annotations
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -19,19 +21,36 @@ from polishd.hookspecs import (
     hookimpl,
     learn_rate,
 )
+from polishd.interfaces import (
+    ByteStream,
+    Clock,
+    Device,
+    ForceActuator,
+    ForceSensor,
+    Metrology,
+    Monitor,
+    PartLoader,
+    Robot,
+    Spindle,
+)
 from polishd.model import events
-from polishd.model.beliefs import Estimate, Estimates, EstimateUpdate, MachineEstimates, MapPixels, PassEvidence
-from polishd.model.concern import CellSafety, OperatorNotice, Severity
 from polishd.model.devices import (
+    ActuatorTimes,
     DeviceIdentity,
     DeviceStatus,
     ExecutedBlock,
     ForceSample,
+    LoaderTimes,
     MapRefusal,
+    MonitorTimes,
     RobotProgress,
+    RobotTimes,
     SensedForce,
+    SensorTimes,
     Signal,
     SpeedSample,
+    SpindleTimes,
+    Unpowered,
 )
 from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import (
@@ -54,66 +73,49 @@ from polishd.model.errors import (
     SurfaceError,
     WrongPart,
 )
+from polishd.model.estimates import Estimate, Estimates, EstimateUpdate, MachineEstimates, MapPixels, PassEvidence
 from polishd.model.events import Event
-from polishd.model.limits import Envelope
 from polishd.model.notification import Notification
 from polishd.model.outline import Circle, Polygon
-from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Optic, Placement, ToolProcess
-from polishd.model.program import Plan, Program, Segment
-from polishd.model.robot import HybridRobot, MeasuredCompliance, SerialRobot
+from polishd.model.process import (
+    ComplianceOptions,
+    Correction,
+    HybridRobot,
+    MeasuredCompliance,
+    MeasuredTif,
+    Optic,
+    Placement,
+    SerialRobot,
+    ToolProcess,
+)
+from polishd.model.program import Envelope, Plan, Program, Segment
+from polishd.model.states import CellSafety, OperatorNotice, Severity
 from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
-from polishd.model.times import (
-    ActuatorTimes,
-    LoaderTimes,
-    MonitorTimes,
-    RobotTimes,
-    SensorTimes,
-    SpindleTimes,
-    Unpowered,
-)
-from polishd.ports import (
-    ByteStream,
-    Clock,
-    Device,
-    ForceActuator,
-    ForceSensor,
-    Metrology,
-    Monitor,
-    PartLoader,
-    Robot,
-    Spindle,
-)
-from polishd.process.convolution import ConvolutionEffect
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.effect import Effect, SparseEffect
-from polishd.secret import SecretPlace, hide, read_secret
+from polishd.process.removal.convolution import ConvolutionEffect
+from polishd.process.removal.effect import Effect, SparseEffect
+from polishd.util.secret_files import SecretPlace, hide, read_secret
 
 if TYPE_CHECKING:
-    from polishd.drivers.profiled.modbus_link import ModbusLink
     from polishd.drivers.transport.address import Address, SerialLine, Tcp, line_address, parse_address
-    from polishd.drivers.transport.background import Background
+    from polishd.drivers.transport.background import Background, PeriodicTimer, RequestQueue
     from polishd.drivers.transport.claims import claim_address
-    from polishd.drivers.transport.numbered import NumberedLines
-    from polishd.drivers.transport.pace import PeriodicTimer
-    from polishd.drivers.transport.plain import PlainLines
-    from polishd.drivers.transport.requests import RequestQueue
+    from polishd.drivers.transport.lines import NumberedLines, PlainLines
+    from polishd.drivers.transport.modbus_link import ModbusLink
     from polishd.drivers.transport.streams import LineReader, open_stream
+
 
 __all__ = [
     "API_VERSION",
     "ActuatorTimes",
     "Address",
     "Background",
-    "MapError",
-    "Estimate",
-    "Estimates",
     "ByteStream",
-    "OptimalityCertificate",
+    "CellSafety",
     "Circle",
     "Clock",
     "ComplianceOptions",
     "ComputeError",
-    "OperatorNotice",
     "ConfigError",
     "ConvolutionEffect",
     "Correction",
@@ -123,6 +125,7 @@ __all__ = [
     "DeviceContext",
     "DeviceError",
     "DeviceFault",
+    "DeviceIdentity",
     "DeviceRefused",
     "DeviceStatus",
     "DeviceType",
@@ -131,22 +134,22 @@ __all__ = [
     "DwellSolver",
     "Effect",
     "Envelope",
+    "Estimate",
+    "EstimateUpdate",
+    "Estimates",
     "Event",
-    "PassEvidence",
     "ExecutedBlock",
     "ForceActuator",
     "ForceSample",
     "ForceSensor",
     "Grid",
     "HybridRobot",
-    "DeviceIdentity",
     "Learner",
-    "EstimateUpdate",
     "LineReader",
     "LinkError",
-    "PartLoader",
     "LoaderTimes",
     "MachineEstimates",
+    "MapError",
     "MapPixels",
     "MapRefusal",
     "MeasuredCompliance",
@@ -158,8 +161,12 @@ __all__ = [
     "Notification",
     "NotifierType",
     "NumberedLines",
+    "OperatorNotice",
     "Optic",
+    "OptimalityCertificate",
     "OwnLines",
+    "PartLoader",
+    "PassEvidence",
     "PeriodicTimer",
     "Placement",
     "PlainLines",
@@ -193,7 +200,6 @@ __all__ = [
     "Spindle",
     "SpindleTimes",
     "StaleMap",
-    "CellSafety",
     "SurfaceError",
     "SurfaceMap",
     "SurfaceReader",
@@ -214,15 +220,28 @@ __all__ = [
 ]
 
 _TRANSPORT = {
-    "profiled.modbus_link": ("ModbusLink",),
-    "transport.address": ("Address", "SerialLine", "Tcp", "line_address", "parse_address"),
-    "transport.background": ("Background",),
+    "transport.modbus_link": ("ModbusLink",),
+    "transport.address": (
+        "Address",
+        "SerialLine",
+        "Tcp",
+        "line_address",
+        "parse_address",
+    ),
+    "transport.background": (
+        "Background",
+        "PeriodicTimer",
+        "RequestQueue",
+    ),
     "transport.claims": ("claim_address",),
-    "transport.numbered": ("NumberedLines",),
-    "transport.pace": ("Pace",),
-    "transport.plain": ("PlainLines",),
-    "transport.requests": ("RequestQueue",),
-    "transport.streams": ("LineReader", "open_stream"),
+    "transport.lines": (
+        "NumberedLines",
+        "PlainLines",
+    ),
+    "transport.streams": (
+        "LineReader",
+        "open_stream",
+    ),
 }
 
 if not TYPE_CHECKING:  # or every misspelt name of this module would be Any

@@ -14,12 +14,12 @@ from typing import Any
 
 import pluggy
 
-from polishd.model.beliefs import UNTAUGHT, Estimates, EstimateUpdate, PassEvidence
+from polishd.interfaces import Device
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import MapError, SurfaceError
+from polishd.model.estimates import UNTAUGHT, Estimates, EstimateUpdate, PassEvidence
 from polishd.model.events import Event
 from polishd.model.instrument import Instrument
-from polishd.model.limits import Envelope
 from polishd.model.notification import Notification
 from polishd.model.outline import Outline
 from polishd.model.process import (
@@ -30,17 +30,16 @@ from polishd.model.process import (
     MeasuredTif,
     Optic,
     Placement,
+    RobotModel,
     ToolProcess,
 )
-from polishd.model.program import Plan, Program
-from polishd.model.robot import RobotModel
+from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.ports.devices import Device
-from polishd.process import learning
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.edge.correctable import SpotTransferFunction
-from polishd.process.effect import Effect
-from polishd.process.plausible import is_plausible
+from polishd.process.identification import removal_fit
+from polishd.process.metrology.conditioning import is_plausible
+from polishd.process.removal.effect import Effect
+from polishd.process.removal.transfer_function import SpotTransferFunction
 
 API_VERSION = 1
 PROJECT = "polishd"
@@ -140,7 +139,7 @@ class SurfaceReader:
     def surface_of(self, head: bytes, path: Path) -> SurfaceMap | None:
         """The map where the file is of this format, None where it is not: everybody asks a reader through this.
 
-        A date or scale that cannot be is taken off it (``process.plausible``).
+        A date or scale that cannot be is taken off it (``process.metrology.conditioning``).
 
         Raises:
             SurfaceError: as the reader does, and BadMap, with the file and the reader, for whatever else it raises.
@@ -241,7 +240,7 @@ class RemovalAnswer:
 
 def learn_rate(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
     """What a model learns that says nothing else: the removal rate."""
-    return learning.learn_rate(evidence)
+    return removal_fit.learn_rate(evidence)
 
 
 Learn = Callable[[RemovalRequest, PassEvidence], EstimateUpdate]
@@ -259,7 +258,7 @@ class Learner:
     beliefs: Estimates
     """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn
-    later: Later = learning.later
+    later: Later = removal_fit.later
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +270,7 @@ class RemovalModel:
     beliefs: Estimates = UNTAUGHT
     """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn = learn_rate
-    later: Later = learning.later
+    later: Later = removal_fit.later
     learners: Mapping[str, Learner] = field(default_factory=dict)
     """Other ways, by the name that ``process.learns`` gives them; ``effect`` knows the beliefs of each."""
 

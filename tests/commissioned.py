@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from polishd.config.profile import load_profile, write_commissioned
-from polishd.console.demo_files import with_values
+from polishd.commissioning.rehearsal.simulated_cell import with_values
+from polishd.config.instrument_profile import load_profile, write_commissioned
 from polishd.model.instrument import CommissioningRecord
 
 SHIPPED = Path(__file__).resolve().parents[1] / "examples" / "instrument.toml"

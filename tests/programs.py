@@ -1,5 +1,5 @@
 """Small plans for tests that stream them: those of ``polishd.testing``."""
 
-from polishd.testing.plans import plan_of
+from polishd.testing.helpers import plan_of
 
 __all__ = ["plan_of"]

@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from polishd import __version__
-from polishd.cli import app
+from polishd.cli.app import app
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "polishd.1"

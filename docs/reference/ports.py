@@ -14,9 +14,9 @@ from types import ModuleType
 from typing import Any
 
 from polishd.config.cell import PORTS
-from polishd.daemon.port_checks import members
-from polishd.model import devices, times
-from polishd.ports.devices import Device
+from polishd.daemon.cell.device_polling import members
+from polishd.interfaces import Device
+from polishd.model import devices
 from polishd.testing.suites import actuator, device, force_sensor, loader, monitor, robot, spindle
 
 PAGE = Path(__file__).parents[1] / "drivers.md"
@@ -74,7 +74,7 @@ def _port(title: str, port: type, suite: ModuleType | None) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |"
     yield ""
     if isinstance(asked := members(port).get("times"), property) and asked.fget:
-        yield from _record(getattr(times, inspect.get_annotations(asked.fget)["return"]))
+        yield from _record(getattr(devices, inspect.get_annotations(asked.fget)["return"]))
     if suite is not None:
         yield "The suite demands:\n"
         yield from (f"- {_code(_flat(inspect.getdoc(test) or ''))}" for test in _tests(suite))

@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import fmean
 
 from docs.reference.naming import put
-from polishd.workbench.studies.kept import Rows, read_table
-from polishd.workbench.studies.summary import MedianInterval, Summary, summarise
+from polishd.studies.result_store import Rows, read_table
+from polishd.studies.summary import MedianInterval, Summary, summarise
 
 PAGE = Path(__file__).parents[1] / "studies.md"
 MARKS = "<!-- written by make robustness -->\n", "<!-- end of what make robustness writes -->"

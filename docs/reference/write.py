@@ -14,19 +14,18 @@ from pydantic import BaseModel
 
 from docs.reference import ports
 from polishd.config.cell import CellConfig
+from polishd.config.cell_sections import DeviceSection
 from polishd.config.controller_profile import ControllerProfile
 from polishd.config.device_profile import DeviceProfile
-from polishd.config.meanings import meanings
-from polishd.config.places import section_of, toml_type, variants
-from polishd.config.profile_sections import ProfileFile
-from polishd.config.sections import DeviceSection
-from polishd.config.shop import ShopFile
+from polishd.config.fields import ConfigSection
+from polishd.config.instrument_profile import ProfileFile
+from polishd.config.server_sections import ShopFile
 from polishd.config.simulator import SimConfig
 from polishd.config.study import KINDS
 from polishd.config.sweep import SweepSection
-from polishd.config.values import ConfigSection
-from polishd.console.certificate.model import schema
-from polishd.hooks.loader import load_own
+from polishd.config.toml_loader import meanings, section_of, toml_type, variants
+from polishd.plugin_loader import load_own
+from polishd.reports.certificate.model import schema
 
 
 class Swept(ConfigSection):

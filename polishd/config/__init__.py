@@ -1,1 +1,1 @@
-"""One TOML loader with places of errors: cell, instrument profile, study."""
+"""Configuration models, one file a kind of file: cell, job, instrument, device, controller, simulator, study."""

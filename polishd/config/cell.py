@@ -10,10 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from polishd.config.document import load_toml
-from polishd.config.handling import BetweenSection, TouchOffSection
-from polishd.config.places import Location, TomlSource, did_you_mean, join_words, key_lines, validation_problems
-from polishd.config.sections import (
+from polishd.config.cell_sections import (
+    BetweenSection,
     CellSection,
     CertificateSection,
     DeviceInterface,
@@ -29,21 +27,31 @@ from polishd.config.sections import (
     PluginsSection,
     ProgramSection,
     RobotSection,
+    SignalSection,
+    TouchOffSection,
 )
-from polishd.config.signals import SignalSection
-from polishd.config.tables import read_tif
+from polishd.config.fields import Name, Texts, as_tuple, require_cells
+from polishd.config.process_sections import ToolSection, tool_overlay
+from polishd.config.server_sections import ServedDocument
+from polishd.config.table_files import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
-from polishd.config.tools import ToolSection, tool_overlay
-from polishd.config.values import Name, Texts, as_tuple, require_cells
-from polishd.config.web import ServedDocument
+from polishd.config.toml_loader import (
+    Location,
+    TomlSource,
+    did_you_mean,
+    join_words,
+    key_lines,
+    load_toml,
+    validation_problems,
+)
 from polishd.hookspecs import DeviceType, NotifierType
+from polishd.interfaces import ForceActuator, ForceSensor, Metrology, Monitor, PartLoader, Robot, Spindle
 from polishd.model.devices import port_of
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
-from polishd.model.limits import Envelope
 from polishd.model.process import MeasuredTif
+from polishd.model.program import Envelope
 from polishd.model.tolerance import ToleranceLine
-from polishd.ports.devices import ForceActuator, ForceSensor, Metrology, Monitor, PartLoader, Robot, Spindle
 
 
 class CellConfig(ServedDocument):

@@ -11,8 +11,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.document import TomlDocument, load_toml
-from polishd.config.values import ConfigSection, Positive, Text, as_tuple
+from polishd.config.fields import ConfigSection, Positive, Text, as_tuple
+from polishd.config.toml_loader import TomlDocument, load_toml
 from polishd.model.errors import ConfigError
 
 CONTROLLER_PROFILE_DIR = Path(__file__).with_name("controller_profiles")

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from polishd.config.values import ConfigSection, Pair, Range, Text, as_tuple
+from polishd.config.fields import ConfigSection, Pair, Range, Text, as_tuple
+from polishd.config.study import Study, study_of
+from polishd.config.toml_loader import Location, TomlSource, load_toml, validation_problems
+from polishd.model.errors import ConfigError
+from polishd.model.surface import FloatArray
+from polishd.util.serialization import toml
 
 How = Literal["crossed", "zipped", "drawn", "latin"]
 EVEN = ("linear", "log")
@@ -108,3 +121,224 @@ class SweepSection(ConfigSection):
     """What all that is drawn is drawn from: the same number gives the same cases. [1]"""
     group: Annotated[tuple[GroupSection, ...], BeforeValidator(as_tuple), Field(min_length=1)]
     """Groups of keys, each a table `[[sweep.group]]`."""
+
+
+# The points of a sweep: every combination of values, and the study that each of them makes.
+
+MOST_POINTS = 100_000
+MOST_SAID = 10
+"""Problems that are told at once; the others are likely alike."""
+FIXED = ("kind", "title", "sweep", "seeds", "scenarios", "loops")
+"""Keys that say what all cases are: no case has its own."""
+Point = Mapping[str, Any]
+"""By dotted key of the study, the value that it has there."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepStudy:
+    """A study's file as its cases see it."""
+
+    path: Path
+    raw: Mapping[str, Any]
+    """All but ``[sweep]``."""
+    source: TomlSource
+    points: tuple[Point, ...]
+    """One without keys where nothing is swept."""
+    is_sweep: bool
+
+    def at(self, point: Point) -> Study:
+        """The study at these values. ConfigError at the place of the sweep that they came from."""
+        raw = deepcopy(dict(self.raw))
+        for key, value in point.items():
+            put(raw, key, value)
+        return study_of(raw, self.source)
+
+
+def read_swept(path: Path) -> SweepStudy:
+    """A study's file without its points, for whoever is told them. ConfigError."""
+    raw, source = load_toml(path)
+    swept = raw.pop("sweep", None) is not None
+    return SweepStudy(path.absolute(), raw, source, (), is_sweep=swept)
+
+
+def load_swept(path: Path) -> SweepStudy:
+    """Read a study's file with its ``[sweep]``, if any, and check each of its points.
+
+    ConfigError, a line each: ``FILE:LINE: key: what is wrong; what to do``.
+    """
+    raw, source = load_toml(path)
+    section = raw.pop("sweep", None)
+    if section is None:
+        study_of(raw, source)
+        return SweepStudy(path.absolute(), raw, source, ({},), is_sweep=False)
+    try:
+        sweep = SweepSection.model_validate(section)
+    except ValidationError as error:
+        raise ConfigError("\n".join(validation_problems(error, SweepSection, source, ("sweep",)))) from error
+    places = _places(sweep, raw, source)
+    points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
+    stands = (*((location_of(key), place) for key, place in places.items()), *_made(places, raw))
+    swept = SweepStudy(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
+    require_all(swept, lambda _, point: swept.at(point))
+    return swept
+
+
+def require_all(swept: SweepStudy, make: Callable[[int, Point], object]) -> None:
+    """Try each point; ConfigError, a line each, of what cannot be: at a key of the sweep, or with its point."""
+    said: dict[str, str] = {}
+    for number, point in enumerate(swept.points):
+        try:
+            make(number, point)
+        except ConfigError as error:
+            at = ", ".join(f"{key} = {toml(value)}" for key, value in point.items())
+            for line in str(error).splitlines():
+                said.setdefault(line, f"{line} (where {at})" if at and ": sweep." not in line else line)
+        if len(said) >= MOST_SAID:
+            break
+    if said:
+        raise ConfigError("\n".join(list(said.values())[:MOST_SAID]))
+
+
+def location_of(key: str) -> Location:
+    """Where a dotted key stands in a study's file: the keys of ``[cell_with]`` and of a loop have dots of their own."""
+    root, *rest = key.split(".")
+    if root == "cell_with" and rest:
+        return (root, ".".join(rest))
+    if root == "loops" and len(rest) > 1:
+        return (root, rest[0], ".".join(rest[1:]))
+    return (root, *rest)
+
+
+def put(raw: dict[str, Any], key: str, value: Any) -> None:
+    """Set a dotted key of a study's tables, which are made where they are not there."""
+    *tables, last = location_of(key)
+    inner: Any = raw
+    for name in tables:
+        inner = inner.setdefault(name, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(f"{key}: {name!r} is no section; mend the sweep's key")
+    inner[last] = value
+
+
+def _places(sweep: SweepSection, raw: Mapping[str, Any], source: TomlSource) -> dict[str, Location]:
+    """Where each swept key is written. ConfigError for one that is swept twice, or that no case can have."""
+    places: dict[str, Location] = {}
+    loops = list(raw.get("loops", ())) if isinstance(raw.get("loops", {}), Mapping) else []
+    for number, group in enumerate(sweep.group):
+        for key in group.over:
+            place = ("sweep", "group", number, "over", key)
+            if key in places:
+                raise ConfigError(source.error(place, "is swept by another group, too; keep one of both"))
+            if key in FIXED or not all(key.split(".")):
+                raise ConfigError(source.error(place, "no case has its own; sweep a key below it, or another"))
+            if key.startswith("loops.") and (name := key.split(".")[1]) not in loops:
+                problem = f"the study has no loop {name!r}, only {', '.join(loops) or 'none'}; mend the name"
+                raise ConfigError(source.error(place, problem))
+            places[key] = place
+    return places
+
+
+def _made(places: Mapping[str, Location], raw: Mapping[str, Any]) -> Iterator[tuple[Location, Location]]:
+    """Sections that are there for a swept key alone, and where that is written."""
+    for key, place in places.items():
+        *tables, _ = location_of(key)
+        inner: Any = raw
+        for depth, name in enumerate(tables, 1):
+            inner = inner.get(name) if isinstance(inner, Mapping) else None
+            if inner is None:
+                yield tuple(tables[:depth]), place
+
+
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """The values of keys, and where each key is written."""
+
+    source: TomlSource
+    places: Mapping[str, Location]
+    folders: Mapping[str, Path]
+    """By root of a key, the folder from which the file that it ends in counts its paths; "": the study's."""
+
+    def error(self, key: str, problem: str) -> ConfigError:
+        return ConfigError(self.source.error(self.places[key], problem))
+
+    def listed(self, key: str, axis: AxisSection) -> list[Any]:
+        """Those that are known without a draw. ConfigError."""
+        if axis.values is not None:
+            return list(axis.values)
+        if axis.files is not None:
+            here = self.folders[""]
+            found = sorted(path for path in here.glob(axis.files) if path.is_file())
+            if not found:
+                raise self.error(key, f"{axis.files}: no file is there; mend the pattern")
+            base = self.folders.get(key.split(".", maxsplit=1)[0], here)
+            return [Path(os.path.relpath(path, base)).as_posix() for path in found]
+        count = axis.count or 0
+        even = np.linspace(*axis.linear, count) if axis.linear else np.geomspace(*(axis.log or (1.0, 1.0)), count)
+        return [float(value) for value in even]
+
+    def of_group(self, group: GroupSection, rng: np.random.Generator) -> list[Point]:
+        """The points of one group. ConfigError."""
+        if group.draws is not None:
+            return self.drawn(group, group.draws, rng)
+        for key, axis in group.over.items():
+            if axis.kind in {*SPREAD, "numbers_from"}:
+                raise self.error(key, f'{axis.kind} is drawn; say how = "drawn" or "latin", and draws')
+        columns = {key: self.listed(key, axis) for key, axis in group.over.items()}
+        if group.how == "crossed":
+            return [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
+        first = len(next(iter(columns.values())))
+        for key, values in columns.items():
+            if len(values) != first:
+                problem = f"has {len(values)} values, and the first of these zipped keys {first}; give as many to each"
+                raise self.error(key, problem)
+        return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+    def drawn(self, group: GroupSection, draws: int, rng: np.random.Generator) -> list[Point]:
+        """Draws of all keys, from (draws, keys) even numbers in [0, 1)."""
+        even = rng.random((draws, len(group.over)))
+        if group.how == "latin":
+            from scipy.stats import qmc
+
+            even = qmc.LatinHypercube(len(group.over), rng=rng).random(draws)
+        columns: dict[str, Sequence[Any]] = {}
+        for (key, axis), u in zip(group.over.items(), even.T, strict=True):
+            if axis.numbers_from is not None:
+                columns[key] = range(axis.numbers_from, axis.numbers_from + draws)
+            elif axis.kind in SPREAD:
+                columns[key] = _spread(axis, u).tolist()
+            else:
+                values = self.listed(key, axis)
+                columns[key] = [values[int(share * len(values))] for share in u]
+        return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def _points(sweep: SweepSection, values: _Values) -> Iterator[Point]:
+    groups = [values.of_group(group, np.random.default_rng([sweep.seed, k])) for k, group in enumerate(sweep.group)]
+    count = math.prod(len(group) for group in groups)
+    if count > MOST_POINTS:
+        problem = f"has {count} points; at most {MOST_POINTS}: take fewer values"
+        raise ConfigError(values.source.error(("sweep",), problem))
+    twice = {key for group in sweep.group for key, axis in group.over.items() if axis.pair}
+    for chosen in itertools.product(*groups):
+        yield {key: [value, value] if key in twice else value for part in chosen for key, value in part.items()}
+
+
+def _folders(path: Path, raw: Mapping[str, Any]) -> dict[str, Path]:
+    here = path.absolute().parent
+    cell, plant = (here / str(raw.get(name, "")) for name in ("cell", "plant"))
+    return {"": here, "cell_with": cell.parent, "loops": cell.parent, "plant_with": plant.parent}
+
+
+def _spread(axis: AxisSection, even: FloatArray) -> FloatArray:
+    """(n,) values of a distribution from (n,) even numbers: by the inverse of what accumulates of it."""
+    from scipy.special import ndtri
+
+    if axis.uniform is not None:
+        low, high = axis.uniform
+        return np.asarray(low + (high - low) * even)
+    if axis.log_uniform is not None:
+        low, high = np.log(axis.log_uniform)
+        return np.asarray(np.exp(low + (high - low) * even))
+    middle, sigma = axis.normal or axis.lognormal or (0.0, 1.0)
+    away = sigma * ndtri(np.clip(even, np.finfo(float).tiny, None))
+    return np.asarray(middle + away if axis.normal is not None else middle * np.exp(away))

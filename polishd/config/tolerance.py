@@ -8,9 +8,9 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from polishd.config.document import TomlDocument, load_toml
-from polishd.config.sections import JobSection
-from polishd.config.values import ConfigSection, Positive, Text, as_tuple
+from polishd.config.cell_sections import JobSection
+from polishd.config.fields import ConfigSection, Positive, Text, as_tuple
+from polishd.config.toml_loader import TomlDocument, load_toml
 from polishd.model.tolerance import Figure, ToleranceLine
 
 FIGURES: dict[str, Figure] = {

@@ -1,1 +1,1 @@
-"""The daemon of a polishing cell: configuration, plugins, cell, cycle, journal, worker process and service."""
+"""The controller of a cell: cycle, state machine, job runner, assembly and checks."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,40 +17,121 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import build_cell, build_notifiers, require_accepted_by_robot, require_time_limits
-from polishd.daemon.cell import Cell
-from polishd.daemon.compute import Compute
-from polishd.daemon.courier import Notifier
-from polishd.daemon.daemon import Daemon, run_until_finished
-from polishd.daemon.damaged import DamagedCell, hold_damaged
-from polishd.daemon.desk import QueueRequests
-from polishd.daemon.endings import record_exit, recording_exit, utc_now
-from polishd.daemon.journal import Journal
-from polishd.daemon.lock import locked, unusable
-from polishd.daemon.log import logging_to
-from polishd.daemon.making import figures, make_job, read_recipes, run_folder
-from polishd.daemon.notifications import notifying
-from polishd.daemon.priority import loop_first
-from polishd.daemon.queue import Queue
-from polishd.daemon.queue_app import run_queue
-from polishd.daemon.same_job import require_same, terms_of
-from polishd.daemon.service import serving
-from polishd.daemon.standing import require_stall_depth
-from polishd.daemon.states import DaemonState
-from polishd.daemon.supervisor import SystemdNotifier
-from polishd.daemon.wire_recorder import place, recording_to
-from polishd.hooks.loader import Hooks
+from polishd.daemon.assembly import (
+    JobMaker,
+    build_cell,
+    build_notifiers,
+    figures,
+    make_job,
+    read_recipes,
+    require_accepted_by_robot,
+    require_time_limits,
+    run_folder,
+)
+from polishd.daemon.cell.cell import Cell
+from polishd.daemon.cell.recorder import place, recording_to
+from polishd.daemon.contact.contact_record import require_stall_depth
+from polishd.daemon.damaged_journal import DamagedCell, hold_damaged
+from polishd.daemon.job.resume_checks import require_same, terms_of
+from polishd.daemon.job_runner import QueueDaemon, QueueRunner, resume_open_job
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.notifications.notifications import notifying
+from polishd.daemon.notifications.sender import Notifier
+from polishd.daemon.queue.queue import Queue
+from polishd.daemon.queue.requests import QueueRequests
+from polishd.daemon.runtime.compute import Compute
+from polishd.daemon.runtime.events import record_exit, recording_exit, utc_now
+from polishd.daemon.runtime.exit_record import locked, unusable
+from polishd.daemon.runtime.process import SystemdNotifier, logging_to, loop_first
+from polishd.daemon.socket.server import serving
+from polishd.daemon.state_machine import Daemon, run_until_finished
 from polishd.model.errors import ConfigError, JournalDamage, PolishdError
-from polishd.model.events import Event
+from polishd.model.events import Event, QueueStopped
 from polishd.model.program import Program
-from polishd.recipe.accepting import require_acceptable
-from polishd.recipe.folder import RunFolder
-from polishd.recipe.making import instrument_of, require_commissioned
-from polishd.recipe.program_fit import require_fit
-from polishd.recipe.recipe import Recipe
-from polishd.recipe.steps import read_program
+from polishd.model.states import CellSafety, DaemonState, Outcome
+from polishd.pipeline.acceptance import require_acceptable
+from polishd.pipeline.build_recipe import instrument_of, require_commissioned
+from polishd.pipeline.precheck import require_fit
+from polishd.pipeline.recipe import Recipe
+from polishd.pipeline.run_folder import RunFolder
+from polishd.pipeline.steps import read_program
+from polishd.plugin_loader import Hooks
+
+# ``polishd run --queue``: the daemon of one cell's queue, from the journal's word to its summary.
 
 log = logging.getLogger(__name__)
+
+Telling = Callable[[Daemon], AbstractContextManager[None]]
+
+
+async def run_queue(
+    config: CellConfig,
+    hooks: Hooks,
+    cell: Cell,
+    notifiers: Sequence[Notifier],
+    journal: Journal,
+    *,
+    show: Callable[[Event], None],
+    hears: Callable[[Event], None],
+    telling: Telling,
+    holds: bool,
+    until_empty: bool,
+) -> dict[str, Any]:
+    """Work the queue; its summary. PolishdError where the job that is under way cannot go on: nothing was opened."""
+    async with Compute() as compute:
+        shift = QueueRunner(journal, JobMaker(config, hooks, cell, compute))
+        keep = recording_exit(config.state_dir, lambda: shift.folder.path if shift.folder else None, queue=True)
+        sinks, nothing = (shift.record, keep, hears), {"job": "", "part": "", "run_dir": ""}
+        async with notifying(config, notifiers, nothing, (hooks.on_event, show), sinks) as bus:
+            shift.bus = bus
+            await resume_open_job(shift)
+            desk = QueueRequests(config, shift.queue, shift.added, bus.publish)
+            daemon = QueueDaemon(cell, shift, desk, bus, holds=holds, until_empty=until_empty)
+            with telling(daemon):
+                return await _serve_queue(config, daemon, shift)
+
+
+async def _serve_queue(config: CellConfig, daemon: QueueDaemon, shift: QueueRunner) -> dict[str, Any]:
+    """Answer the socket until the queue is left; the cell is safe then."""
+    started = utc_now()
+    async with serving(config.state_dir, daemon.handlers, daemon.bus):
+        outcome, failure = await run_until_finished(daemon)
+        last = _last_words(daemon, shift, outcome, failure)
+        record_exit(config.state_dir, last)
+        with suppress(PolishdError):  # of a lost journal, which has been told
+            await _leave(daemon, shift, last, failed=failure is not None)
+            await daemon.become(DaemonState.FINISHED, last["state"])
+            daemon.job.journal.flush()
+    outcome_word = last.pop("state")
+    return {"outcome": outcome_word, "jobs": dict(shift.ended), "started": started, "ended": utc_now(), **last}
+
+
+async def _leave(daemon: QueueDaemon, shift: QueueRunner, last: Mapping[str, Any], *, failed: bool) -> None:
+    """A job that stays open has a summary and a report all the same; who ended the queue, or that it is empty, is told.
+
+    Of a failure that was done already.
+    """
+    if shift.entry is not None:
+        await shift.leave({**last, **figures(shift.job), "outcome": last["state"], "job": shift.entry.name})
+    if not failed:
+        jobs = ", ".join(f"{count} {how}" for how, count in shift.ended.items())
+        outcome, reason, standing = str(last["state"]), str(last["reason"]), CellSafety.of(last)
+        daemon.bus.publish(QueueStopped(outcome=outcome, reason=reason, jobs=jobs or "none", standing=standing))
+
+
+def _last_words(daemon: QueueDaemon, shift: QueueRunner, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
+    """As of one job; one that ended between jobs is no failure, unless a part was not accepted."""
+    last: dict[str, Any] = daemon.last_words(outcome, failure)
+    folder: Mapping[str, Any] = {"run_dir": str(shift.folder.path)} if shift.folder else {}
+    stopped = outcome is Outcome.STOPPED
+    if failure is None and shift.entry is None and (stopped or shift.first() is None):
+        last |= {"next": GOES_ON if stopped else EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
+        last |= {} if stopped else {"state": "empty"}
+    return {**last, **folder}
+
+
+EMPTY = "the queue is empty: polishd job add CELL.toml JOB.toml adds to it, polishd run CELL.toml --queue goes on"
+GOES_ON = "no job was under way: polishd run CELL.toml --queue goes on with those that wait; held, if it was held"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,29 +3,48 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import chain, count
+from pathlib import Path
 from typing import Any, cast
 
+from polishd import __version__
 from polishd.config.cell import PORTS, CellConfig, device_options, notifier_options
-from polishd.config.sections import ForceSensorSection, RobotSection
-from polishd.daemon.cell import Cell, MonotonicClock
-from polishd.daemon.courier import Notifier
-from polishd.daemon.port_checks import missing_members
-from polishd.daemon.safety import ContactLimits
-from polishd.daemon.signals import Signals
-from polishd.daemon.time_limits import ActionTimeLimit, stays_on, too_short
-from polishd.hooks.loader import Hooks
+from polishd.config.cell_sections import ForceSensorSection, RobotSection
+from polishd.daemon.cell.cell import Cell, MonotonicClock, Signals
+from polishd.daemon.cell.device_polling import missing_members
+from polishd.daemon.cell.time_limits import ActionTimeLimit, stays_on, too_short
+from polishd.daemon.contact.contact_record import require_stall_depth
+from polishd.daemon.contact.safety import ContactLimits
+from polishd.daemon.job.job import Job
+from polishd.daemon.job.resume_checks import require_same, terms_of
+from polishd.daemon.job.tool_sequence import ToolSequence, ToolStepState
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.notifications.sender import Notifier
+from polishd.daemon.queue.queue import Queue, QueueEntry
+from polishd.daemon.queue.requests import require_unchanged
+from polishd.daemon.runtime.compute import Compute
 from polishd.hookspecs import DeviceContext
-from polishd.model.concern import Severity
+from polishd.interfaces import Device, ForceActuator, Monitor
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, PluginError, PolishdError
+from polishd.model.estimates import Finding
+from polishd.model.events import Event
 from polishd.model.program import Program
-from polishd.ports.address_claims import KeptClaims
-from polishd.ports.devices import Device, ForceActuator, Monitor
-from polishd.recipe.making import instrument_of
+from polishd.model.states import Severity
+from polishd.pipeline.acceptance import require_acceptable
+from polishd.pipeline.build_recipe import instrument_of, make_recipes, require_commissioned
+from polishd.pipeline.precheck import require_fit
+from polishd.pipeline.recipe import Recipe
+from polishd.pipeline.run_folder import RunFolder
+from polishd.pipeline.steps import read_program
+from polishd.plugin_loader import Hooks, hooks_of_job
+from polishd.util.address_claims import KeptClaims
 
 
 def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
@@ -178,3 +197,163 @@ def contact_limits(config: CellConfig) -> ContactLimits:
         no_progress_s=robot.no_progress_s if isinstance(robot, RobotSection) else None,
         excess_nm=config.limits.excess_nm,
     )
+
+
+# From a recipe to a job that can be worked, with its run folder. Opens no device.
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class NoJob:
+    """What a daemon has between jobs: the journal of its cell."""
+
+    journal: Journal
+    findings: tuple[Finding, ...] = ()
+
+    def names(self) -> dict[str, str]:
+        """Of job and part: there are none."""
+        return {"job": "", "part": ""}
+
+    def cycles(self) -> list[dict[str, Any]]:
+        """Nothing was measured."""
+        return []
+
+    def summary(self) -> dict[str, Any]:
+        """Nothing is known."""
+        return {"cycles": []}
+
+
+def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
+    """Of each tool, in the order in which they polish; ConfigError where nothing would prove that one is mounted."""
+    if config.tools and config.touch_off is None:
+        raise config.error(
+            "tools", "a wrong tool is found by where it meets the part: several tools need [touch_off]; add it"
+        )
+    return make_recipes(config, hooks)
+
+
+def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolStepState, ...]:
+    """The turn of each tool. Reads the files that the keys of several name."""
+    return tuple(
+        ToolStepState(recipe, program, contact_limits(own), terms_of(own, program.sha256) if config.tools else None)
+        for own, recipe, program in zip(config.turns, recipes, programs, strict=True)
+    )
+
+
+def make_job(
+    config: CellConfig,
+    hooks: Hooks,
+    recipes: Sequence[Recipe],
+    programs: Sequence[Program],
+    *,
+    journal: Journal,
+    folder: RunFolder,
+    compute: Compute,
+    publish: Callable[[Event], None],
+) -> Job:
+    """The job of that config; ``Job.load`` takes up what an earlier run knew."""
+    return Job(
+        ToolSequence(turns_of(config, recipes, programs), journal),
+        journal=journal,
+        folder=folder,
+        compute=compute,
+        publish=publish,
+        check_plan=hooks.check_plan,
+        max_cycles=config.job.max_cycles,
+        lookahead_s=config.job.lookahead_s,
+    )
+
+
+def figures(job: Job | NoJob) -> dict[str, Any]:
+    """What was measured and done, for a summary; nothing where the journal is lost."""
+    try:
+        found = job.summary()
+    except PolishdError as lost:
+        log.error("the journal cannot be asked any more: %s", lost)
+        return {"cycles": []}
+    for cycle in found["cycles"]:
+        if cycle["how"] == "begun":
+            cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
+    return {**found, "version": __version__}
+
+
+def run_folder(config: CellConfig, journal: Journal, job_text: str | None = None) -> RunFolder:
+    """The folder of the job that goes on, or a new one; of a job of the queue one of its own, with its file's text."""
+    if journal.begun and journal.run_dir:
+        path = config.resolve(journal.run_dir)
+    else:
+        several = config.state_dir / "runs" if config.run_dir is None or job_text is None else config.run_dir
+        path = config.run_dir if config.run_dir and job_text is None else _new_folder(several, config.job.id)
+        journal.record_run_dir(path)
+    folder = RunFolder(path)
+    try:
+        folder.bytes("cell.toml", config.path.read_bytes())
+        if job_text is not None:
+            folder.bytes("job.toml", job_text.encode())
+        if config.profile_path is not None:
+            folder.bytes("instrument.toml", config.profile_path.read_bytes())
+    except OSError as error:
+        why = f"{folder.path}: the run folder cannot be written: {error.strerror}"
+        if not journal.begun:
+            raise ConfigError(f"{why}; mend it, or name another") from error
+        log.error("%s; the job goes on without", why)
+    return folder
+
+
+def _new_folder(among: Path, job: str) -> Path:
+    """Named by job and time; a clock that was set back leads to no folder of an earlier job."""
+    path = among / f"{job}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
+    others = (path.with_name(f"{path.name}-{number}") for number in count(2))
+    return next(one for one in chain([path], others) if not one.exists())
+
+
+# From an entry of the queue to a job that can be worked on a cell that may be open.
+
+
+@dataclass(frozen=True, slots=True)
+class JobMaker:
+    """Makes jobs of one cell. Its processes and devices stay; only what looks at the part is built for each."""
+
+    config: CellConfig
+    hooks: Hooks
+    cell: Cell
+    compute: Compute
+
+    async def __call__(
+        self, entry: QueueEntry, queue: Queue, journal: Journal, publish: Callable[[Event], None]
+    ) -> tuple[Job, RunFolder]:
+        """The job, journalled as under way; where an earlier run began it, with all that is known of it.
+
+        PolishdError where anything of it is wrong; nothing has moved then. The numbers are worked in the compute
+        worker, and files are read in threads: other cells of this process may be in contact.
+        """
+        lay = require_unchanged if entry.begun_s is None else _laid_over
+        config = await asyncio.to_thread(lay, self.config, entry)
+        hooks = await asyncio.to_thread(hooks_of_job, self.config, self.hooks, config)
+        recipes = await asyncio.to_thread(read_recipes, config, hooks)
+        require_commissioned(config, recipes[0].instrument)
+        require_acceptable(recipes[0])
+        programs = []
+        for tool, recipe in zip(config.turns, recipes, strict=True):
+            programs.append(await self.compute(read_program, recipe, tool.program_path))
+            await self.compute(require_fit, tool, recipe, programs[-1])
+            require_stall_depth(tool, self.cell, recipe)
+        require_time_limits(config, self.cell)
+        terms = await asyncio.to_thread(terms_of, config, programs[0].sha256)
+        queue.require_held(entry)  # or the journal would have a job that another cell may be given now
+        own = journal.of_job(entry.name, entry.part_id, terms, queue.begin_row(entry))
+        require_same(config, terms, own)
+        queue.begin(entry, own.number)
+        await bind_part_to_devices(self.cell, config, hooks)
+        folder = run_folder(config, own, entry.content)
+        job = make_job(
+            config, hooks, recipes, programs, journal=own, folder=folder, compute=self.compute, publish=publish
+        )
+        await job.load()
+        return job, folder
+
+
+def _laid_over(cell: CellConfig, entry: QueueEntry) -> CellConfig:
+    """Of a job that is under way: ``require_same`` says what may have changed since."""
+    return entry.file.laid_over(cell)

@@ -7,24 +7,22 @@ from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from functools import partial
 
-from polishd.daemon.cell import Cell
-from polishd.daemon.clearance import until_approved
-from polishd.daemon.handling import PartHandling
-from polishd.daemon.job import Job
-from polishd.daemon.journal import Journal
-from polishd.daemon.map_wait import next_map
-from polishd.daemon.progress import ProgressLimits
-from polishd.daemon.readiness import before_contact, require_robot
-from polishd.daemon.recording import recording
-from polishd.daemon.safety import contact, reraise_after_safe
-from polishd.daemon.stream import Stream, streaming
-from polishd.daemon.touch import ContactRecord
-from polishd.model.cycle import CyclePhase, Outcome
+from polishd.daemon.cell.cell import Cell
+from polishd.daemon.cell.readiness import before_contact, require_robot
+from polishd.daemon.contact.contact_record import ContactRecord
+from polishd.daemon.contact.progress import ProgressLimits
+from polishd.daemon.contact.safety import contact, reraise_after_safe
+from polishd.daemon.contact.streaming import Stream, recording, streaming
+from polishd.daemon.job.job import Job
+from polishd.daemon.job.map_wait import next_map
+from polishd.daemon.job.part_handling import PartHandling, until_approved
+from polishd.daemon.journal.journal import Journal
 from polishd.model.errors import ToolStop
 from polishd.model.program import Plan
-from polishd.process.excess import ExcessMap
-from polishd.recipe.decisions import Accept, AnotherPass, Diverge, PassesUsed, Stalled, ToolWorn, passes_used
-from polishd.recipe.dwell_step import require_certificate
+from polishd.model.states import CyclePhase, Outcome
+from polishd.pipeline.decisions import Accept, AnotherPass, Diverge, PassesUsed, Stalled, ToolWorn, passes_used
+from polishd.pipeline.dwell_step import require_certificate
+from polishd.process.removal.excess import ExcessMap
 
 
 async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:

@@ -1,1 +1,1 @@
-"""The nouns of a polishing cell: frozen dataclasses with units in their names, and the error tree."""
+"""Nouns that all layers share: surface, program, events, errors, devices, estimates, outline, tolerance, states."""

@@ -35,6 +35,8 @@ PolishdError
       SeatNotLeft  nor could the robot leave the place where it was looked for
 """
 
+from __future__ import annotations
+
 
 class PolishdError(Exception):
     """Root of the tree. The message says what, where and what to do, in one paragraph."""

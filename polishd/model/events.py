@@ -1,22 +1,67 @@
-"""What happens in a cell: one record an event, for ``polishd_on_event``, the socket's subscribers, journal and log.
-
-The table of events in docs/plugins.md is made from these records: what a class says is when it happens. The table in
-docs/notifications.md is made from their ``concern``: what that says is whom it concerns.
-"""
+"""What an event is; its kinds are in ``events``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Annotated, Any, ClassVar
 
-from polishd.model.concern import NOT_ASKED, CellSafety, OperatorNotice, Severity
 from polishd.model.devices import DeviceIdentity
 from polishd.model.dwell import OptimalityCertificate
-from polishd.model.event import Event as Event  # noqa: PLC0414 - its kinds and it are imported from here
-from polishd.model.handling import PartSeat
-from polishd.model.shop_events import ShopRateReceived as ShopRateReceived  # noqa: PLC0414 - as above
+from polishd.model.part_handling import PartSeat
+from polishd.model.states import NOT_ASKED, CellSafety, OperatorNotice, Severity
 from polishd.model.surface import SurfaceStats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that happened. Each kind is a class of its own, known by ``name``."""
+
+    name: ClassVar[str]
+    cycle: Annotated[int | None, "the cycle in which it happened; None outside of all"] = None
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """Its own fields by name, as the socket and the journal have them; those of a record or mapping one by one."""
+        found: dict[str, Any] = {}
+        for name in (item.name for item in fields(self) if item.name != "cycle"):
+            value = _plain(getattr(self, name))
+            found |= value if isinstance(value, Mapping) else {name: value}
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """``{"name", "cycle", "data"}``, as a subscriber gets it."""
+        return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
+
+    def concern(self) -> OperatorNotice | None:
+        """Nobody's."""
+        return None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
+# What happens between a cell and its shop.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShopRateReceived(Event):
+    """The shop tells what another cell has learned of a recipe; a job begins with it where this cell has no lesson."""
+
+    name: ClassVar[str] = "rate_offered"
+    recipe: Annotated[str, "of process and tool, a hash"]
+    cell: Annotated[str, "which has learned it"]
+    job: Annotated[str, "in which job"]
+    of_cycle: Annotated[int, "in its pass of that cycle"]
+    at_s: Annotated[float, "when, Unix time"]
+    rate: Annotated[float, "removal rate, relative to the model's own"]
+    sigma: Annotated[float, "its standard error on that cell's machine"]
+
+
+# What happens in a cell: one record an event, for ``polishd_on_event``, the socket's subscribers, journal and log.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -409,9 +454,36 @@ class PlanWritten(Event):
 
 
 EVENTS: tuple[type[Event], ...] = (
-    CellOpened, StateChanged, CommandReceived, AlarmAcknowledged, CellHeld, DaemonFailed, JobStarted, PartRequested, PartChanged, MapRefused,
-    MapMeasured, MapRepeated, RemovalCheckFailed, EstimatesUpdated, FindingReported, DwellSolved, ToolMounted, PartTouchedOff, SignalOutOfRange, PlanAwaitingApproval, PlanApproved,
-    PassStarted, PassProgressed, ContactAborted, PassEnded, RunFolderCompleted, QueueJobEnded, QueueStopped, NotificationFailed, ShopRateReceived,
+    CellOpened,
+    StateChanged,
+    CommandReceived,
+    AlarmAcknowledged,
+    CellHeld,
+    DaemonFailed,
+    JobStarted,
+    PartRequested,
+    PartChanged,
+    MapRefused,
+    MapMeasured,
+    MapRepeated,
+    RemovalCheckFailed,
+    EstimatesUpdated,
+    FindingReported,
+    DwellSolved,
+    ToolMounted,
+    PartTouchedOff,
+    SignalOutOfRange,
+    PlanAwaitingApproval,
+    PlanApproved,
+    PassStarted,
+    PassProgressed,
+    ContactAborted,
+    PassEnded,
+    RunFolderCompleted,
+    QueueJobEnded,
+    QueueStopped,
+    NotificationFailed,
+    ShopRateReceived,
     PlanWritten,
-)  # fmt: skip
+)
 """Every kind, in the order in which they come in a job."""

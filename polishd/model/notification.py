@@ -6,7 +6,7 @@ import re
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from polishd.model.concern import Severity
+from polishd.model.states import Severity
 from polishd.model.text import printable
 
 TITLE_LETTERS = 140

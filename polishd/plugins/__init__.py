@@ -1,1 +1,1 @@
-"""Our own plugins: hook implementations, declared in the same entry-point group as anybody else's."""
+"""Hook implementations of this project, declared in the entry-point group that other plugins use."""

@@ -1,1 +1,1 @@
-"""The physics and the mathematics: pure functions on arrays. No I/O, no asyncio, no logging."""
+"""Pure functions on arrays: robot, removal, dwell, metrology, toolpath, identification."""

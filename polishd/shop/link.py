@@ -6,28 +6,303 @@ it wants of the daemon it asks over the daemon's socket, as the command line doe
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
+import sqlite3
+import ssl
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from polishd.config.cell import CellConfig
-from polishd.config.shop_link import ShopLinkSection
-from polishd.daemon import client
-from polishd.daemon.checking import check_jobs
-from polishd.daemon.journal import JOURNAL_NAME
-from polishd.daemon.lock import locked
-from polishd.files import make_folder, write_atomic
-from polishd.hooks.loader import Hooks
+from polishd.config.server_sections import ShopLinkSection
+from polishd.daemon.checks import check_jobs
+from polishd.daemon.job.initial_estimates import FORGOTTEN
+from polishd.daemon.journal.history import read_only
+from polishd.daemon.journal.journal import JOURNAL_NAME
+from polishd.daemon.runtime.exit_record import locked
+from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError, TokenRefused
-from polishd.shop import told
-from polishd.shop.wire import ShopClient
+from polishd.model.events import PassProgressed, ShopRateReceived
+from polishd.plugin_loader import Hooks
+from polishd.shop.database import CellReport
+from polishd.util.files import make_folder, write_atomic
+from polishd.util.secret_files import hide, read_secret
+
+# Requests of a cell to its shop: HTTP by its token, over TLS, or on this computer.
 
 log = logging.getLogger(__name__)
+
+STEP_S = 15.0
+"""Longest that the shop may leave a step unanswered."""
+MOST_BYTES = 32 << 20
+SERVER_ERRORS = 500
+WARN_S, AGAIN_S = 21 * 86400.0, 86400.0
+"""So long before the shop's certificate expires that is said, and after so long again."""
+NOT_YET_VALID, EXPIRED = 9, 10
+UNKNOWN_ISSUER, OTHER_NAME = (18, 19, 20, 21), (62, 64)
+"""OpenSSL's numbers of why a certificate is not believed (X509_V_ERR_...)."""
+
+
+class ShopClient:
+    """One request after the other; each on a connection of its own. No proxy, no redirection."""
+
+    def __init__(self, section: ShopLinkSection, base_dir: Path) -> None:
+        """ConfigError where there is no token, or whom to trust cannot be read."""
+        self._section, self._base_dir = section, base_dir
+        self._ca_file = None if section.ca_file is None else base_dir / Path(section.ca_file).expanduser()
+        self._context, self._trusted = self._trusting(), self._signature()
+        self._refused = ""
+        """Hash of the token that the shop refused last."""
+        self._warned_s = float("-inf")
+        read_secret(section.token, base_dir)
+
+    def has_new_token(self) -> bool:
+        """Return whether there is a token now that the shop has not refused."""
+        try:
+            return _hash(read_secret(self._section.token, self._base_dir)) != self._refused
+        except ConfigError:
+            return False
+
+    def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
+        """The answer; ConfigError where the shop refuses, LinkError where it is not there, or did not take it."""
+        content = self.fetch(path, said)
+        try:
+            found = json.loads(content)
+        except ValueError:
+            found = None
+        if not isinstance(found, dict):
+            raise LinkError(f"{self._section.url}: its answer is no JSON object; is that a shop?")
+        return found
+
+    def fetch(self, path: str, said: Mapping[str, Any]) -> bytes:
+        """The same, as it came. TokenRefused where the shop does not take the token."""
+        token = read_secret(self._section.token, self._base_dir)
+        if (trusted := self._signature()) != self._trusted:
+            self._context, self._trusted = self._trusting(), trusted
+        try:
+            status, content = self._post(path, json.dumps(dict(said)).encode(), token)
+        except ssl.SSLCertVerificationError as error:
+            raise LinkError(f"{self._section.url}: {self._distrust(error)}") from None
+        except (OSError, HTTPException, ValueError) as error:
+            raise LinkError(hide(f"{self._section.url}: {type(error).__name__}: {error}", token)) from None
+        if status == 200:
+            return content
+        if status == 401:
+            self._refused = _hash(token)
+            raise TokenRefused(self._refusal(_error(content)))
+        why = f"{self._section.url}: answered {status}: {_error(content)}"
+        raise LinkError(why) if status >= SERVER_ERRORS or status in {408, 429} else ConfigError(why)
+
+    def _post(self, path: str, body: bytes, token: str) -> tuple[int, bytes]:
+        parts = urlsplit(self._section.url)
+        host = str(parts.hostname)
+        if parts.scheme == "https":
+            connection: HTTPConnection = HTTPSConnection(host, parts.port, timeout=STEP_S, context=self._context)
+        else:
+            connection = HTTPConnection(host, parts.port, timeout=STEP_S)
+        try:
+            connection.connect()
+            self._look_at_certificate(connection.sock)
+            headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
+            connection.request("POST", path, body, headers)
+            with connection.getresponse() as answer:
+                content = answer.read(MOST_BYTES)
+                if not answer.isclosed():
+                    raise HTTPException(f"its answer is more than {MOST_BYTES} bytes")
+                return answer.status, content
+        finally:
+            connection.close()
+
+    # whom to trust
+
+    def _trusting(self) -> ssl.SSLContext:
+        try:
+            return ssl.create_default_context(cafile=self._ca_file)
+        except (OSError, ssl.SSLError) as error:
+            raise ConfigError(f"{self._ca_file}: cannot be read: {error}; name a file of certificates (PEM)") from error
+
+    def _signature(self) -> tuple[int, int, int] | None:
+        """Whether the file is the one that was read."""
+        if self._ca_file is None:
+            return None
+        try:
+            stat = self._ca_file.stat()
+        except OSError:
+            return (0, 0, 0)
+        return (stat.st_mtime_ns, stat.st_ino, stat.st_size)
+
+    def _look_at_certificate(self, connection: Any) -> None:
+        """Warn once a day where the shop's certificate expires soon."""
+        if not isinstance(connection, ssl.SSLSocket):
+            return
+        ends = str((connection.getpeercert() or {}).get("notAfter", ""))
+        left_s = ssl.cert_time_to_seconds(ends) - time.time() if ends else WARN_S
+        if left_s < WARN_S and time.monotonic() - self._warned_s >= AGAIN_S:
+            self._warned_s = time.monotonic()
+            log.warning(
+                "%s: the shop's TLS certificate expires on %s, in %.1f days. Renew it at the shop: cert and key in "
+                "[web] of SHOP.toml; then nothing here stops",
+                self._section.url, ends, left_s / 86400,
+            )  # fmt: skip
+
+    def _distrust(self, error: ssl.SSLCertVerificationError) -> str:
+        """What is wrong with the shop's certificate, and what to do, by OpenSSL's own number."""
+        ca_file = "the system's authorities" if self._ca_file is None else str(self._ca_file)
+        todo = {
+            EXPIRED: "Renew it at the shop: cert and key in [web] of SHOP.toml. If it is not expired, set this "
+            "computer's clock",
+            NOT_YET_VALID: "Set the clocks of this computer and of the shop's",
+            **dict.fromkeys(
+                UNKNOWN_ISSUER,
+                f"It is signed by none of {ca_file}. Name the file of the authority that signed it with shop.ca_file",
+            ),
+            **dict.fromkeys(OTHER_NAME, "It is another host's. Write in shop.url the name that is in the certificate"),
+        }.get(error.verify_code, "Look at cert in [web] of SHOP.toml, and at shop.ca_file")
+        return (
+            f"certificate verify failed: {error.verify_message}. {todo}. The link tries again by itself; nothing was "
+            "sent"
+        )
+
+    def _refusal(self, said: str) -> str:
+        kind, _, name = self._section.token.partition(":")
+        where = f"write it into {self._base_dir / Path(name).expanduser()}; the link takes it up by itself"
+        if kind == "env":
+            where = f"put it into {name}, and start the link again"
+        return (
+            f"{self._section.url}: the shop does not take this cell's token ({said}). Make a new one at the shop: "
+            f"polishd shop serve SHOP.toml --add-cell NAME, and {where}"
+        )
+
+
+def _hash(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def _error(content: bytes) -> str:
+    try:
+        return str(json.loads(content)["error"])[:500]
+    except (ValueError, KeyError, TypeError):
+        return " ".join(content[:200].decode("utf-8", "replace").split())
+
+
+# What a cell's journal has to tell a shop: read beside the daemon that writes it, from any number of events on.
+
+MOST_EVENTS = 500
+"""In one report."""
+LESSON_AGAIN_S = 86400.0
+"""What another cell learned of a recipe is offered again when it is newer by so much."""
+
+_JOBS = "SELECT id, name, part_id, started, ended, outcome, detail FROM job WHERE id = ?"
+_PASSES = "SELECT job, cycle, program_sha256, started, ended, how, facts FROM pass WHERE job = ? ORDER BY cycle"
+_MAPS = "SELECT job, cycle, taken, stats FROM map WHERE job = ? ORDER BY id"
+
+
+def read_report(
+    state_dir: Path, upto: int, now: dict[str, Any], also: Sequence[str], asking: str
+) -> tuple[CellReport, bool] | None:
+    """What comes after that event, and whether that is not all; None where the journal is still empty.
+
+    ``also``: claims of which the shop wants to know though they may have ended; ``asking``: the request of which nobody
+    knows yet whether it is a claim. ConfigError where the journal cannot be read.
+    """
+    with read_only(state_dir) as journal:
+        first = journal.execute("SELECT id, job, at, cycle, name, data FROM event ORDER BY id LIMIT 1").fetchone()
+        if first is None:
+            return None
+        sql = "SELECT id, job, at, cycle, name, data FROM event WHERE id >= ? ORDER BY id LIMIT ?"
+        rows = journal.execute(sql, (upto, MOST_EVENTS + 2)).fetchall()
+        before = [row for row in rows if row[0] == upto]
+        rows = [row for row in rows if row[0] > upto]
+        more, rows = len(rows) > MOST_EVENTS, rows[:MOST_EVENTS]
+        touched = {row[1] for row in rows} | {journal.execute("SELECT ifnull(max(id), 0) FROM job").fetchone()[0]}
+        passes = _of(journal, _PASSES, touched)
+        jobs = _of(journal, _JOBS, touched)
+        return CellReport(
+            journal=_row_hash(first),
+            first=upto + 1,
+            last=rows[-1][0] if rows else upto,
+            before=_row_hash(before[0]) if before else "",
+            tail=_row_hash(rows[-1]) if rows else "",
+            now=now,
+            events=[row for row in rows if row[4] != PassProgressed.name],
+            jobs=jobs,
+            passes=passes,
+            maps=_of(journal, _MAPS, touched),
+            lessons=_lessons({row[0]: row[1] for row in jobs}, passes),
+            claims=_claims(journal, also, asking),
+        ), more
+
+
+def facts(report: CellReport) -> dict[str, Any]:
+    """As it is sent."""
+    return asdict(report)
+
+
+def has_claim(state_dir: Path, claim: str) -> bool:
+    """Whether the cell's queue has, or had, the part of that claim. ConfigError where the journal cannot be read."""
+    with read_only(state_dir) as journal:
+        return journal.execute("SELECT 1 FROM queue WHERE claim = ?", (claim,)).fetchone() is not None
+
+
+def wanted_rates(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Those of which this cell has no lesson of its own, and none that was offered lately."""
+    with read_only(state_dir) as journal:
+        return [offer for offer in offers if not _known(journal, offer)]
+
+
+def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
+    own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # which may have NaN in it, that SQLite takes for no JSON
+    if journal.execute(own, (json.dumps({"recipe": offer["recipe"]})[1:-1],)).fetchone():
+        return True
+    sql = (
+        "SELECT max(json_extract(data, '$.at_s')) FROM event WHERE name = ? AND json_extract(data, '$.recipe') = ? "
+        "AND id > ifnull((SELECT max(id) FROM event WHERE name = ?), 0)"
+    )
+    (at_s,) = journal.execute(sql, (ShopRateReceived.name, offer["recipe"], FORGOTTEN)).fetchone()
+    return at_s is not None and offer["at_s"] < at_s + LESSON_AGAIN_S
+
+
+def _of(journal: sqlite3.Connection, sql: str, jobs: Iterable[int]) -> list[tuple[Any, ...]]:
+    return [row for job in sorted(jobs) for row in journal.execute(sql, (job,))]
+
+
+def _lessons(names: dict[int, str], passes: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Of each recipe the last one; none where a person had to see to the tool, and none without its uncertainty."""
+    found: dict[str, tuple[Any, ...]] = {}
+    for job, cycle, _, _, ended, how, text in passes:
+        known = json.loads(text)
+        taught = known.get("taught") or {}
+        recipe, rate = taught.get("recipe"), taught.get("believed", {}).get("removal", {}).get("rate", {})
+        seen_to = any(one["stops"] == "cell" for one in known.get("findings", ()))
+        if recipe and how == "done" and rate.get("sigma") is not None and not seen_to:
+            found[recipe] = (recipe, names[job], cycle, ended, taught["tool"], rate["value"], rate["sigma"])
+    return list(found.values())
+
+
+def _claims(journal: sqlite3.Connection, also: Sequence[str], asking: str) -> dict[str, dict[str, str]]:
+    """State and reason of those that are open here, and of those that the shop takes for open."""
+    rows = journal.execute("SELECT claim, begun, verdict, reason, ended FROM queue WHERE claim != ''").fetchall()
+    said = {
+        claim: {"state": verdict or ("under way" if begun else "waiting"), "reason": reason or ""}
+        for claim, begun, verdict, reason, ended in rows
+        if ended is None or claim in also
+    }
+    unknown = set(also) - {row[0] for row in rows} - {asking}
+    return {**said, **{claim: {"state": "unknown"} for claim in unknown}}
+
+
+def _row_hash(row: tuple[Any, ...]) -> str:
+    return hashlib.sha256(json.dumps(row).encode()).hexdigest()[:16]
+
 
 LONGEST_PAUSE_S = 15.0
 """While the shop is away it is asked ever less often, down to this."""
@@ -83,11 +358,11 @@ class ShopLink:
         status = self._status()
         if not (self._config.state_dir / JOURNAL_NAME).exists():
             return False
-        found = told.read_report(self._config.state_dir, self._upto, _now(status), self._open, self._asking())
+        found = read_report(self._config.state_dir, self._upto, _now(status), self._open, self._asking())
         if found is None:
             return False
         report, more = found
-        answer = self._wire.ask("/api/cell/report", told.facts(report))
+        answer = self._wire.ask("/api/cell/report", facts(report))
         behind = int(answer["upto"]) != report.last
         self._upto = int(answer["upto"])
         self._heed(answer, status)
@@ -115,7 +390,7 @@ class ShopLink:
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
         """What others have learned is told to the daemon where it is of use; each is looked at once."""
-        if offers and (wanted := told.wanted_rates(self._config.state_dir, offers)):
+        if offers and (wanted := wanted_rates(self._config.state_dir, offers)):
             self._daemon("shop_offer", {"offers": wanted})
         self._seen |= {tuple(one.values()) for one in offers}
 
@@ -127,7 +402,7 @@ class ShopLink:
         if waiting is None or waiting >= self._section.ahead or status.get("state") in NOT_NOW:
             return False
         request = self._asking() or self._asked_by(uuid.uuid4().hex)
-        if told.has_claim(self._config.state_dir, request):  # it was added just before the link ended
+        if has_claim(self._config.state_dir, request):  # it was added just before the link ended
             self._settled()
             return True
         answer = self._wire.ask("/api/cell/claim", {"request": request})

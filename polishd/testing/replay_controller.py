@@ -15,12 +15,10 @@ from pathlib import Path
 
 from polishd.api import DeviceIdentity, DeviceRefused, LinkError
 from polishd.config.controller_profile import Value
-from polishd.drivers.handover.recorded import DELIVERED
-from polishd.drivers.handover.variables import VariableSnapshot
+from polishd.drivers.plc_robot.variables import DELIVERED, VariableSnapshot
 from polishd.model.errors import ConfigError
-from polishd.ports.tap import WireMessage
-from polishd.ports.wire_file import read_recording
-from polishd.testing.replay_script import OWN_ENDS, RecordedExchange, ReplayScript
+from polishd.testing.replay import OWN_ENDS, RecordedExchange, ReplayScript
+from polishd.util.wire_recording import WireMessage, read_recording
 
 READ, BEAT = b"a reading", b"heartbeat"
 CUT_OFF = "the recording ends here"

@@ -1,1 +1,1 @@
-"""The page and the HTTP API of a cell: a process of its own, which speaks to the daemon over its socket."""
+"""The page and the HTTP API of a cell: a process apart, a client of the daemon's socket."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -12,19 +15,183 @@ from starlette.responses import Response
 from starlette.routing import Route as Path
 from starlette.types import ASGIApp
 
+from polishd import __version__
 from polishd.config.cell import CellConfig
-from polishd.door import server as door
-from polishd.door.certificates import Certificate
-from polishd.door.guard import Json, RequestGuard, hosts_of, refusal
-from polishd.door.limits import RateLimiter
-from polishd.door.server import HANDLERS, answered
-from polishd.door.sessions import SessionStore, address_of, forged
-from polishd.door.users import Role, UserFile, users_path
 from polishd.model.errors import PolishdError
-from polishd.web.api import Api
-from polishd.web.openapi import document
-from polishd.web.routes import ROUTES, ApiRoute
+from polishd.web.api import MAPS, MOST_NUMBER, Api
+from polishd.web.http import server as door
+from polishd.web.http.certificates import Certificate
+from polishd.web.http.server import HANDLERS, Json, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.watcher import polling_daemon
+
+# The one table of routes: what each does, and which role it needs.
+
+Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
+
+AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
+
+
+@dataclass(frozen=True, slots=True)
+class ApiRoute:
+    """One of them."""
+
+    method: str
+    path: str
+    role: Role
+    what: str
+    does: Handler
+    fields: tuple[tuple[str, str], ...] = ()
+    """Of its body: name, and JSON type; ``?`` ends the name of one that may be left away."""
+    exempt: bool = False
+    """From rate limits and lockout: it makes the cell stand still."""
+
+
+WATCH, OPERATE, ENGINEER = Role
+_REASON = (("reason?", "string"),)
+
+ROUTES: tuple[ApiRoute, ...] = (
+    ApiRoute("GET", "/api/session", WATCH, "who is signed in, and the csrf token of the page", Api.who),
+    ApiRoute("DELETE", "/api/session", WATCH, "sign out", Api.sign_out),
+    ApiRoute(
+        "GET", "/api/state", WATCH, "what the cell does, what its devices told last, and how old that is", Api.state
+    ),
+    ApiRoute("GET", "/api/health", WATCH, "link ages, disk, memory and loop", Api.health),
+    ApiRoute("GET", "/api/events", WATCH, "what happens, as a stream (SSE): `state`, `happened`", Api.events),
+    ApiRoute("GET", "/api/alarms", WATCH, "alarms that nobody has acknowledged, the first one first", Api.alarms),
+    ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
+    ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
+    ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
+    ApiRoute("GET", AT_CYCLE + "/map/{kind}", WATCH, "a map as an array: `measured`, `predicted`, `removal`", Api.map),
+    ApiRoute("GET", AT_CYCLE + "/psd", WATCH, "power over spatial frequency of the measured map", Api.psd),
+    ApiRoute("GET", AT_CYCLE + "/plan", WATCH, "the path, its dwell, compliance and gamma", Api.plan),
+    ApiRoute("GET", AT_CYCLE + "/certificate", WATCH, "what the dwell's solver proved", Api.certificate),
+    ApiRoute("GET", "/api/history", WATCH, "what became of the cell's parts", Api.history),
+    ApiRoute("GET", "/api/journal", WATCH, "what happened and who ordered it, newest first; `?before=N`", Api.journal),
+    ApiRoute("GET", "/api/config", ENGINEER, "all values of the cell's configuration in force", Api.config),
+    ApiRoute(
+        "POST",
+        "/api/orders/hold",
+        WATCH,
+        "leave contact and wait; not an emergency stop",
+        Api.safe_order,
+        _REASON,
+        exempt=True,
+    ),
+    ApiRoute(
+        "POST",
+        "/api/orders/stop",
+        WATCH,
+        "leave contact and end; not an emergency stop",
+        Api.safe_order,
+        _REASON,
+        exempt=True,
+    ),
+    ApiRoute("POST", "/api/orders/resume", OPERATE, "go on, with a new measurement first", Api.resume, _REASON),
+    ApiRoute("POST", "/api/approve", OPERATE, "the plan that waits runs", Api.approve, (("program_sha256", "string"),)),
+    ApiRoute("POST", "/api/alarms/acknowledge", OPERATE, "they were seen", Api.acknowledge, (("alarms", "array"),)),
+    ApiRoute(
+        "POST",
+        "/api/queue/move",
+        OPERATE,
+        "move a job: `before`, `after`, `first`, `last`",
+        Api.move,
+        (("job", "string"), ("where", "string"), ("other?", "string")),
+    ),
+    ApiRoute(
+        "POST",
+        "/api/queue/remove",
+        OPERATE,
+        "take a job out",
+        Api.remove,
+        (("job", "string"), ("reason?", "string")),
+    ),
+)
+"""Beside them: ``POST /api/session`` signs in; ``GET /api/openapi.json`` and the page's files are for everybody."""
+
+
+# The OpenAPI document, from the table of routes.
+
+ERROR = {"type": "object", "properties": {"ok": {"type": "boolean"}, "error": {"type": "string"}}}
+NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
+TYPES = {"string": {"type": "string"}, "array": {"type": "array", "items": NUMBER}}
+REFUSALS = {
+    "400": "the request is wrong, and says how",
+    "401": "nobody is signed in",
+    "403": "the role does not suffice, or the request is forged",
+    "404": "there is none",
+    "405": "that cannot be done there",
+    "408": "the body came too slowly",
+    "409": "the daemon refuses it, and says why",
+    "413": "the body is too large",
+    "421": "asked for by a name that is none of this server's",
+    "429": "too many requests",
+    "502": "the daemon answered what cannot be understood",
+    "503": "no daemon runs, or the journal is damaged",
+    "504": "the daemon does not answer",
+}
+
+
+def document() -> dict[str, Any]:
+    """Of version 3.1."""
+    paths: dict[str, dict[str, Any]] = {}
+    for route in ROUTES:
+        paths.setdefault(open_path(route.path), {})[route.method.lower()] = _operation(route)
+    token = {"type": "object", "properties": {"token": {"type": "string"}}, "required": ["token"]}
+    sign_in = {"summary": "sign in: a cookie for a token", "security": [], "requestBody": _body(token)}
+    paths["/api/session"]["post"] = {**sign_in, "responses": _responses()}
+    paths["/api/openapi.json"] = {"get": {"summary": "this document", "security": [], "responses": _responses()}}
+    schemes = {
+        "token": {"type": "http", "scheme": "bearer"},
+        "cookie": {"type": "apiKey", "in": "cookie", "name": "polishd"},
+    }
+    return {
+        "openapi": "3.1.0",
+        "info": {"title": "polishd", "version": __version__, "description": "Hold and stop are no emergency stop."},
+        "paths": paths,
+        "components": {"securitySchemes": schemes},
+        "security": [{"token": []}, {"cookie": []}],
+    }
+
+
+def open_path(path: str) -> str:
+    """As OpenAPI writes it."""
+    return re.sub(r":int}", "}", path)
+
+
+def _operation(route: ApiRoute) -> dict[str, Any]:
+    names = re.findall(r"{(\w+)(:int)?}", route.path)
+    found: dict[str, Any] = {
+        "summary": route.what,
+        "description": f"Needs the role {route.role.value}, or more.",
+        "responses": _responses(stream=route.path == "/api/events", order=route.method == "POST"),
+        "parameters": [
+            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else {"enum": list(MAPS)}}
+            for name, number in names
+        ],
+    }
+    if route.path == "/api/journal":
+        found["parameters"].append({"name": "before", "in": "query", "schema": NUMBER})
+    if route.fields:
+        properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
+        required = [name for name, _ in route.fields if not name.endswith("?")]
+        schema = {"type": "object", "properties": properties, **({"required": required} if required else {})}
+        # to stand still is never wrong: whatever the body is, the order is taken
+        found["requestBody"] = _body({} if route.exempt else schema, required=bool(required))
+    return found
+
+
+def _body(schema: dict[str, Any], *, required: bool = True) -> dict[str, Any]:
+    return {"required": required, "content": {"application/json": {"schema": schema}}}
+
+
+def _responses(*, stream: bool = False, order: bool = False) -> dict[str, Any]:
+    kind = "text/event-stream" if stream else "application/json"
+    good = {"description": "done", "content": {kind: {"schema": {"type": "string" if stream else "object"}}}}
+    error = {"application/json": {"schema": ERROR}}
+    later = {"202": {**good, "description": "not obeyed yet; it stands"}} if order else {}
+    return {"200": good, **later, **{code: {"description": why, "content": error} for code, why in REFUSALS.items()}}
+
 
 FILES = {
     "/": ("index.html", "text/html"),

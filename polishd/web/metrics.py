@@ -21,13 +21,13 @@ from starlette.responses import Response
 
 from polishd import __version__
 from polishd.config.cell import CellConfig
-from polishd.daemon.history import naming_damage
-from polishd.door.sessions import HttpSession
-from polishd.model.cycle import CyclePhase, Outcome
+from polishd.daemon.journal.history import naming_damage
 from polishd.model.errors import PolishdError
+from polishd.model.states import CyclePhase, Outcome
 from polishd.model.tolerance import judged_of
 from polishd.web.api import Api
-from polishd.web.disk import RunData
+from polishd.web.http.users import HttpSession
+from polishd.web.run_data import RunData
 
 log = logging.getLogger(__name__)
 

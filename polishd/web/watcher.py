@@ -15,10 +15,10 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon import client
-from polishd.daemon.last_word import last_ending
-from polishd.door.finite import finite
+from polishd.daemon.runtime.exit_record import last_ending
+from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon, PolishdError
+from polishd.util.serialization import finite
 
 log = logging.getLogger(__name__)
 

@@ -46,11 +46,11 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_the_example_loads(path: Path) -> None:
     from polishd.config.cell import load_config  # not at the top: the rules should run while this does not
-    from polishd.config.device_file import load_device_profile
-    from polishd.config.job_file import JobFile
-    from polishd.config.loop_study import load_scenario
-    from polishd.config.profile import load_profile
-    from polishd.config.sweep_points import load_swept
+    from polishd.config.device_profile_checks import load_device_profile
+    from polishd.config.instrument_profile import load_profile
+    from polishd.config.job import JobFile
+    from polishd.config.study import load_scenario
+    from polishd.config.sweep import load_swept
 
     keys = tomllib.loads(path.read_text()).keys()
     if path.name == "job.toml":

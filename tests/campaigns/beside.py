@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from polishd.files import write_atomic
+from polishd.util.files import write_atomic
 from tests.system.sim_rig import ROOT
 
 Row = dict[str, Any]
@@ -34,7 +34,7 @@ def sources(names: Iterable[str]) -> str:
     """A hash of those files, and of the Python files in those folders, of the project."""
     content = hashlib.sha256()
     for name in names:
-        path = ROOT / name
+        path = ROOT / name if (ROOT / name).exists() else (ROOT / name).with_suffix(".py")  # a device is either
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             content.update(file.read_bytes())
     return content.hexdigest()[:8]

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from polishd.workbench.studies.kept import JOURNAL, read_table
+from polishd.studies.result_store import JOURNAL, read_table
 from tests.campaigns import beside
 from tests.system.sim_rig import ROOT
-from tests.unit.workbench.studies.dask_rig import Cluster
+from tests.unit.studies.dask_rig import Cluster
 
 STUDY = ROOT / "examples" / "robustness.toml"
 POOL, OURS = ROOT / "build" / "robustness", ROOT / "build" / "robustness-dask"

@@ -22,11 +22,11 @@ import numpy as np
 import pytest
 
 from polishd.api import DeviceContext, SurfaceMap
-from polishd.plugins.interferometer import files, taken
-from polishd.plugins.interferometer.files import SettledFiles
-from polishd.plugins.interferometer.folder import FolderOptions, MapWait, WatchedFolder
+from polishd.plugins.interferometer import map_files
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.sim_backends.metropro import DatMap, pack
+from polishd.plugins.interferometer.map_files import SettledFiles
+from polishd.plugins.interferometer.watched_folder import FolderOptions, MapWait, WatchedFolder
+from polishd.sim_backends.common.metropro import DatMap, pack
 
 PART = "DEMO-100"
 POLL_S, STABLE_S = 0.25, 2.0
@@ -52,7 +52,7 @@ class Disk:
         self.dies_in: int | None = None
         self.faults = 0
         patch.setattr(Path, "rename", self.around(Path.rename, writes=False))
-        for module in (files, taken):
+        for module in (map_files, map_files):
             patch.setattr(module, "write_atomic", self.around(module.write_atomic, writes=True))
 
     def around(self, act: Callable[..., Any], *, writes: bool) -> Callable[..., Any]:

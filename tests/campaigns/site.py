@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles, with_values
-from polishd.daemon import client
-from polishd.daemon.journal import JOURNAL_NAME
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, with_values
+from polishd.daemon.journal.journal import JOURNAL_NAME
+from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from tests.patience import SOON_S
 from tests.system.agreement import disagreements

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.plugins.interferometer import files
+from polishd.plugins.interferometer import map_files
 from tests.campaigns.folder_world import LOST_AFTER_S, POLL_S, STABLE_S, Disk, World
 from tests.campaigns.folder_writers import GOOD, Step, slow, torn
 
@@ -152,7 +152,7 @@ def play(root: Path, seed: int, writes: int) -> World:
         patch.setattr(os, "fsync", lambda handle: None)  # power cuts are another matter
         world = World(root, rng, Disk(patch, rng))
         world.journal.append("0" * 64)
-        patch.setattr(files, "clock_of", world.clock)
+        patch.setattr(map_files, "clock_of", world.clock)
         while world.writes < writes:
             one_ask(world)
             world.now_s += float(rng.uniform(5.0, 40.0))  # the pass; writers go on meanwhile

@@ -24,10 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from polishd.console.demo_files import DemoFiles, with_values
-from polishd.console.simulator import simulated_cell
-from polishd.daemon import client
-from polishd.daemon.journal_check import register_checksum
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell, with_values
+from polishd.daemon.journal.checksums import register_checksum
+from polishd.daemon.socket import client
 from polishd.model.errors import LinkError
 from tests.fakes import proxy
 from tests.system.agreement import disagreements, passes

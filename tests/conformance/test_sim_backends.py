@@ -25,36 +25,25 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceRefused, ExecutedBlock, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
+from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
-from polishd.console.demo_files import free_port
 from polishd.drivers.force_sensor_line import ForceSensorLine
-from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import PlcRobot
-from polishd.drivers.handover.modbus import Modbus
 from polishd.drivers.monitor_line import MonitorLine
-from polishd.drivers.profiled import make
-from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.plc_robot.driver import PlcRobot
+from polishd.drivers.plc_robot.file_delivery import Folder
+from polishd.drivers.plc_robot.modbus import Modbus
+from polishd.drivers.profile_device import build
+from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
-from polishd.drivers.universal_robots.sample import UrRegisters
+from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
-from polishd.testing.rig import Rig
+from polishd.testing.device_rig import Rig
+from polishd.testing.helpers import until_lost
 from polishd.testing.suites.actuator import ActuatorRig
-from polishd.testing.suites.device import (  # noqa: F401 -- the suite itself, with this module's any_device
-    test_a_cancelled_call_harms_no_later_one,
-    test_it_can_be_opened_again,
-    test_it_says_who_it_is,
-    test_make_safe_does_not_leave_it_open,
-    test_make_safe_is_allowed_at_any_time,
-    test_making_safe_by_many_at_once,
-    test_nothing_works_after_it_is_closed,
-    test_nothing_works_before_it_is_open,
-    test_opening_changes_nothing,
-)
 from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
-from polishd.testing.waiting import until_lost
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
 from tests.conformance.rigs.actuators import PATIENT
 from tests.conformance.rigs.looking import PATIENT_MONITOR, PATIENT_SENSOR
@@ -232,9 +221,9 @@ def connect(cells: Cells, place: Place) -> Any:
         case Tcp() if place.device == "robot":
             return robot_of(cells, place, address)
         case SerialLine() if place.cell == "profiles":
-            return make.actuator(shipped("line_drive.toml"), address, PATIENT)
+            return build.actuator(shipped("line_drive.toml"), address, PATIENT)
         case Tcp() if place.cell == "profiles":
-            return make.spindle(shipped("delta_ms300"), address, PATIENT_SPINDLE)
+            return build.spindle(shipped("delta_ms300"), address, PATIENT_SPINDLE)
         case SlcanAddress() | SocketcandAddress():
             return SpindleCan(address, SpindleTimes(silence_s=1.5))
         case SerialLine() if place.cell == "ascii":

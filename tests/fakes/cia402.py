@@ -11,15 +11,13 @@ import numpy as np
 
 from polishd.api import ActuatorTimes, SpindleTimes
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
-from polishd.drivers.cia402.axis import CanNodeAddress
-from polishd.drivers.cia402.dictionary import read_dictionary
+from polishd.drivers.cia402.drive import CanNodeAddress
+from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
-from polishd.sim_backends.cia402 import power as stage
-from polishd.sim_backends.cia402.motor import Motor
-from polishd.sim_backends.cia402.node import Node, SimAxis
-from polishd.sim_backends.cia402.objects import Objects
-from polishd.sim_backends.cia402.power import Power
+from polishd.sim_backends.cia402 import node as stage
+from polishd.sim_backends.cia402.device import Motor
+from polishd.sim_backends.cia402.node import Node, Objects, Power, SimAxis
 
 EDS = Path(__file__).resolve().parents[2] / "examples" / "drive.eds"
 NODE, CONTROLLER = 5, 0x45

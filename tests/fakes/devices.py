@@ -11,25 +11,29 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from polishd.daemon.cell import Cell
-from polishd.daemon.signals import Signals
+from polishd.daemon.cell.cell import Cell, Signals
 from polishd.model.devices import (
+    ActuatorTimes,
     DeviceIdentity,
     DeviceStatus,
     ExecutedBlock,
     ForceSample,
+    LoaderTimes,
     MapRefusal,
+    MonitorTimes,
     RobotProgress,
     RobotState,
+    RobotTimes,
     SensedForce,
+    SensorTimes,
     Signal,
+    SignalLimits,
     SpeedSample,
+    SpindleTimes,
 )
 from polishd.model.errors import DeviceRefused, LinkError
 from polishd.model.program import Plan, Segment
-from polishd.model.signal_limits import SignalLimits
 from polishd.model.surface import SurfaceMap
-from polishd.model.times import ActuatorTimes, LoaderTimes, MonitorTimes, RobotTimes, SensorTimes, SpindleTimes
 
 SAMPLE_S = 0.005
 """What one reading lets pass, of the fake clock."""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from polishd.api import ActuatorTimes
 from polishd.config.device_profile import DeviceProfile
-from polishd.drivers.profiled import make
-from polishd.drivers.profiled.actuator import ProfiledActuator
-from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR, profile_of
+from polishd.drivers.profile_device import build
+from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, profile_of
+from polishd.drivers.profile_device.drives import ProfiledActuator
 from polishd.drivers.transport.address import SerialLine, Tcp
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -28,9 +28,9 @@ def voice_coil_modbus(
     address: Tcp | SerialLine, times: ActuatorTimes | None = None, *, unit: int = 1
 ) -> ProfiledActuator:
     """Polishd's actuator at a Modbus address."""
-    return make.actuator(shipped("voice_coil_modbus"), address, times, unit=unit)
+    return build.actuator(shipped("voice_coil_modbus"), address, times, unit=unit)
 
 
 def voice_coil_serial(address: SerialLine | Tcp, times: ActuatorTimes | None = None) -> ProfiledActuator:
     """Polishd's actuator on lines of text."""
-    return make.actuator(shipped("voice_coil_serial"), address, times)
+    return build.actuator(shipped("voice_coil_serial"), address, times)

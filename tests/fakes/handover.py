@@ -17,15 +17,15 @@ import numpy as np
 from polishd.api import DeviceIdentity, LinkError
 from polishd.config.controller_profile import ControllerProfile, Value, load_controller_profile
 from polishd.config.simulator import SimRobotSection
-from polishd.drivers.handover.ads import Ads
-from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import PlcRobot
-from polishd.drivers.handover.opcua import OpcUa
-from polishd.drivers.handover.variables import VariableSnapshot, of_kind, watched
-from polishd.sim_backends.handover.ads import AMS_PORT, TCP_PORT, AdsServer
-from polishd.sim_backends.handover.plc import Plc
+from polishd.drivers.plc_robot.ads import Ads
+from polishd.drivers.plc_robot.driver import PlcRobot
+from polishd.drivers.plc_robot.file_delivery import Folder
+from polishd.drivers.plc_robot.opcua import OpcUa
+from polishd.drivers.plc_robot.variables import VariableSnapshot, of_kind, watched
+from polishd.sim_backends.plc_robot.controller import Plc
+from polishd.sim_backends.plc_robot.servers import AMS_PORT, TCP_PORT, AdsServer
 from polishd.sim_backends.robot.motion import SimMotion
-from polishd.sim_backends.robot.path import Limits
+from polishd.sim_backends.robot.trajectory import Limits
 
 HOST = f"127.{40 + os.getpid() % 80}.{os.getpid() // 80 % 250}.1"
 """ADS has one port only: each process of the tests has an address of its own."""
@@ -220,7 +220,7 @@ async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIt
 @asynccontextmanager
 async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[tuple[PlcRobot, Relay]]:
     """A closed driver, with a socket and a server between."""
-    from polishd.sim_backends.handover.opcua import served
+    from polishd.sim_backends.plc_robot.servers import served
 
     async with cycling(fake), served(fake.plc) as port:
         relay = Relay(fake, port)

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from polishd.sim_backends.profiled.machine import Gauge, Inverter, ProfileDeviceModel
-from polishd.sim_backends.profiled.sheet import SimDeviceProfile
-from polishd.sim_backends.profiled.slave import by_profile
+from polishd.sim_backends.common.device_profile import SimDeviceProfile
+from polishd.sim_backends.profile_device.device import by_profile
+from polishd.sim_backends.profile_device.machine import Gauge, Inverter, ProfileDeviceModel
 from tests.fakes.actuator import Coil
 from tests.fakes.wires import Peer
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from polishd.config.simulator import SimRobotSection
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.driver import Addresses
-from polishd.sim_backends.universal_robots import dashboard, primary
+from polishd.sim_backends.universal_robots import device
 from polishd.sim_backends.universal_robots.arm import UrArm
-from polishd.sim_backends.universal_robots.dashboard import Dashboard
-from polishd.sim_backends.universal_robots.machine import UrController
+from polishd.sim_backends.universal_robots.controller import UrController
+from polishd.sim_backends.universal_robots.device import Dashboard
 from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
 from tests.fakes.wires import Filter, unchanged
 
@@ -107,7 +107,7 @@ class FakeController:
         return serves.feed
 
     def _dashboard(self, client: _Client) -> Feed:
-        client.send([dashboard.GREETING])
+        client.send([device.GREETING])
 
         def later(when: Callable[[], bool], then: Callable[[], None]) -> None:
             self._waiting.append((when, then))
@@ -115,7 +115,7 @@ class FakeController:
         return Dashboard(self.machine, lambda data: client.send([data]), later).feed
 
     def _primary(self, _client: _Client) -> Feed:
-        return primary.ScriptIntake(self._load).feed
+        return device.ScriptIntake(self._load).feed
 
     def _load(self, text: str) -> None:
         self.scripts.append(text)
@@ -123,7 +123,7 @@ class FakeController:
 
     def _complain(self, line: int, text: str) -> None:
         for client in self.wires[2].clients:
-            client.send([primary.complaint(line, text)])
+            client.send([device.complaint(line, text)])
 
 
 @dataclass

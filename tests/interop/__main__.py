@@ -51,7 +51,7 @@ def main() -> int:
     code = int(pytest.main(["tests/interop", *sys.argv[1:]], plugins=[outcomes]))
     tried = list(outcomes.by_module.values())
     if tried and code in {pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED} and len(sys.argv) == 1:
-        from polishd.files import write_atomic  # pytest itself loads polishd, and wants to be the first
+        from polishd.util.files import write_atomic  # pytest itself loads polishd, and wants to be the first
 
         debian = sorted({one.peer.package for one in tried if one.peer.source == "Debian"})
         write_atomic(PAGE, page(tried, debian).encode())

@@ -14,10 +14,10 @@ import pytest
 
 from polishd.api import DeviceRefused
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.handover.modbus import Modbus
-from polishd.drivers.profiled.modbus import ModbusWire
-from polishd.drivers.profiled.modbus_link import ModbusLink
+from polishd.drivers.plc_robot.modbus import Modbus
+from polishd.drivers.profile_device.modbus import ModbusWire
 from polishd.drivers.transport.address import SerialLine, Tcp
+from polishd.drivers.transport.modbus_link import ModbusLink
 from tests.fakes.devices_by_profile import shipped
 from tests.interop.devices import Table
 from tests.interop.peers import Program

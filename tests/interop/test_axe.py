@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polishd.config.cell import load_config
-from polishd.door.users import Role, UserFile, users_path
+from polishd.web.http.users import Role, UserFile, users_path
 from tests.interop.peers import NODE_MODULES, Peer
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys

@@ -15,8 +15,8 @@ import canopen
 import pytest
 
 from polishd.api import SpindleTimes
-from polishd.drivers.cia402.axis import CanNodeAddress
-from polishd.drivers.cia402.dictionary import read_dictionary
+from polishd.drivers.cia402.drive import CanNodeAddress
+from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SocketcandAddress, parse_address
 from tests.fakes.canopen_node import LATCH_UP_UNITS

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.interop.peers import Peer
 from tests.system.cell_rig import (
     PATIENT,

@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 
 from polishd.api import LinkError, ProtocolError
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import load_controller_profile
-from polishd.console.demo_files import write_demo
-from polishd.drivers.handover.opcua import OpcUa
-from polishd.drivers.handover.variables import watched, written
+from polishd.drivers.plc_robot.opcua import OpcUa
+from polishd.drivers.plc_robot.variables import watched, written
 from tests.interop.devices import DONE, IDLE, QUICK, READY
 from tests.interop.peers import Peer, Program, program
 from tests.system.sim_rig import Cell, cell, wait_for
-from tests.unit.plant.journals import write_journal
+from tests.unit.opcua.journals import write_journal
 from tests.unit.web.served import answering
 
 PEER = Peer("node-opcua", "OPC UA", "server and client", "npm", "node-opcua")
@@ -118,7 +118,7 @@ def test_its_client_finds_a_cell_as_a_machine(tmp_path: Path) -> None:
     cell_file.write_text(cell_file.read_text() + MACHINE)
     config = load_config(cell_file)
     write_journal(config.state_dir)
-    command = [sys.executable, "-m", "polishd.cli", "opcua", str(cell_file)]
+    command = [sys.executable, "-m", "polishd.cli.app", "opcua", str(cell_file)]
     with answering(config.state_dir), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         url = server.stdout.readline().strip()

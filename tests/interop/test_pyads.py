@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.handover.ads import Ads
-from polishd.drivers.handover.variables import watched, written
+from polishd.drivers.plc_robot.ads import Ads
+from polishd.drivers.plc_robot.variables import watched, written
 from tests.interop.peers import Peer
 
 PEER = Peer("pyads' test server", "ADS", "server", "PyPI", "pyads")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
-from polishd.console.demo_files import write_demo
-from polishd.door.users import Role, UserFile, users_path
+from polishd.web.http.users import Role, UserFile, users_path
 from tests.interop.peers import BUILT, Peer
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, web_of

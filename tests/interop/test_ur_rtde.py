@@ -15,7 +15,7 @@ import pytest
 
 from polishd.api import DeviceFault, ExecutedBlock, RobotTimes
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
-from polishd.drivers.universal_robots.sample import UrRegisters
+from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from tests.interop.peers import Peer
 from tests.programs import plan_of

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.console.demo_files import DemoFiles
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.system.cell_rig import account
 
 SHARE, LEAST_S = 0.02, 0.01

@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_program, simulated_cell, with_values
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import DemoFiles, demo_program, with_values
-from polishd.console.simulator import simulated_cell
-from polishd.daemon import client
+from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from tests.commissioned import forged
 from tests.patience import SOON_S
@@ -42,7 +41,7 @@ def write_small(
     out: Path, *, report: bool = False, patient: bool = True, touch_off: bool = False, **job: Any
 ) -> DemoFiles:
     """The demo's files with a small part, so that a pass takes seconds; its seat is proved where it is asked for."""
-    from polishd.console.demo_files import write_demo
+    from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
     files = write_demo(out, None, 2.0, 4, None)
     part = {"part": {"aperture_mm": APERTURE_MM}, "job": job}
@@ -126,7 +125,7 @@ class Daemon:
         self.files = files
         self.output = files.daemon_log
         with self.output.open("ab") as log:
-            command = [sys.executable, "-m", "polishd.cli", "run", str(files.cell), "--json", *options]
+            command = [sys.executable, "-m", "polishd.cli.app", "run", str(files.cell), "--json", *options]
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
     def __enter__(self) -> Self:

@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from polishd.console.demo_files import DemoFiles, demo_program
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_program, simulated_cell
 from tests.system import handover_rig, linuxcnc_rig, universal_robots_rig
 from tests.system.cell_rig import (
     PATIENT,

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
 from tests.system.cell_rig import PATIENT, with_keys, with_part, without, write_small
 
 Kind = Literal["opcua", "ads", "modbus"]

@@ -13,14 +13,13 @@ from typing import Any, Literal
 
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import DemoFiles
 from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
-from polishd.plugins.rnc_robot.make import path_program
-from polishd.process.paths.apertures import over_outline
-from polishd.process.paths.raster import raster
-from polishd.process.paths.wrist import tool_axes
-from polishd.sim_backends.linuxcnc.server import ISOLATE
+from polishd.plugins.rnc_robot.formats import path_program
+from polishd.process.toolpath.apertures import over_outline, tool_axes
+from polishd.process.toolpath.paths import raster
+from polishd.sim_backends.linuxcnc.device import ISOLATE
 from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, with_keys, with_part, write_small
 from tests.system.sim_rig import ROOT, alive, wait_for
@@ -108,7 +107,7 @@ class _Daemon(Daemon):
         self.files = cell.files
         self.output = cell.files.daemon_log
         with self.output.open("ab") as log:
-            command = [*cell.inside, sys.executable, "-m", "polishd.cli", "run", str(cell.files.cell), "--json"]
+            command = [*cell.inside, sys.executable, "-m", "polishd.cli.app", "run", str(cell.files.cell), "--json"]
             self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
 

@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles, free_port
-from polishd.console.simulator import simulated_cell
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
+from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small

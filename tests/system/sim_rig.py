@@ -18,8 +18,8 @@ from typing import Any
 
 import serial
 
-from polishd.sim_backends.actuator.modbus import crc16, rtu
-from polishd.sim_backends.robot import frames as f
+from polishd.sim_backends.common import framing as f
+from polishd.sim_backends.common.framing import crc16, rtu
 from tests.patience import SOON_S
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.sim_backends.mechanics.serial import Screws
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from polishd.sim_backends.common.mechanics import Screws
 from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, events, summary, with_keys, with_part, write_small
 from tests.system.test_rehearsal import rehearsed
-from tests.unit.process.arms import arm_cell
+from tests.unit.process.robot.arms import arm_cell
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.model import frames
 from polishd.model.surface import FloatArray
+from polishd.util import array_stream
 from tests.patience import SOON_S
 
 SMALL = {"plant": {"aperture_mm": 40.0, "rms_nm": 5.0, "pv_nm": 40.0, "seed": 4}}
@@ -22,7 +22,7 @@ def asked(*requests: tuple[dict[str, Any], dict[str, FloatArray]], tail: bytes =
     """The exit code and the answers of a fresh process."""
     sent = io.BytesIO()
     for message, arrays in requests:
-        frames.write(sent, message, arrays)
+        array_stream.write(sent, message, arrays)
     ended = subprocess.run(
         [sys.executable, "-m", "polishd.sim_backends.batch"],
         input=sent.getvalue() + tail,
@@ -32,7 +32,7 @@ def asked(*requests: tuple[dict[str, Any], dict[str, FloatArray]], tail: bytes =
     )
     assert ended.stderr == b""
     heard, answers = io.BytesIO(ended.stdout), []
-    while (answer := frames.read(heard)) is not None:
+    while (answer := array_stream.read(heard)) is not None:
         answers.append(answer)
     return ended.returncode, answers
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from polishd.daemon import client
+from polishd.daemon.socket import client
 from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, small_cell, summary
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.system
 
 
 def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "polishd.cli.app", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
 
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from polishd.api import ActuatorTimes, ForceSample, SpindleTimes
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
-from polishd.drivers.cia402.axis import CanNodeAddress
-from polishd.drivers.cia402.dictionary import read_dictionary
+from polishd.drivers.cia402.drive import CanNodeAddress
+from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, parse_address
 from tests.fakes.cia402 import EDS

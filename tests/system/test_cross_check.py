@@ -16,25 +16,23 @@ from hypothesis import strategies as st
 from polishd.api import Program
 from polishd.config.simulator import Plant, Truth
 from polishd.model.errors import ProgramError
-from polishd.model.process import Placement, ToolProcess
-from polishd.model.robot import HybridRobot
+from polishd.model.process import HybridRobot, Placement, ToolProcess
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.process import conditioning, contact
+from polishd.pipeline import steps
 from polishd.process import frames as controller_frames
-from polishd.process.compliance import depth_ratio
-from polishd.process.compliance import equivalent_compliance as controller_compliance
-from polishd.process.dynamic_tif import effect_matrix, tif_at_point
-from polishd.process.path_compliance import path_compliance
-from polishd.process.registration.record import Registration
-from polishd.process.robot import tip_compliance_mm_per_n
-from polishd.process.spot import HertzSpot
-from polishd.recipe import figuring
-from polishd.sim_backends import truth
-from polishd.sim_backends.placement import Frames, rotation_rpy, tool_axis
+from polishd.process.metrology import conditioning
+from polishd.process.metrology.resampling import Registration
+from polishd.process.removal import contact
+from polishd.process.removal.dynamic_tif import effect_matrix, tif_at_point
+from polishd.process.removal.tif import HertzSpot
+from polishd.process.robot.compliance import depth_ratio, path_compliance, tip_compliance_mm_per_n
+from polishd.process.robot.compliance import equivalent_compliance as controller_compliance
+from polishd.sim_backends.common import hidden_truth
+from polishd.sim_backends.common.hidden_truth import Frames, rotation_rpy, tool_axis
 from polishd.sim_backends.plant import part as parts
-from polishd.sim_backends.plant.giving import given_way
 from polishd.sim_backends.plant.removal import hertz_depth_mm, wear, worn_depth_mm
-from polishd.sim_backends.robot.rnc import Reader
+from polishd.sim_backends.plant.tool import given_way
+from polishd.sim_backends.robot.program_reader import Reader
 from tests.rs274 import read
 from tests.unit.plugins.rnc_robot.test_traps_rs274 import BAD, GOOD, Bad, Good
 
@@ -170,7 +168,7 @@ def test_a_moving_block_removes_what_many_short_stops_along_it_remove() -> None:
 @pytest.mark.parametrize("seed", [None, 1, 2, 3])
 def test_compliance_projection_on_random_poses_placements_and_robots(seed: int | None) -> None:
     """Linear projection (eq. 43) of both sides, also of the hidden robots that the simulator draws."""
-    robot = ROBOT if seed is None else truth.draw(Truth(), seed).robot
+    robot = ROBOT if seed is None else hidden_truth.draw(Truth(), seed).robot
     rng = np.random.default_rng(seed or 0)
     for rpy in ((180.0, 0.0, 0.0), (175.0, 8.0, 30.0), (187.0, -6.0, -120.0)):
         plant = Plant(origin_mm=(-40.0, 60.0, 2090.0), rotation_rpy_deg=rpy, program_rotation_deg=25.0)
@@ -198,7 +196,7 @@ def test_the_stated_rms_is_the_plants_own(aperture_mm: float, pitch_mm: float) -
     part = parts.make(plant, 3)
     shown = SurfaceMap(height_nm=part.map_nm(), pitch_mm=pitch_mm)
     conditioned = conditioning.condition(shown, outline=plant.outline, edge_mm=plant.edge_mm, grid_mm=0.5)
-    clear = figuring.on_map(shown, conditioned.grid, conditioned.metric_mask, Registration())
+    clear = steps.on_map(shown, conditioned.grid, conditioned.metric_mask, Registration())
     assert clear.sum() == pytest.approx(part.clear.sum(), rel=0.03)
     assert part.map_nm()[clear].std() == pytest.approx(part.stats()[0], rel=0.015)
 

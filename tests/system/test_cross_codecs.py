@@ -29,23 +29,22 @@ from pymodbus.pdu.register_message import (
 )
 
 from polishd.api import ExecutedBlock, MapError, SurfaceMap
-from polishd.drivers.profiled import codec, meaning
-from polishd.drivers.profiled.actuator import reading_of
-from polishd.drivers.profiled.modbus_link import REFUSALS
-from polishd.drivers.robot_link import messages
-from polishd.drivers.robot_link.frames import FrameReader, FrameType, encode
-from polishd.drivers.spindle_can import codec as spindle_codec
-from polishd.drivers.transport import numbered
+from polishd.drivers import spindle_can as spindle_codec
+from polishd.drivers.profile_device import codec
+from polishd.drivers.profile_device.drives import reading_of
+from polishd.drivers.robot_link import protocol
+from polishd.drivers.robot_link.protocol import FrameReader, FrameType, encode
+from polishd.drivers.transport import lines as numbered
+from polishd.drivers.transport.modbus_link import REFUSALS
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats import metropro as reader
-from polishd.process.plausible import EARLIEST
-from polishd.sim_backends import metropro as writer
-from polishd.sim_backends.actuator.ascii import AsciiSlave, body, line
-from polishd.sim_backends.actuator.coil import VoiceCoil
-from polishd.sim_backends.actuator.modbus import CoilRegisters, RtuSlave, crc16, rtu
-from polishd.sim_backends.can_hosts import SlcanHost, SocketcandHost, slcan_frame, slcan_line
-from polishd.sim_backends.robot import frames as f
-from polishd.sim_backends.spindle.drive import Drive
+from polishd.process.metrology.conditioning import EARLIEST
+from polishd.sim_backends.common import framing as f
+from polishd.sim_backends.common import metropro as writer
+from polishd.sim_backends.common.can import SlcanHost, SocketcandHost, slcan_frame, slcan_line
+from polishd.sim_backends.common.framing import AsciiSlave, CoilRegisters, RtuSlave, body, crc16, line, rtu
+from polishd.sim_backends.common.voice_coil import VoiceCoil
+from polishd.sim_backends.spindle import Drive
 from tests.fakes.devices_by_profile import shipped
 from tests.vectors import vectors
 
@@ -87,17 +86,17 @@ def test_link_vectors_from_the_robot(name: str, kind: FrameType) -> None:
     payload = frame[8:-4]
     assert f.pack(kind, payload) == encode(kind, payload) == frame
     if kind == FrameType.ACCEPTED:
-        assert messages.accepted(payload) == (9, 512, 2.5)
+        assert protocol.accepted(payload) == (9, 512, 2.5)
     else:
         assert f.pack_executed([(7, 1.0, 1.5)]) == frame
-        assert messages.executed(payload) == [ExecutedBlock(7, 1.0, 1.5)]
+        assert protocol.executed(payload) == [ExecutedBlock(7, 1.0, 1.5)]
 
 
 def test_link_vectors_to_the_robot() -> None:
     page = {name: bytes.fromhex(value) for name, value in vectors("robot_link").items()}
     hello = {"protocol": 1, "role": "writer", "client": "t", "executed_from": 0, "lease": ""}
-    assert messages.command(FrameType.HELLO, hello) == f.pack_json(f.HELLO, hello) == page["HELLO"]
-    assert messages.blocks(7, [b"G1 X1 F60", b"M2"]) == f.pack_blocks(7, [b"G1 X1 F60", b"M2"]) == page["BLOCKS"]
+    assert protocol.command(FrameType.HELLO, hello) == f.pack_json(f.HELLO, hello) == page["HELLO"]
+    assert protocol.blocks(7, [b"G1 X1 F60", b"M2"]) == f.pack_blocks(7, [b"G1 X1 F60", b"M2"]) == page["BLOCKS"]
 
 
 def test_both_number_the_frames_alike() -> None:
@@ -109,7 +108,7 @@ def test_blocks_of_the_driver_reach_the_controller(
     sent: list[tuple[int, list[bytes]]], cuts: list[int], dirt: bytes
 ) -> None:
     splitter = f.Splitter()
-    wire = dirt.replace(b"P", b"") + b"".join(messages.blocks(first, lines) for first, lines in sent)
+    wire = dirt.replace(b"P", b"") + b"".join(protocol.blocks(first, lines) for first, lines in sent)
     found = [frame for piece in pieces(wire, cuts) for frame in splitter.feed(piece)]
     assert [kind for kind, _ in found] == [f.BLOCKS] * len(sent)
     assert [f.unpack_blocks(payload) for _, payload in found] == sent
@@ -122,7 +121,7 @@ def test_blocks_of_the_driver_reach_the_controller(
     st.dictionaries(TEXT, st.none() | st.integers(-(2**53), 2**53) | TEXT | st.booleans(), max_size=5),
 )
 def test_commands_of_the_driver_reach_the_controller(kind: FrameType, content: dict[str, Any]) -> None:
-    ((found, payload),) = f.Splitter().feed(messages.command(kind, content))
+    ((found, payload),) = f.Splitter().feed(protocol.command(kind, content))
     assert found == kind
     assert f.unpack_json(payload) == content
 
@@ -134,7 +133,7 @@ def test_records_of_the_controller_reach_the_driver(
     link = FrameReader()
     wire = b"".join(map(f.pack_executed, sent))
     found = [frame for piece in pieces(wire, cuts) for frame in link.feed(piece)]
-    assert [messages.executed(frame.payload) for frame in found] == [
+    assert [protocol.executed(frame.payload) for frame in found] == [
         [ExecutedBlock(*one) for one in some] for some in sent
     ]
     assert link.skipped == 0
@@ -144,8 +143,8 @@ def test_records_of_the_controller_reach_the_driver(
 def test_status_of_the_controller_reaches_the_driver(status: dict[str, Any], kind: int) -> None:
     wire = f.pack_json(f.STATUS, status) + f.pack_json(f.ACK, {"of": kind, "status": status})
     told, acknowledged = FrameReader().feed(wire)
-    progress = messages.status(told.payload)
-    assert messages.ack(acknowledged.payload) == messages.Ack(kind, progress)
+    progress = protocol.status(told.payload)
+    assert protocol.ack(acknowledged.payload) == protocol.Ack(kind, progress)
     assert {name: getattr(progress, name) for name in status if name != "time_s"} == {
         name: value for name, value in status.items() if name != "time_s"
     }
@@ -255,7 +254,7 @@ def test_what_the_actuator_measures_is_what_the_driver_reads(
 def test_the_actuators_identity_is_read(boots: int) -> None:
     told = ReadInputRegistersRequest(address=TOLD.address, count=TOLD.count, dev_id=1)
     answer = asked(told, table(boots=boots))
-    identity = meaning.identity(MODBUS, codec.values_of(MODBUS, TOLD, answer.registers))
+    identity = codec.identity(MODBUS, codec.values_of(MODBUS, TOLD, answer.registers))
     assert (identity.vendor, identity.model, identity.serial) == ("polishd", "simulated VC50", "SIM-V1")
     assert (identity.firmware, identity.boot_id) == ("1.0", str(boots))
 
@@ -325,7 +324,7 @@ def test_the_text_status_is_what_the_driver_reads(
     assert reading.fault == faults
     named = numbered.decode(who[:-1])
     assert named is not None
-    identity = meaning.identity(ASCII, codec.fields_of(ASCII, ASCII.asks["identity"], named[1]))
+    identity = codec.identity(ASCII, codec.fields_of(ASCII, ASCII.asks["identity"], named[1]))
     assert (identity.model, identity.boot_id) == ("simulated VC50", "4")
 
 

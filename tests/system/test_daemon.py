@@ -18,11 +18,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import (
+    DemoFiles,
+    measure_artefact,
+    simulated_cell,
+    with_values,
+    write_demo,
+)
 from polishd.config.cell import load_config
-from polishd.console.demo_files import DemoFiles, with_values, write_demo
-from polishd.console.simulator import measure_artefact, simulated_cell
-from polishd.daemon import client
-from polishd.daemon.sockets import SOCKET_NAME
+from polishd.daemon.socket import client
+from polishd.daemon.socket.client import SOCKET_NAME
 from tests.patience import SOON_S
 from tests.system.agreement import require_agreement
 from tests.system.cell_rig import ONE_PASS, Daemon, account, events, small_cell, summary, with_keys, write_small
@@ -32,7 +37,7 @@ pytestmark = pytest.mark.system
 
 
 def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "polishd.cli.app", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
 
 

@@ -15,8 +15,7 @@ from typing import Any
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, with_faults, with_keys, write_small
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd, require_nothing_twice, require_safe_order

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.patience import SOON_S
-from tests.unit.workbench.maps.maps import dat
+from tests.unit.maps.maps import dat
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from polishd.config.cell import load_config
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
-from polishd.recipe.records import EstimatesInUse
-from polishd.workbench.studies.loop import ClosedLoop, _Account
-from polishd.workbench.studies.plant_process import PlantProcess
+from polishd.pipeline.records import EstimatesInUse
+from polishd.studies.closed_loop import ClosedLoop, _Account
+from polishd.studies.plant_client import PlantProcess
 from tests.system.cell_rig import Daemon, summary, with_keys, write_small
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
@@ -35,7 +34,7 @@ PLANT = {
 
 
 def polishd(*arguments: str, cwd: Path) -> str:
-    command = [sys.executable, "-m", "polishd.cli", *arguments]
+    command = [sys.executable, "-m", "polishd.cli.app", *arguments]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout

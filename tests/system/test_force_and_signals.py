@@ -16,9 +16,8 @@ from typing import Any
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles, with_values
-from polishd.console.simulator import simulated_cell
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell, with_values
+from polishd.daemon.socket import client
 from tests.system.agreement import require_agreement
 from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_faults, with_keys, write_small
 from tests.system.sim_rig import wait_for

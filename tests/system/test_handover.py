@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from asyncua import Client, ua
 
-from polishd.sim_backends.handover.opcua import NAMESPACE
+from polishd.sim_backends.plc_robot.servers import NAMESPACE
 from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import Daemon, account, events, summary
 from tests.system.handover_rig import running, write_files

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.simulator import simulated_cell
-from polishd.ports.wire_file import read_recording
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
+from polishd.util.wire_recording import read_recording
 from tests.patience import SOON_S
 from tests.system.cell_rig import events, small_cell, with_keys, write_small
 from tests.system.sim_rig import ROOT, wait_for

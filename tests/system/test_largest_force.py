@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.campaigns.faults.links import LINKS
 from tests.system.cell_rig import ONE_PASS, Daemon, account, events, summary, with_faults, write_small
 from tests.system.sim_rig import wait_for

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
-from polishd.sim_backends import metropro
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
+from polishd.sim_backends.common import metropro
 from tests.system.cell_rig import ONE_PASS, Daemon, events, with_keys, write_small
 from tests.system.sim_rig import wait_for
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from polishd.daemon.socket import client
 from tests.system.cell_rig import PATIENT, PATIENT_SIM, account, events, summary, with_keys
 from tests.system.linuxcnc_moves import CORNER, END, START
 from tests.system.linuxcnc_rig import ON_RING, Cell, Turns, linuxcnc_cell, write_files

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from polishd.daemon.socket import client
 from polishd.model.errors import HostFault
 from tests.system.cell_rig import ONE_PASS, Daemon, events, small_cell, summary
 from tests.system.sim_rig import wait_for

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_program, simulated_cell
 from polishd.config.cell import load_config
 from polishd.config.simulator import load_simulator
-from polishd.console.demo_files import DemoFiles, demo_program
-from polishd.console.simulator import simulated_cell
 from polishd.model.surface import Grid
-from polishd.sim_backends.metropro import DatMap, pack
+from polishd.sim_backends.common.metropro import DatMap, pack
 from polishd.sim_backends.plant import part as plant_part
 from tests.commissioned import forged
 from tests.patience import SOON_S

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.fakes.receivers import mail_server, web_server
 from tests.system.cell_rig import Daemon, small_cell
-from tests.unit.plugins.test_interferometer_folder import dat
+from tests.unit.plugins.interferometer.test_watched_folder import dat
 
 pytestmark = pytest.mark.system
 SECRET = "hunter2-and-more"
@@ -89,7 +89,7 @@ def test_a_refused_map_is_heard_of_at_once_and_stands_in_the_status(tmp_path: Pa
             assert (told["event"], told["severity"]) == ("map_refused", "warning")
             assert "map before.dat refused: WrongPart: it shows part 'THE-PART-BEFORE'" in told["what"]
             assert "Measure part" in told["todo"]
-            command = [sys.executable, "-m", "polishd.cli", "status", str(files.cell)]
+            command = [sys.executable, "-m", "polishd.cli.app", "status", str(files.cell)]
             said = subprocess.run(
                 command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"}
             )

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.fakes.devices_by_profile import file_of
 from tests.patience import SOON_S
 from tests.system.agreement import require_agreement
@@ -72,7 +71,7 @@ def profiled_cell(out: Path) -> Iterator[DemoFiles]:
 
 
 def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "polishd.cli.app", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
 
 

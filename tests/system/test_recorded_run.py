@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.config.cell import load_config
-from polishd.console.demo_files import DemoFiles
 from polishd.plugins import rnc_robot
-from polishd.ports.wire_file import read_recording
-from polishd.testing.case import DriverCase
+from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
+from polishd.util.wire_recording import read_recording
 from tests.system.cell_rig import PATIENT, Daemon
 from tests.system.test_two_cells import two_cells
 

@@ -13,14 +13,15 @@ from typing import Any, cast
 import pytest
 
 from polishd.api import LinkError
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
+from polishd.drivers import spindle_can
+from polishd.interfaces import Device
 from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import ConfigError
-from polishd.plugins import spindle, voice_coil
-from polishd.ports.devices import Device
-from polishd.ports.wire_file import read_recording
-from polishd.testing.case import DriverCase
+from polishd.plugins import voice_coil
+from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
+from polishd.util.wire_recording import read_recording
 from tests.patience import SOON_S
 from tests.system.cell_rig import PATIENT, write_small
 
@@ -41,7 +42,7 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, An
 
 
 def polishd(*arguments: object) -> str:
-    command = [sys.executable, "-m", "polishd.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "polishd.cli.app", *map(str, arguments)]
     said = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
     assert said.returncode == 0, said.stderr
     return said.stdout
@@ -58,7 +59,7 @@ async def test_a_recorded_probe_is_played_to_the_drivers(
     case, said = probed
     for role, plugin, kind, options in (
         ("actuator", voice_coil, type_of_actuator, ACTUATOR),
-        ("spindle", spindle, "spindle_can", SPINDLE),
+        ("spindle", spindle_can, "spindle_can", SPINDLE),
     ):
         async with replayed(case, role) as link:
             device = driver(plugin, kind, options, tmp_path, link.endpoint)

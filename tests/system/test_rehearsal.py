@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_program
 from polishd.config.cell import load_config
-from polishd.config.tables import write_tif
-from polishd.console.demo_files import DemoFiles, demo_program
+from polishd.config.table_files import write_tif
 from polishd.model.process import MeasuredTif, ToolProcess
-from polishd.process import contact
+from polishd.process.removal import contact
 from tests.patience import SOON_S
 from tests.system import handover_rig, universal_robots_rig
 from tests.system.cell_rig import Daemon, events, summary, with_keys, write_small

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.sim_backends import metropro
-from polishd.sim_backends.robot import frames as f
+from polishd.sim_backends.common import framing as f
+from polishd.sim_backends.common import metropro
 from tests.patience import SOON_S
 from tests.system.sim_rig import SMALL, Cell, RobotClient, announced, cell, wait_for
 

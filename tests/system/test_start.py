@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.simulator import simulated_cell
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
+from polishd.daemon.socket import client
 from tests.system.cell_rig import Daemon, events, small_cell, summary, with_keys, write_small
 from tests.system.sim_rig import RobotClient, wait_for
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles, with_values
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, with_values
+from polishd.daemon.socket import client
 from tests.system.cell_rig import Daemon, account, events, small_cell, summary
 from tests.system.sim_rig import wait_for
 from tests.system.test_daemon import polishd, require_nothing_twice, require_safe_order

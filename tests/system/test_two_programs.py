@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from polishd.console.demo_files import DemoFiles
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from polishd.daemon.socket import client
 from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, events, small_cell, with_keys
 

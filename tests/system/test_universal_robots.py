@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.config.cell import load_config
-from polishd.console.demo_files import DemoFiles
 from polishd.sim_backends.universal_robots.rtde import DATA, SET_INPUTS, VERSION, pack
 from tests.system.cell_rig import Daemon, events
 from tests.system.sim_rig import alive, wait_for

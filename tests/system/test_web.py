@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, write_demo
 from polishd.config.cell import load_config
-from polishd.console.demo_files import DemoFiles, write_demo
-from polishd.door.users import Role, UserFile, users_path
+from polishd.web.http.users import Role, UserFile, users_path
 from tests.patience import SOON_S
 from tests.system.browser import Page, browsing
 from tests.system.cell_rig import Daemon, small_cell, with_keys
@@ -34,8 +34,12 @@ PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
 """Where the picture for the README goes."""
 
 
-WEB = ("-m", "polishd.cli", "web")
-OFTEN = ("-c", "from polishd import cli\nfrom polishd.web import watcher\nwatcher.LOOK_S = 0.01\ncli.main()", "web")
+WEB = ("-m", "polishd.cli.app", "web")
+OFTEN = (
+    "-c",
+    "from polishd.cli import app as cli\nfrom polishd.web import watcher\nwatcher.LOOK_S = 0.01\ncli.main()",
+    "web",
+)
 """It tells its pages in a minute what they hear in an hour."""
 LOOKS = 120
 """Of a minute."""

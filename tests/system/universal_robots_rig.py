@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
 from polishd.config.cell import CellConfig
-from polishd.console.demo_files import DemoFiles, free_port
-from polishd.console.simulator import simulated_cell
-from polishd.plugins.rnc_robot.make import path_program
+from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.frames import angles_from_axis
-from polishd.sim_backends.universal_robots.turning import from_wrist, to_vector
-from polishd.workbench.programs.own_raster import own_path
+from polishd.programs.make import own_path
+from polishd.sim_backends.universal_robots.arm import from_wrist, to_vector
 from tests.system.cell_rig import with_faults, with_keys, with_part, write_small
 
 PART = {"aperture_mm": 14.0, "edge_mm": 1.0}

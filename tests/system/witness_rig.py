@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from polishd.config.simulator import SimConfig
-from polishd.sim_backends.robot.server import RobotServer
-from polishd.sim_backends.runtime import SimRuntime, Start
-from polishd.sim_backends.wire import SimTcpConnection, SimWire
+from polishd.sim_backends.common.runtime import SimRuntime, Start
+from polishd.sim_backends.common.wire import SimTcpConnection, SimWire
+from polishd.sim_backends.robot.device import RobotServer
 
 
 class Witness:

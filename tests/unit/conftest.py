@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from polishd import cli
+from polishd.cli import app
 from polishd.hookspecs import API_VERSION
 from tests.unit.said import Polishd, Said
 
@@ -33,7 +33,7 @@ def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     def call(*words: object) -> Said:
         monkeypatch.setattr(sys, "argv", ["polishd", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
-            cli.main()
+            app.main()
         captured = capsys.readouterr()
         return Said(int(ended.value.code or 0), captured.out, captured.err)
 

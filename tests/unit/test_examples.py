@@ -13,17 +13,16 @@ from typing import Any
 
 import pytest
 
-from polishd.drivers.handover.delivery import Folder
-from polishd.drivers.handover.driver import PlcRobot
-from polishd.drivers.handover.recorded import Recorded, RecordedDelivery
-from polishd.hooks.loader import load_plugins
+from polishd.drivers.plc_robot.driver import PlcRobot
+from polishd.drivers.plc_robot.file_delivery import Folder
+from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery
 from polishd.model.events import RunFolderCompleted
-from polishd.ports.tap import Way, WireMessage, record_received, record_sent
-from polishd.ports.wire_file import header_line, passed_line
-from polishd.workbench.studies.case import Case
-from polishd.workbench.studies.children import CaseResult
-from polishd.workbench.studies.engine import FinishedCase
-from polishd.workbench.studies.kept import ResultStore
+from polishd.plugin_loader import load_plugins
+from polishd.studies.cases import Case
+from polishd.studies.engine import FinishedCase
+from polishd.studies.result_store import ResultStore
+from polishd.studies.workers import CaseResult
+from polishd.util.wire_recording import Way, WireMessage, header_line, passed_line, record_received, record_sent
 from tests.fakes.handover import PROFILE, Direct, FakePlc, cycling
 
 ROOT = Path(__file__).parents[2]
@@ -33,11 +32,11 @@ NO_NUMBER = re.compile(r"(?<![\w.])[+-]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
 HERE = ("README.md", "docs/dwell.md", "docs/recording.md", "docs/studies.md")
 """Pages whose examples this module runs."""
 ELSEWHERE = {
-    "docs/certificate.md": "tests/unit/console/certificate/test_verbs.py",
+    "docs/certificate.md": "tests/unit/reports/certificate/test_issue.py",
     "docs/drivers.md": "tests/unit/testing/test_drivers_page.py",
-    "docs/plugins.md": "tests/unit/hooks/test_docs.py",
-    "docs/recipe.md": "tests/unit/recipe/test_docs.py",
-    "docs/researcher.md": "tests/unit/test_researcher.py",
+    "docs/plugins.md": "tests/unit/test_plugin_docs.py",
+    "docs/recipe.md": "tests/unit/pipeline/test_docs.py",
+    "docs/researcher.md": "tests/unit/test_analysis.py",
 }
 """Pages whose examples need what another test has: that test, which reads the page."""
 NOT_RUN: dict[str, str] = {}

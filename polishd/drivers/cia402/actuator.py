@@ -9,19 +9,59 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Literal
 
 from polishd.api import ActuatorTimes, DeviceFault, DeviceIdentity, DeviceRefused, DeviceStatus, ForceSample
-from polishd.drivers.cia402 import objects, states
-from polishd.drivers.cia402.axis import POLL_S, CanNodeAddress, Cia402Drive, Unless, describe
-from polishd.drivers.cia402.codec import Address
-from polishd.drivers.cia402.contact import ContactDetector
-from polishd.drivers.cia402.dictionary import Dictionary
-from polishd.drivers.cia402.link import CanopenConnection
-from polishd.drivers.cia402.states import DriveState402
-from polishd.drivers.transport.pace import PeriodicTimer
+from polishd.drivers.cia402 import protocol
+from polishd.drivers.cia402.drive import POLL_S, CanNodeAddress, CanopenConnection, Cia402Drive, Unless, describe
+from polishd.drivers.cia402.protocol import Address, Dictionary, DriveState402
+from polishd.drivers.transport.background import PeriodicTimer
+
+# Whether a tool that is pressed touches, by where it is: an axis with a motor has no force sensor. Pure.
+
+WINDOW_S = 0.08
+"""Speeds are means over at least so long."""
+LANDED_MM_S = 1.0
+"""A tool that has landed while the robot stands is slower than that, whatever is told of how fast it travels."""
+
+
+class ContactDetector:
+    """Fed with positions (mm out of the tool's rest) while the tool is pressed outwards.
+
+    In the air the tool travels out, as fast as the drive lets it; on the part it goes with the part. So it touches
+    where it is off its rest, short of its end, and travels slower than ``travel_mm_s``, either way.
+    """
+
+    def __init__(self, *, rest_mm: float, end_mm: float, travel_mm_s: float) -> None:
+        self._rest_mm = rest_mm
+        self._end_mm = end_mm
+        self._travel_mm_s = travel_mm_s
+        self.landed = False
+        """As of the last reading, for a robot that stands: it touches, and stands, too."""
+        self._positions: deque[tuple[float, float]] = deque()
+
+    def reset(self) -> None:
+        """Not pressed: what was seen before says nothing."""
+        self._positions.clear()
+        self.landed = False
+
+    def feed(self, at_s: float, position_mm: float) -> bool:
+        """A reading; whether the tool touches. It takes ``WINDOW_S`` until the first yes."""
+        seen = self._positions
+        seen.append((at_s, position_mm))
+        while len(seen) > 2 and seen[1][0] <= at_s - WINDOW_S:
+            seen.popleft()
+        began_s, from_mm = seen[0]
+        self.landed = False
+        if at_s - began_s < WINDOW_S or not self._rest_mm < position_mm < self._end_mm:
+            return False
+        speed_mm_s = abs(position_mm - from_mm) / (at_s - began_s)
+        self.landed = speed_mm_s < min(self._travel_mm_s, LANDED_MM_S)
+        return speed_mm_s < self._travel_mm_s
+
 
 SAMPLE_S = 0.05
 MODE_S = 0.5
@@ -79,11 +119,11 @@ class ActuatorScale:
 
     def settings(self) -> dict[Address, int]:
         """What the drive is told at open."""
-        told = {objects.TORQUE_SLOPE: max(round(self.slope_n_s / abs(self.n_per_permille)), 1)}
+        told = {protocol.TORQUE_SLOPE: max(round(self.slope_n_s / abs(self.n_per_permille)), 1)}
         if self.max_speed is not None:
-            told[objects.MAX_MOTOR_SPEED] = self.max_speed
+            told[protocol.MAX_MOTOR_SPEED] = self.max_speed
         if self.lift == "position":
-            told[objects.PROFILE_VELOCITY] = max(round(self.lift_mm_s / abs(self.mm_per_increment)), 1)
+            told[protocol.PROFILE_VELOCITY] = max(round(self.lift_mm_s / abs(self.mm_per_increment)), 1)
         return told
 
 
@@ -127,11 +167,11 @@ class Cia402Actuator:
         self._axis = Cia402Drive(
             place,
             dictionary,
-            modes=(objects.TORQUE_MODE, objects.POSITION_MODE) if lifts else (objects.TORQUE_MODE,),
-            on_silence=objects.ABORT_DISABLES,
+            modes=(protocol.TORQUE_MODE, protocol.POSITION_MODE) if lifts else (protocol.TORQUE_MODE,),
+            on_silence=protocol.ABORT_DISABLES,
             settings=scale.settings(),
-            read=(objects.TORQUE, objects.POSITION, *((objects.MODE_NOW,) if lifts else ())),
-            write=(objects.TARGET_TORQUE, *((objects.TARGET_POSITION,) if lifts else ())),
+            read=(protocol.TORQUE, protocol.POSITION, *((protocol.MODE_NOW,) if lifts else ())),
+            write=(protocol.TARGET_TORQUE, *((protocol.TARGET_POSITION,) if lifts else ())),
         )
         self._contact = ContactDetector(
             rest_mm=scale.rest_mm, end_mm=times.stroke_mm - scale.rest_mm, travel_mm_s=scale.travel_mm_s
@@ -148,7 +188,7 @@ class Cia402Actuator:
 
         async def look(link: CanopenConnection) -> None:
             wanted = abs(self._scale.torque(self._scale.max_n))
-            if objects.MAX_TORQUE in self._axis.dictionary and (most := await link.read(objects.MAX_TORQUE)) < wanted:
+            if protocol.MAX_TORQUE in self._axis.dictionary and (most := await link.read(protocol.MAX_TORQUE)) < wanted:
                 raise DeviceRefused(f"{self._axis.name}: 6072h allows {most} permille, max_n takes {wanted}")
 
         self._contact.reset()
@@ -184,7 +224,7 @@ class Cia402Actuator:
         self._setpoint_n = force_n
         if force_n and not reading.touches:
             await self._land(link, force_n, unless)
-        await link.write(objects.TARGET_TORQUE, self._scale.torque(force_n), unless=unless)
+        await link.write(protocol.TARGET_TORQUE, self._scale.torque(force_n), unless=unless)
 
     async def samples(self) -> AsyncIterator[ForceSample]:
         """See ForceActuator."""
@@ -220,10 +260,10 @@ class Cia402Actuator:
         """Press lightly until it has landed. The drive is enabled with no torque: it does not jump."""
         deadline = time.monotonic() + self._times.landing_s
         if await self._axis.state(link) is not DriveState402.ENABLED:
-            await link.write(objects.TARGET_TORQUE, 0, unless=unless)
-            await self._axis.power_up(link, objects.TORQUE_MODE, unless, self._times.landing_s)
+            await link.write(protocol.TARGET_TORQUE, 0, unless=unless)
+            await self._axis.power_up(link, protocol.TORQUE_MODE, unless, self._times.landing_s)
         lightly = self._scale.torque(min(force_n, self._scale.landing_n))
-        await link.write(objects.TARGET_TORQUE, lightly, unless=unless)
+        await link.write(protocol.TARGET_TORQUE, lightly, unless=unless)
         while not ((reading := await self._read(link, cared=True)).touches and self._contact.landed):
             unless()
             if reading.fault or reading.state is not DriveState402.ENABLED:
@@ -240,12 +280,12 @@ class Cia402Actuator:
         deadline = time.monotonic() + self._times.lifted_s
         self._setpoint_n = 0.0
         try:
-            await link.write(objects.TARGET_TORQUE, 0, urgent=True)
+            await link.write(protocol.TARGET_TORQUE, 0, urgent=True)
             if self._scale.lift != "spring" and await self._axis.state(link, urgent=True) is DriveState402.ENABLED:
                 await self._pull(link, deadline)
         except DeviceRefused as refused:
             log.warning("%s; the current goes off, and the tool is lifted without it", refused)
-        await link.write(objects.CONTROL_WORD, states.DISABLE_VOLTAGE, urgent=True)
+        await link.write(protocol.CONTROL_WORD, protocol.DISABLE_VOLTAGE, urgent=True)
         while not (reading := await self._read(link, cared=True)).retracted:
             self._require_time(reading, deadline)
             await asyncio.sleep(POLL_S)
@@ -253,7 +293,7 @@ class Cia402Actuator:
     async def _pull(self, link: CanopenConnection, deadline: float) -> None:
         """Lift by the motor, too, until the tool is up or the drive gives up."""
         if self._scale.lift == "torque":
-            await link.write(objects.TARGET_TORQUE, self._scale.lifting_torque, urgent=True)
+            await link.write(protocol.TARGET_TORQUE, self._scale.lifting_torque, urgent=True)
         else:
             await self._change_to_position(link)
         while (reading := await self._read(link, cared=True)).position_mm > self._scale.rest_mm:
@@ -263,19 +303,19 @@ class Cia402Actuator:
             await asyncio.sleep(POLL_S)
 
     async def _change_to_position(self, link: CanopenConnection) -> None:
-        await link.write(objects.TARGET_POSITION, self._scale.rest_increments, urgent=True)
-        await link.write(objects.MODE, objects.POSITION_MODE, urgent=True)
+        await link.write(protocol.TARGET_POSITION, self._scale.rest_increments, urgent=True)
+        await link.write(protocol.MODE, protocol.POSITION_MODE, urgent=True)
         deadline = time.monotonic() + MODE_S
-        while (mode := await link.read(objects.MODE_NOW, urgent=True)) != objects.POSITION_MODE:
+        while (mode := await link.read(protocol.MODE_NOW, urgent=True)) != protocol.POSITION_MODE:
             if time.monotonic() > deadline:
                 raise DeviceRefused(
                     f"{self._axis.name}: is in mode {mode} still, {MODE_S:g} s after it was to position"
                 )
             await asyncio.sleep(POLL_S)
-        await link.write(objects.CONTROL_WORD, states.MOVE_NOW, urgent=True)
+        await link.write(protocol.CONTROL_WORD, protocol.MOVE_NOW, urgent=True)
 
     async def _require_pressing(self, link: CanopenConnection) -> None:
-        if (mode := await link.read(objects.MODE_NOW)) != objects.TORQUE_MODE:
+        if (mode := await link.read(protocol.MODE_NOW)) != protocol.TORQUE_MODE:
             raise DeviceRefused(f"{self._axis.name}: is being lifted (mode {mode}): it can press once it is up")
 
     def _require_time(self, reading: Cia402ActuatorReading, deadline: float) -> None:
@@ -290,8 +330,8 @@ class Cia402Actuator:
         state = await self._axis.state(link)
         if cared:
             link.beat()
-        force_n = self._scale.force_n(await link.read(objects.TORQUE))
-        position_mm = self._scale.position_mm(await link.read(objects.POSITION))
+        force_n = self._scale.force_n(await link.read(protocol.TORQUE))
+        position_mm = self._scale.position_mm(await link.read(protocol.POSITION))
         fault = await self._axis.fault(link, state)
         if state is not DriveState402.ENABLED:
             self._contact.reset()

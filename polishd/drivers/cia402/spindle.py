@@ -9,12 +9,10 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 from polishd.api import DeviceFault, DeviceIdentity, DeviceRefused, DeviceStatus, SpeedSample, SpindleTimes
-from polishd.drivers.cia402 import objects, states
-from polishd.drivers.cia402.axis import POLL_S, CanNodeAddress, Cia402Drive, describe
-from polishd.drivers.cia402.dictionary import Dictionary
-from polishd.drivers.cia402.link import CanopenConnection
-from polishd.drivers.cia402.states import DriveState402
-from polishd.drivers.transport.pace import PeriodicTimer
+from polishd.drivers.cia402 import protocol
+from polishd.drivers.cia402.drive import POLL_S, CanNodeAddress, CanopenConnection, Cia402Drive, describe
+from polishd.drivers.cia402.protocol import Dictionary, DriveState402
+from polishd.drivers.transport.background import PeriodicTimer
 
 TOLERANCE = 0.02
 ARRIVED = 0.015
@@ -92,15 +90,15 @@ class Cia402Spindle:
         self._axis = Cia402Drive(
             place,
             dictionary,
-            modes=(objects.VELOCITY_MODE,),
-            on_silence=objects.ABORT_QUICK_STOPS,
+            modes=(protocol.VELOCITY_MODE,),
+            on_silence=protocol.ABORT_QUICK_STOPS,
             settings={
-                objects.ACCELERATION: scale.ramp(scale.acceleration_rpm_s),
-                objects.DECELERATION: scale.ramp(scale.deceleration_rpm_s),
-                objects.QUICK_STOP_DECELERATION: scale.ramp(scale.quick_stop_rpm_s),
+                protocol.ACCELERATION: scale.ramp(scale.acceleration_rpm_s),
+                protocol.DECELERATION: scale.ramp(scale.deceleration_rpm_s),
+                protocol.QUICK_STOP_DECELERATION: scale.ramp(scale.quick_stop_rpm_s),
             },
-            read=(objects.VELOCITY, objects.TARGET_VELOCITY),
-            write=(objects.TARGET_VELOCITY,),
+            read=(protocol.VELOCITY, protocol.TARGET_VELOCITY),
+            write=(protocol.TARGET_VELOCITY,),
         )
 
     @property
@@ -113,8 +111,8 @@ class Cia402Spindle:
 
         async def look(link: CanopenConnection) -> None:
             self._max_rpm = self._scale.max_rpm
-            if objects.MAX_MOTOR_SPEED in self._axis.dictionary:
-                self._max_rpm = min(self._max_rpm, await link.read(objects.MAX_MOTOR_SPEED))
+            if protocol.MAX_MOTOR_SPEED in self._axis.dictionary:
+                self._max_rpm = min(self._max_rpm, await link.read(protocol.MAX_MOTOR_SPEED))
 
         await self._axis.open(look)
 
@@ -142,9 +140,9 @@ class Cia402Spindle:
         deadline = time.monotonic() + self._times.spin_s
         await self._axis.wake(link)
         if await self._axis.require_sound(link, f"cannot run at {rpm:g} rpm") is not DriveState402.ENABLED:
-            await link.write(objects.TARGET_VELOCITY, 0, unless=unless)
-            await self._axis.power_up(link, objects.VELOCITY_MODE, unless, self._times.spin_s)
-        await link.write(objects.TARGET_VELOCITY, self._scale.units(rpm), unless=unless)
+            await link.write(protocol.TARGET_VELOCITY, 0, unless=unless)
+            await self._axis.power_up(link, protocol.VELOCITY_MODE, unless, self._times.spin_s)
+        await link.write(protocol.TARGET_VELOCITY, self._scale.units(rpm), unless=unless)
         while not (reading := await self._read(link, cared=True)).arrived:
             unless()
             self._require_running(reading, rpm, deadline)
@@ -172,7 +170,7 @@ class Cia402Spindle:
 
     async def _stop(self, link: CanopenConnection) -> None:
         self._axis.take_over()
-        await link.write(objects.CONTROL_WORD, states.QUICK_STOP, urgent=True)
+        await link.write(protocol.CONTROL_WORD, protocol.QUICK_STOP, urgent=True)
         deadline = time.monotonic() + self._times.spin_s
         while not (reading := await self._read(link, cared=True)).stands:
             if time.monotonic() > deadline:
@@ -194,8 +192,8 @@ class Cia402Spindle:
         state = await self._axis.state(link)
         if cared:
             link.beat()
-        rpm = await link.read(objects.VELOCITY) * self._scale.rpm_per_unit
-        target = await link.read(objects.TARGET_VELOCITY) if state is DriveState402.ENABLED else 0
+        rpm = await link.read(protocol.VELOCITY) * self._scale.rpm_per_unit
+        target = await link.read(protocol.TARGET_VELOCITY) if state is DriveState402.ENABLED else 0
         fault = await self._axis.fault(link, state)
         setpoint_rpm = target * self._scale.rpm_per_unit
         return Cia402SpindleReading(

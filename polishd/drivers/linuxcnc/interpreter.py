@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, NamedTuple
 
 from polishd.model.errors import ProgramError
-from polishd.secret import environment_without_secrets
+from polishd.util.secret_files import environment_without_secrets
 
 LIMIT_S = 900.0
 """Longest run: a million lines take 8 s, and a loop without an end would take for ever."""

@@ -6,11 +6,16 @@ import asyncio
 import contextlib
 import hashlib
 from collections.abc import AsyncIterator, Callable, Sequence
+from typing import Annotated
+
+from pydantic import Field
 
 from polishd.api import (
+    DeviceContext,
     DeviceFault,
     DeviceIdentity,
     DeviceStatus,
+    DeviceType,
     ExecutedBlock,
     LinkError,
     Plan,
@@ -19,12 +24,11 @@ from polishd.api import (
     RobotTimes,
     Segment,
 )
-from polishd.drivers.robot_link.connection import RobotLinkConnection, Role
-from polishd.drivers.robot_link.frames import FrameType
-from polishd.drivers.robot_link.messages import LONGEST_LINE
-from polishd.drivers.robot_link.session import ExecutionRecord
-from polishd.drivers.transport.address import Tcp
-from polishd.drivers.transport.blocks import new_blocks
+from polishd.config.fields import ConfigSection
+from polishd.drivers.robot_link.connection import ExecutionRecord, RobotLinkConnection, Role
+from polishd.drivers.robot_link.protocol import LONGEST_LINE, FrameType
+from polishd.drivers.transport.address import Tcp, tcp_address
+from polishd.drivers.transport.program_robot import new_blocks
 
 HASHED = 4096
 """Blocks that are hashed at once."""
@@ -206,3 +210,30 @@ def _hash_of(segments: Sequence[Segment]) -> str:
     for first in range(0, len(segments), HASHED):
         found.update(b"".join(segment.text + b"\n" for segment in segments[first : first + HASHED]))
     return found.hexdigest()
+
+
+# The device type ``robot_link``: a robot that speaks docs/protocols/robot_link.md.
+
+_TIMES = RobotTimes()
+
+
+class RobotLinkOptions(ConfigSection):
+    """Keys of ``[robot]`` with ``type = "robot_link"``."""
+
+    address: str
+    """Where the controller listens: ``tcp://host:port``."""
+    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = _TIMES.watchdog_s
+    """The controller's own: so long without a word from us it stops. A shorter one of the controller is refused."""
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = _TIMES.silence_s
+    """No word from it for so long: the link is lost, and contact is left. It speaks every 50 ms."""
+    stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = _TIMES.stop_s
+    """Longest that it takes to stop, or to lift the tool off."""
+
+
+def _build(options: RobotLinkOptions, context: DeviceContext) -> RobotLink:
+    address = tcp_address(options.address, context.base_dir, "robot_link")
+    times = RobotTimes(options.silence_s, options.watchdog_s, options.stop_s, report_s=REPORT_S)
+    return RobotLink(address, times)
+
+
+ROBOT_LINK = DeviceType("robot_link", "robot", RobotLinkOptions, _build)

@@ -1,1 +1,1 @@
-"""What drivers share: addresses, byte streams, owned background work and a request queue."""
+"""What drivers share: addresses, lines, CAN, Modbus, streams, and the tracking of a running program."""

@@ -7,7 +7,7 @@ import contextlib
 import socket
 
 from polishd.drivers.transport.address import Address, SerialLine, SlcanAddress, Tcp
-from polishd.ports.address_claims import Claim, claim, serial_key, tcp_keys
+from polishd.util.address_claims import Claim, claim, serial_key, tcp_keys
 
 RESOLVE_S = 1.0
 """Longest wait for a name server: without an answer the host counts by its name."""

@@ -17,10 +17,10 @@ import serial
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.background import open_blocking, settle
 from polishd.drivers.transport.claims import claim_address
+from polishd.interfaces import ByteStream
 from polishd.model.errors import LinkError
-from polishd.ports.address_claims import Claim
-from polishd.ports.stream import ByteStream
-from polishd.ports.tap import tap
+from polishd.util.address_claims import Claim
+from polishd.util.wire_recording import tap
 
 WRITE_S = 1.0
 """A peer, or a line, that takes no bytes for so long is dead."""

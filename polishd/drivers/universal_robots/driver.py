@@ -3,33 +3,203 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import secrets
-from collections.abc import Sequence
+import struct
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+from pydantic import Field
 
 from polishd.api import (
+    DeviceContext,
     DeviceFault,
     DeviceIdentity,
     DeviceRefused,
     DeviceStatus,
+    DeviceType,
     LinkError,
     Plan,
     ProtocolError,
     RobotProgress,
     RobotTimes,
     Segment,
+    hookimpl,
 )
-from polishd.drivers.transport.address import Tcp
-from polishd.drivers.transport.background import Background
+from polishd.config.fields import ConfigSection
+from polishd.drivers.transport.address import Tcp, tcp_address
+from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.claims import claim_address
 from polishd.drivers.transport.program_robot import ProgramRobot
-from polishd.drivers.universal_robots import dashboard
-from polishd.drivers.universal_robots.link import RtdeConnection, ScriptCommand, ScriptInputs
-from polishd.drivers.universal_robots.primary import ScriptUpload
-from polishd.drivers.universal_robots.sample import RtdeSample, ScriptPhase, UrRuntimeState
-from polishd.drivers.universal_robots.script import LONGEST_LINE, ScriptLine, Settings, assemble, blocks_of
-from polishd.drivers.universal_robots.watch import LIVE, UrProgramTracker
-from polishd.ports.address_claims import Claim
+from polishd.drivers.transport.streams import LineReader, open_stream
+from polishd.drivers.universal_robots.rtde import (
+    RtdeConnection,
+    RtdeSample,
+    ScriptCommand,
+    ScriptInputs,
+    ScriptPhase,
+    UrRegisters,
+    UrRuntimeState,
+)
+from polishd.drivers.universal_robots.script import (
+    LIVE,
+    LONGEST_LINE,
+    ScriptLine,
+    Settings,
+    UrProgramTracker,
+    assemble,
+    blocks_of,
+)
+from polishd.util.address_claims import Claim
+
+# The dashboard server: a question, an answer, on a connection of their own. It is the way that needs no RTDE.
+
+CONNECT_S = 0.8
+ANSWER_S = 1.0
+"""It lives in the pendant's user interface, which may be busy."""
+GREETING = b"Connected: Universal Robots Dashboard Server"
+_UNKNOWN = re.compile(r"could not understand|not supported", re.IGNORECASE)
+_YES_OR_NO = re.compile(r"(?:[\w ]+: )?(true|false)", re.IGNORECASE | re.ASCII)
+DASHBOARD_LINE_BYTES = 4096
+
+
+async def ask(address: Tcp, question: str, within_s: float = ANSWER_S) -> str:
+    """Ask once; empty where the controller is too old to know the question.
+
+    LinkError where nobody answers in time, ProtocolError where another server does, DeviceRefused for a refusal.
+    """
+    stream = await open_stream(address, CONNECT_S)
+    try:
+        lines = LineReader(stream, DASHBOARD_LINE_BYTES)
+        deadline = time.monotonic() + within_s
+        greeting = await lines.next(max(deadline - time.monotonic(), 0.0))
+        if not greeting.startswith(GREETING):
+            raise ProtocolError(f"{address}: is no dashboard server: {greeting[:60]!r}")
+        await stream.write(question.encode("ascii") + b"\n")
+        answer = (await lines.next(max(deadline - time.monotonic(), 0.0))).decode("utf-8", "replace").strip()
+    finally:
+        await stream.close()
+    return read(answer, question, str(address))
+
+
+def read(answer: str, question: str, name: str) -> str:
+    """What an answer says; empty for a question that is not known, DeviceRefused for an order that failed."""
+    if _UNKNOWN.search(answer):
+        return ""
+    if answer.lower().startswith(("failed to execute", "error")):
+        raise DeviceRefused(f"{name}: {question}: {answer}")
+    return answer
+
+
+def yes(answer: str) -> bool:
+    """``true``, ``Program running: true``. ProtocolError where it is neither true nor false."""
+    found = _YES_OR_NO.fullmatch(answer)
+    if found is None:
+        raise ProtocolError(f"dashboard: {answer[:60]!r} is neither true nor false")
+    return found[1].lower() == "true"
+
+
+async def in_remote_control(address: Tcp) -> bool:
+    """Whether it takes programs over the network. Controllers without that mode (CB3) always do."""
+    answer = await ask(address, "is in remote control")
+    return not answer or yes(answer)
+
+
+async def stop(address: Tcp, within_s: float) -> None:
+    """Stop whatever runs, and see by its own word that nothing does. DeviceFault where that goes on."""
+    with contextlib.suppress(DeviceRefused):  # it says so where nothing runs, too: what counts is whether anything does
+        await ask(address, "stop", within_s)
+    answer = await ask(address, "running", within_s)
+    if not answer:
+        raise LinkError(f"{address}: does not say whether a program runs")
+    if yes(answer):
+        raise DeviceFault(f"{address}: the program goes on running after stop")
+
+
+# The primary client interface: scripts go up as text, and what the controller has to complain of comes back.
+
+CONNECT_S = 0.8
+PRIMARY_PACKET_BYTES = 1 << 20
+BYTES_S, PIECE = 1e6, 1 << 16
+"""A slow controller takes so many bytes a second."""
+QUIET_S = 5.0
+"""It tells its state ten times a second."""
+_HEAD = struct.Struct(">iB")
+_MESSAGE = struct.Struct(">QbB")
+_WHERE = struct.Struct(">ii")
+ROBOT_MESSAGE, RUNTIME_EXCEPTION = 20, 10
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerMessage:
+    """Why a script does not run."""
+
+    line: int
+    """1-based, of the script; 0 where it does not say."""
+    text: str
+
+
+class MessageReader:
+    """Cuts the stream into messages and keeps the complaints."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[ControllerMessage]:
+        """The complaints in what is complete. ProtocolError where a length cannot be."""
+        self._bytes += data
+        while len(self._bytes) >= _HEAD.size:
+            size, kind = _HEAD.unpack_from(self._bytes)
+            if not _HEAD.size <= size <= PRIMARY_PACKET_BYTES:
+                raise ProtocolError(f"primary interface: a message of {size} bytes")
+            if len(self._bytes) < size:
+                return
+            payload = bytes(self._bytes[_HEAD.size : size])
+            del self._bytes[:size]
+            if kind == ROBOT_MESSAGE and (found := _complaint(payload)) is not None:
+                yield found
+
+
+def _complaint(payload: bytes) -> ControllerMessage | None:
+    if len(payload) < _MESSAGE.size + _WHERE.size or _MESSAGE.unpack_from(payload)[2] != RUNTIME_EXCEPTION:
+        return None
+    line, _column = _WHERE.unpack_from(payload, _MESSAGE.size)
+    text = payload[_MESSAGE.size + _WHERE.size :].decode("utf-8", "replace").strip("\0 \r\n")
+    return ControllerMessage(max(line, 0), text)
+
+
+class ScriptUpload(Background):
+    """One script on its way; as a context it is sent, and listened to for complaints."""
+
+    def __init__(self, address: Tcp, script: bytes) -> None:
+        super().__init__(str(address))
+        self._address = address
+        self._script = script
+        self.complaint: ControllerMessage | None = None
+        """The first one."""
+
+    async def __aenter__(self) -> Self:
+        await self.start(self._run, CONNECT_S + len(self._script) / BYTES_S)
+        return self
+
+    async def __aexit__(self, *_error: object) -> None:
+        await self.stop()
+
+    async def _run(self, ready: Ready) -> None:
+        stream = await open_stream(self._address, CONNECT_S)
+        try:
+            for at in range(0, len(self._script), PIECE):
+                await stream.write(self._script[at : at + PIECE])
+            ready()
+            reader = MessageReader()
+            while True:
+                for complaint in reader.feed(await stream.read(1 << 16, QUIET_S)):
+                    self.complaint = self.complaint or complaint
+        finally:
+            await stream.close()
+
 
 LOAD_S, LOAD_LINE_S = 5.0, 5e-4
 """A script begins so long after it was sent, at most."""
@@ -100,8 +270,8 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
     async def identify(self) -> DeviceIdentity:
         """See Device. Controllers from before 3.12 know neither model nor serial number."""
         self._link.check()
-        model = await dashboard.ask(self._addresses.dashboard, "get robot model")
-        serial = await dashboard.ask(self._addresses.dashboard, "get serial number")
+        model = await ask(self._addresses.dashboard, "get robot model")
+        serial = await ask(self._addresses.dashboard, "get serial number")
         return DeviceIdentity("Universal Robots", model or "UR", serial or "unknown", self._link.controller)
 
     async def status(self) -> DeviceStatus:
@@ -125,7 +295,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
                     await self._stop_program()
                     stopped = True
             if not stopped:
-                await dashboard.stop(self._addresses.dashboard, self._times.stop_s)
+                await stop(self._addresses.dashboard, self._times.stop_s)
         finally:
             self._drop()
 
@@ -228,7 +398,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
             await link.tell(ScriptInputs(watch.token, 0, ScriptCommand.STOP))
             await link.until(lambda: link.stands, SOFT_SHARE * stop_s)
         if link.last.runtime != UrRuntimeState.STOPPED:
-            await dashboard.stop(self._addresses.dashboard, stop_s)
+            await stop(self._addresses.dashboard, stop_s)
         await link.standstill("stop", stop_s)
 
     def _seen(self, sample: RtdeSample) -> None:
@@ -246,7 +416,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         return ours and sample.runtime == UrRuntimeState.PLAYING
 
     async def _not_remote(self) -> str:
-        remote = await dashboard.in_remote_control(self._addresses.dashboard)
+        remote = await in_remote_control(self._addresses.dashboard)
         return "" if remote else "it is in local control: switch it to remote control at the pendant"
 
     def _override(self) -> float:
@@ -261,3 +431,59 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
     def _drop(self) -> None:
         self._link.orders = None
         super()._drop()
+
+
+# The device type ``universal_robots``: a robot on a Universal Robots controller (docs/universal-robots.md).
+
+POLISHD_API = 1
+
+WAY_S = 0.02
+"""Longest that a sample is under way."""
+Port = Annotated[int, Field(ge=1, le=65535)]
+
+
+class UniversalRobotsOptions(ConfigSection):
+    """Keys of ``[robot]`` with ``type = "universal_robots"``."""
+
+    address: str
+    """RTDE of the controller: ``tcp://host:30004``."""
+    dashboard_port: Port = 29999
+    """TCP port of its dashboard server. [1]"""
+    primary_port: Port = 30001
+    """TCP port of its primary client interface, which takes scripts. [1]"""
+    rate_hz: Annotated[float, Field(ge=10.0, le=500.0)] = 125.0
+    """How often the controller tells where it is: a block's end is known to one period. e-Series: up to 500. [Hz]"""
+    first_register: Annotated[int, Field(ge=0, le=43)] = 24
+    """Of the controller's integer registers, five inputs and four outputs from here on are polishd's. [1]"""
+    tool_z: Literal["into_part", "out_of_part"] = "into_part"
+    """Where the tool frame's z points: a lift goes the other way. As in the program's dialect."""
+    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
+    """So long without a word from us the controller stops the program."""
+    silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 1.0
+    """No sample for so long: the link is lost, and contact is left."""
+    stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 5.0
+    """Longest that it takes to stop, or to lift the tool off."""
+
+
+def _build(options: UniversalRobotsOptions, context: DeviceContext) -> UniversalRobot:
+    address = tcp_address(options.address, context.base_dir, "universal_robots")
+    report_s = 2.0 / options.rate_hz + WAY_S
+    times = RobotTimes(options.silence_s, options.watchdog_s, options.stop_s, report_s=report_s)
+    addresses = Addresses.of(address.host, address.port, options.dashboard_port, options.primary_port)
+    settings = Settings(UrRegisters(options.first_register), options.watchdog_s, options.tool_z == "into_part")
+    return UniversalRobot(addresses, settings, times, options.rate_hz)
+
+
+def _takes(blocks: Sequence[bytes]) -> str:
+    """URScript is its only language."""
+    try:
+        blocks_of(blocks)
+    except DeviceRefused as refusal:
+        return str(refusal)
+    return ""
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """One."""
+    return [DeviceType("universal_robots", "robot", UniversalRobotsOptions, _build, _takes)]

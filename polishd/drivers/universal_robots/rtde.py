@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from polishd.api import DeviceBusy, DeviceRefused, ProtocolError
+from polishd.api import ByteStream, DeviceBusy, DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.background import Background, Ready
+from polishd.drivers.transport.streams import open_stream
 
 PROTOCOL = 2
 _HEAD = struct.Struct(">HB")
@@ -154,3 +159,304 @@ def controller_of(payload: bytes) -> str:
 
 def _text(data: bytes) -> str:
     return data.decode("ascii", "replace")
+
+
+# What a controller tells of itself in one RTDE sample, and why it would run nothing. Sans-IO.
+
+STILL_M_S = 1e-5
+"""A tool that stands is meant to have no speed at all."""
+FULL, MOST = 0.999, 1.001
+"""Of the speed slider: 1, but for rounding."""
+
+
+class UrRuntimeState(IntEnum):
+    """``runtime_state``."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
+
+
+class ScriptPhase(IntEnum):
+    """What our own program does, by its own word."""
+
+    NONE = 0
+    WAITS = 1
+    RUNS = 2
+    HELD = 3
+    LIFTED = 4
+    DONE = 5
+    ENDS = 6
+    """It brakes, or lifts."""
+
+
+ROBOT_MODES = {
+    -1: "the controller is not up", 0: "it is disconnected", 1: "its safety configuration waits to be confirmed",
+    2: "it is booting", 3: "it is switched off", 4: "it is on, its brakes are not released",
+    5: "its brakes are not released", 6: "somebody moves it by hand (backdrive)", 8: "its firmware is being updated",
+}  # fmt: skip
+"""``robot_mode`` other than 7, running."""
+SAFETY_MODES = {
+    2: "the safety system limits its speed (reduced mode)", 3: "protective stop", 4: "recovery mode",
+    5: "safeguard stop", 6: "emergency stop of the system", 7: "emergency stop of the robot",
+    8: "safety violation", 9: "safety fault", 10: "a joint is being validated", 11: "unknown safety mode",
+}  # fmt: skip
+"""``safety_mode`` other than 1, normal."""
+OUTPUTS = (
+    "timestamp", "runtime_state", "robot_mode", "safety_mode", "target_speed_fraction", "speed_scaling",
+    "target_TCP_speed",
+)  # fmt: skip
+RUNNING, NORMAL = 7, 1
+
+
+@dataclass(frozen=True, slots=True)
+class UrRegisters:
+    """Which of the controller's integer registers are ours: five inputs and four outputs from ``first`` on."""
+
+    first: int = 24
+
+    def inputs(self) -> tuple[str, ...]:
+        """Beat, token, until, order, lift in um."""
+        return tuple(f"input_int_register_{self.first + at}" for at in range(5))
+
+    def outputs(self) -> tuple[str, ...]:
+        """Token, block, phase, turns."""
+        return tuple(f"output_int_register_{self.first + at}" for at in range(4))
+
+
+@dataclass(frozen=True, slots=True)
+class RtdeSample:
+    """One sample. Times are the controller's own clock, since it was switched on."""
+
+    time_s: float
+    runtime: int
+    robot_mode: int
+    safety_mode: int
+    slider: float
+    """Speed slider, 1 is all."""
+    scaling: float
+    """Scaling of the trajectory limiter, 1: none."""
+    speed_m_s: float
+    """Of the tool, as it is meant to be: without the noise of encoders."""
+    token: int
+    """Of the program that spoke last."""
+    block: int
+    """Block of it that is under way."""
+    phase: int
+    turns: int
+    """Grows with each period in which our program runs."""
+
+    @classmethod
+    def of(cls, values: Mapping[str, Value], registers: UrRegisters) -> RtdeSample:
+        """From a data package's values. ProtocolError where the speed slider or the scaling is where it cannot be."""
+        one = {name: value[0] for name, value in values.items()}
+        if not 0.0 <= one["target_speed_fraction"] <= MOST:
+            raise ProtocolError(f"RTDE: a speed slider at {100.0 * one['target_speed_fraction']:.3g} %, of 0 to 100 %")
+        if not 0.0 <= one["speed_scaling"] <= MOST:
+            raise ProtocolError(f"RTDE: speed_scaling is {one['speed_scaling']:.3g}, of 0 to 1")
+        token, block, phase, turns = (int(one[name]) for name in registers.outputs())
+        return cls(
+            time_s=one["timestamp"],
+            runtime=int(one["runtime_state"]),
+            robot_mode=int(one["robot_mode"]),
+            safety_mode=int(one["safety_mode"]),
+            slider=one["target_speed_fraction"],
+            scaling=one["speed_scaling"],
+            speed_m_s=max(abs(part) for part in values["target_TCP_speed"][:6]),
+            token=token,
+            block=block,
+            phase=phase,
+            turns=turns,
+        )
+
+    @property
+    def override(self) -> float:
+        """Fraction of the programmed speed: the speed slider, times the trajectory limiter's scaling in motion."""
+        return self.slider * (self.scaling if self.runtime == UrRuntimeState.PLAYING else 1.0)
+
+    @property
+    def plays(self) -> bool:
+        """A program of anybody's is under way, or the robot moves."""
+        return self.runtime not in (UrRuntimeState.STOPPED, UrRuntimeState.PAUSED) or self.speed_m_s > STILL_M_S
+
+    def obstacle(self) -> str:
+        """Why it would not run a program as it is written; empty where it would."""
+        if self.robot_mode != RUNNING:
+            return ROBOT_MODES.get(self.robot_mode, f"robot mode {self.robot_mode}")
+        if self.safety_mode != NORMAL:
+            return SAFETY_MODES.get(self.safety_mode, f"safety mode {self.safety_mode}")
+        if self.slider < FULL:
+            return f"its speed slider is at {100.0 * self.slider:.5g} %: set it to 100 %"
+        return ""
+
+
+# The RTDE connection: samples in, orders and heartbeats out.
+
+CONNECT_S = 0.8
+OPEN_S = 2.0
+BEAT_S = 0.1
+STANDS = 2
+"""So many samples in a row are no accident."""
+
+
+class ScriptCommand(IntEnum):
+    """What a program that runs is told."""
+
+    GO = 0
+    STOP = 1
+    LIFT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptInputs:
+    """All that a running program hears. One whose token it is not acts on none of it."""
+
+    token: int = 0
+    until: int = 0
+    """Blocks below it may begin."""
+    order: ScriptCommand = ScriptCommand.GO
+    lift_um: int = 0
+
+
+class RtdeConnection(Background):
+    """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by its error."""
+
+    def __init__(self, address: Tcp, rate_hz: float, registers: UrRegisters, silence_s: float) -> None:
+        super().__init__(str(address))
+        self._address = address
+        self._rate_hz = rate_hz
+        self._registers = registers
+        self._silence_s = silence_s
+        self._stream: ByteStream | None = None
+        self._inputs: RtdeRecipe | None = None
+        self._outputs: RtdeRecipe | None = None
+        self._beat = 0
+        self._last: RtdeSample | None = None
+        self._stood = 0
+        """Samples in a row in which nothing moved."""
+        self._count = 0
+        self.on_sample: Callable[[RtdeSample], None] = lambda _sample: None
+        self.orders: ScriptInputs | None = None
+        """What is said with each heartbeat; None: nothing is, and a program that hears nothing stops."""
+        self.controller = ""
+        """Its software."""
+
+    @property
+    def last(self) -> RtdeSample:
+        """The last sample. The link's own error once it is lost."""
+        self.check()
+        if self._last is None:
+            raise LinkError(f"{self._address}: is not open")
+        return self._last
+
+    @property
+    def stands(self) -> bool:
+        """No program runs and nothing moves."""
+        return self._stood >= STANDS
+
+    async def open(self) -> None:
+        """Connect, and hear two samples. Writes no input."""
+        self._stream = await open_stream(self._address, CONNECT_S)
+        try:
+            await self.start(self._run, OPEN_S)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Hang up; idempotent."""
+        await self.stop()
+        stream, self._stream, self._last = self._stream, None, None
+        self._stood = 0
+        if stream is not None:
+            await stream.close()
+
+    async def tell(self, orders: ScriptInputs | None) -> None:
+        """Say it now, and with each heartbeat from now on."""
+        self.orders = orders
+        await self._say()
+
+    async def standstill(self, after: str, within_s: float) -> None:
+        """Seen in two samples that are later than now; DeviceFault otherwise."""
+        count = self._count
+        if not await self.until(lambda: self._count >= count + STANDS and self.stands, within_s):
+            raise DeviceFault(f"{self._address}: the robot goes on after {after}")
+
+    async def _run(self, ready: Ready) -> None:
+        packages = self._packages()
+        await self._set_up(packages)
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._listen(packages, ready), name=f"{self._address}: samples")
+            group.create_task(self._feed(), name=f"{self._address}: heartbeats")
+
+    async def _set_up(self, packages: AsyncIterator[Package]) -> None:
+        version = await self._ask(packages, encode(PackageType.VERSION, PROTOCOL.to_bytes(2)))
+        if not accepted(version):
+            raise DeviceRefused(f"{self._address}: RTDE does not speak version {PROTOCOL}. To do: update it")
+        self.controller = controller_of(await self._ask(packages, encode(PackageType.CONTROLLER)))
+        outputs, inputs = (*OUTPUTS, *self._registers.outputs()), self._registers.inputs()
+        answer = await self._ask(packages, ask_outputs(self._rate_hz, outputs))
+        self._outputs = RtdeRecipe.answered(outputs, answer, "outputs")
+        self._inputs = RtdeRecipe.answered(inputs, await self._ask(packages, ask_inputs(inputs)), "inputs")
+        if not accepted(await self._ask(packages, encode(PackageType.START))):
+            raise DeviceRefused(f"{self._address}: RTDE does not start")
+
+    async def _ask(self, packages: AsyncIterator[Package], question: bytes) -> bytes:
+        """The payload of the answer, which is of the question's own kind."""
+        await self._write(question)
+        async for package in packages:
+            if package.kind == question[2]:
+                return package.payload
+        raise LinkError(f"{self._address}: has ended")
+
+    async def _packages(self) -> AsyncIterator[Package]:
+        """Packages as they come, texts left out; LinkError after silence."""
+        reader, heard_s = PackageReader(), time.monotonic()
+        while self._stream is not None:
+            for package in reader.feed(await self._stream.read(1 << 16, self._silence_s)):
+                heard_s = time.monotonic()
+                if package.kind != PackageType.TEXT:
+                    yield package
+            if time.monotonic() - heard_s > self._silence_s:  # a wrong length waits for what never comes
+                raise LinkError(f"{self._address}: no whole package for {self._silence_s:.2g} s")
+
+    async def _listen(self, packages: AsyncIterator[Package], ready: Ready) -> None:
+        heard_s = time.monotonic()
+        async for package in packages:
+            values = self._outputs and package.kind == PackageType.DATA and self._outputs.unpack(package.payload)
+            if not values:
+                if time.monotonic() - heard_s > self._silence_s:
+                    raise LinkError(f"{self._address}: no sample for {self._silence_s:.2g} s")
+                continue
+            heard_s = time.monotonic()
+            sample = RtdeSample.of(values, self._registers)
+            if self._last is not None and sample.time_s <= self._last.time_s:
+                raise ProtocolError(f"{self._address}: its clock goes back")
+            self._last = sample
+            self._stood = 0 if sample.plays else self._stood + 1
+            self._count += 1
+            self.on_sample(sample)
+            self.fire()
+            if self._count >= STANDS:
+                ready()
+
+    async def _feed(self) -> None:
+        while True:
+            await asyncio.sleep(BEAT_S)
+            await self._say()
+
+    async def _say(self) -> None:
+        orders = self.orders
+        if orders is None or self._inputs is None:
+            return
+        self._beat = (self._beat + 1) & 0x7FFFFFFF
+        numbers = (self._beat, orders.token, orders.until, int(orders.order), orders.lift_um)
+        await self._write(self._inputs.pack(dict(zip(self._registers.inputs(), numbers, strict=True))))
+
+    async def _write(self, data: bytes) -> None:
+        if self._stream is None:
+            raise LinkError(f"{self._address}: is not open")
+        await self._stream.write(data)

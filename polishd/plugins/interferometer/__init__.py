@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from polishd.api import DeviceType, SurfaceReader, hookimpl
-from polishd.plugins.interferometer.folder import WATCHED_FOLDER
 from polishd.plugins.interferometer.formats.codev import CODEV
 from polishd.plugins.interferometer.formats.datx import DATX
 from polishd.plugins.interferometer.formats.fits import FITS
 from polishd.plugins.interferometer.formats.fourd import FOURD
-from polishd.plugins.interferometer.formats.gwy import GWY
+from polishd.plugins.interferometer.formats.gwyddion import GWY
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.plugins.interferometer.formats.npy import NPY
+from polishd.plugins.interferometer.formats.numpy import NPY
 from polishd.plugins.interferometer.formats.points import POINTS
 from polishd.plugins.interferometer.formats.sdf import SDF
-from polishd.plugins.interferometer.formats.tail import TAIL
+from polishd.plugins.interferometer.formats.surface_topography import TAIL
 from polishd.plugins.interferometer.formats.tiff import TIFF
 from polishd.plugins.interferometer.formats.wyko_text import WYKO_TEXT
 from polishd.plugins.interferometer.formats.x3p import X3P
-from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII
-from polishd.plugins.interferometer.formats.zygo_xyz import ZYGO_XYZ
+from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII, ZYGO_XYZ
+from polishd.plugins.interferometer.watched_folder import WATCHED_FOLDER
 
 POLISHD_API = 1
 READERS = (METROPRO, DATX, FOURD, X3P, SDF, GWY, FITS, TIFF, NPY, ZYGO_ASCII, ZYGO_XYZ, WYKO_TEXT, CODEV, POINTS, TAIL)

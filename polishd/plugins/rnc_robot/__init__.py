@@ -21,7 +21,7 @@ def polishd_program_formats(profiles: Sequence[Path]) -> Sequence[ProgramFormat]
 @hookimpl
 def polishd_device_types() -> Sequence[DeviceType]:
     """``robot_link`` and ``linuxcnc``. Imported late: the compute worker reads programs and needs no driver."""
-    from polishd.plugins.rnc_robot.link import ROBOT_LINK
-    from polishd.plugins.rnc_robot.linuxcnc import LINUXCNC
+    from polishd.drivers.linuxcnc.driver import LINUXCNC
+    from polishd.drivers.robot_link.driver import ROBOT_LINK
 
     return [ROBOT_LINK, LINUXCNC]

@@ -10,12 +10,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from polishd.api import ConfigError
-from polishd.files import toml_text
+from polishd.plugins.rnc_robot.gcode.dialect import DwellWord, GcodeDialect, tables
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
-from polishd.plugins.rnc_robot.nc.dialect import DwellWord, GcodeDialect
-from polishd.plugins.rnc_robot.nc.tables import tables
+from polishd.util.files import toml_text
 
-__all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "GcodeDialect", "DwellWord", "dialect"]
+__all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "DwellWord", "GcodeDialect", "dialect"]
 
 FOLDER = Path(__file__).with_name("dialects")
 DIALECTS = (

@@ -2,20 +2,224 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import cast
 
+import numpy as np
+
 from polishd.api import OwnLines, Program, ProgramError, ProgramFormat
 from polishd.model.program import Encoding
-from polishd.model.surface import FloatArray
+from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot import languages
-from polishd.plugins.rnc_robot.detect import HEAD_BYTES, require_language
-from polishd.plugins.rnc_robot.dialect import DIALECTS, LANGUAGES, AnyDialect, GcodeDialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, LANGUAGES, AnyDialect, GcodeDialect, dialect
 from polishd.plugins.rnc_robot.dialect import dialect as profile_of
-from polishd.plugins.rnc_robot.make import path_program
-from polishd.plugins.rnc_robot.nc import program as nc
-from polishd.plugins.rnc_robot.nc.recode import recode
+from polishd.plugins.rnc_robot.dialect_detection import HEAD_BYTES, require_language
+from polishd.plugins.rnc_robot.gcode import rewrite as nc
+from polishd.plugins.rnc_robot.gcode.recode import recode
 from polishd.plugins.rnc_robot.own_lines import misread
+from polishd.process.frames import angles_from_axis
+
+# Writes a program from points and tool axes: for tests, the demo, and users without a planner.
+
+SAFE_Z_MM = 20.0
+LETTERS = "XYZAC"
+DECIMALS = (4, 4, 4, 5, 5)
+FEED_DECIMALS = 3
+INVERSE_DECIMALS = 6
+CHUNK = 50_000
+"""Blocks that are formatted at a time."""
+
+
+def path_program(
+    points_mm: FloatArray,
+    axis: FloatArray,
+    feed_mm_min: FloatArray | float,
+    name: str,
+    *,
+    encoding: Encoding = "feed",
+    dwell_s: FloatArray | float = 0.0,
+    to: GcodeDialect | str = DEFAULT,
+) -> bytes:
+    """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
+
+    Args:
+        points_mm: (n, 3) tool tip, mm, program frame; the first is where the tool lands, without a time of its own.
+        axis: (n, 3) unit tool axis at each point, from the tip into the spindle.
+        feed_mm_min: Feed of the block that ends at each point but the first: one value, or (n - 1,).
+        name: Goes into the header's comment.
+        encoding: Time as F of each block, as inverse time of each block, or as a dwell after each block.
+        dwell_s: For "dwell": seconds at each point but the first, one value or (n - 1,). What rounding leaves is
+            carried on, so that the total is exact to one quantum.
+        to: The dialect, or its name.
+
+    Returns:
+        ASCII text: G0 above the first point and down to it, one G1 a point, G0 up, M2.
+
+    Raises:
+        ProgramError: points, axes or times that cannot be written so.
+    """
+    points, axes = _path(name, points_mm, axis)
+    moves = (len(points) - 1,)
+    feeds, dwells = (np.broadcast_to(np.asarray(time, dtype=np.float64), moves) for time in (feed_mm_min, dwell_s))
+    if not (np.isfinite(feeds).all() and np.isfinite(dwells).all() and (feeds > 0).all()):
+        raise ProgramError(f"{name}: feeds must be finite and above zero, and dwells finite.")
+    asked = _Asked(name, _profile(name, to), encoding, points, axes, feeds, dwells)
+    places = _places(asked)
+    times = _times(asked)
+    comment = f"({_comment(name)}: {len(places)} points)"
+    tail = f"G0 Z{_above(places[-1])}\nM{asked.profile.m['ends'][0]:g}\n".encode("ascii")
+    return b"".join([_head(asked, comment, places[0]), *_blocks(places, times), tail])
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What was asked for, checked as far as the dialect does not matter."""
+
+    name: str
+    profile: GcodeDialect
+    encoding: Encoding
+    points_mm: FloatArray
+    axis: FloatArray
+    feed_mm_min: FloatArray
+    dwell_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Times:
+    """The numbers of a block that carry time, and how they are written."""
+
+    feed: FloatArray
+    """(n - 1,) as written behind F."""
+    feed_template: str
+    feed_written: BoolArray
+    """(n - 1,)"""
+    dwell: FloatArray | None = None
+    dwell_template: str = ""
+
+
+def _path(name: str, points_mm: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    points, axes = np.asarray(points_mm, dtype=np.float64), np.asarray(axis, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or axes.shape != points.shape:
+        raise ProgramError(f"{name}: a path needs at least two points (n, 3), and as many axes.")
+    if not np.isfinite(points).all():
+        raise ProgramError(f"{name}: point {int(np.argmin(np.isfinite(points).all(axis=1)))} is not finite.")
+    off = np.nan_to_num(np.abs(np.linalg.norm(axes, axis=1) - 1), nan=1.0)
+    if off.max() > 1e-6:
+        raise ProgramError(f"{name}: the tool axis at point {int(np.argmax(off > 1e-6))} is no unit vector.")
+    return points, axes
+
+
+def _profile(name: str, to: GcodeDialect | str) -> GcodeDialect:
+    profile = dialect(to) if isinstance(to, str) else to
+    if not isinstance(profile, GcodeDialect):
+        raise ProgramError(f"{name}: no programs are made in {profile.name}. To do: take an NC dialect.")
+    if profile.axes.rotary and _pair(profile) not in profile.axes.rotary:
+        raise ProgramError(f"{name}: {profile.title} has no A and C axes. To do: take another dialect.")
+    return profile
+
+
+def _pair(profile: GcodeDialect) -> str:
+    """The rotary pair that programs are made with: of the head, C turns A; of a table, A tilts C."""
+    return "AC" if profile.axes.turns == "table" else "CA"
+
+
+def _places(asked: _Asked) -> FloatArray:
+    """(n, 5) X Y Z A C as they are written."""
+    angles = np.stack(angles_from_axis(asked.axis), axis=1)
+    if asked.profile.axes.turns == "table":
+        angles = -angles
+    columns = zip(np.hstack([asked.points_mm, angles]).T, DECIMALS, strict=True)
+    places = np.stack([np.round(column, n) + 0.0 for column, n in columns], axis=1)  # + 0.0: "-0.0000" is "0.0000"
+    if not asked.profile.axes.rotary and (places[:, 3:] != 0).any():
+        raise ProgramError(f"{asked.name}: {asked.profile.title} does not turn the tool. To do: leave it upright.")
+    return places
+
+
+def _times(asked: _Asked) -> _Times:
+    """How each block says its time, in the dialect's units and words."""
+    rules, encoding = asked.profile.feed, asked.encoding
+    decimals, feed = FEED_DECIMALS, asked.feed_mm_min / (60 if rules.unit == "mm/s" else 1)
+    if encoding == "inverse":
+        if rules.g93 == "refuse":
+            raise ProgramError(f"{asked.name}: {asked.profile.title} has no inverse time. To do: take feed or dwell.")
+        decimals, time_s = INVERSE_DECIMALS, 60 * _lengths_mm(asked) / asked.feed_mm_min
+        feed = time_s if rules.g93 == "s" else 60 / time_s
+    elif encoding == "feed":
+        _lengths_mm(asked)
+    decimals = min(decimals, rules.most_decimals)
+    feed = np.round(feed, decimals)
+    if not (feed > 0).all():
+        raise ProgramError(f"{asked.name}: {decimals} decimals leave a feed of 0. To do: ask for a higher one.")
+    written = np.ones(len(feed), dtype=np.bool_)
+    if encoding != "dwell":
+        return _Times(feed, f" F%.{decimals}f", written)
+    written[1:] = feed[1:] != feed[:-1]
+    return _Times(feed, f" F%.{decimals}f", written, *_dwells(asked))
+
+
+def _lengths_mm(asked: _Asked) -> FloatArray:
+    length = np.linalg.norm(np.diff(asked.points_mm, axis=0), axis=1)
+    if not (length > 0).all():
+        at = int(np.argmin(length))
+        raise ProgramError(f"{asked.name}: points {at} and {at + 1} are one place: no feed says how long that takes.")
+    return np.asarray(length, dtype=np.float64)
+
+
+def _dwells(asked: _Asked) -> tuple[FloatArray, str]:
+    """(n - 1,) numbers of the dwells, and how one is written: all that depends on the dialect's dwell word."""
+    rules, wanted = asked.profile.dwell, asked.dwell_s
+    unit = rules.words[rules.written.split()[-1]]
+    decimals, per_s = (rules.decimals, 1.0) if unit.decimal == "s" else (0, 1000.0)
+    quantum = max(10.0**-decimals, rules.resolution_s * per_s)
+    steps = np.diff(np.rint(np.cumsum(wanted * per_s) / quantum), prepend=0.0)
+    if not (steps > 0).all() or wanted.max() > rules.longest_s:
+        raise ProgramError(
+            f"{asked.name}: dwells of {wanted.min():g} to {wanted.max():g} s: {asked.profile.title} takes "
+            f"{quantum / per_s:g} to {rules.longest_s:g} s. To do: ask for such."
+        )
+    return steps * quantum, f"\n{rules.written}%.{decimals}f"
+
+
+def _head(asked: _Asked, comment: str, first: FloatArray) -> bytes:
+    """The lines up to the first point."""
+    profile, timing = asked.profile, "inverse" if asked.encoding == "inverse" else "per_minute"
+    codes = [*profile.g["mm"][-1:], *profile.g["absolute"][:1], *profile.g[timing][:1]]
+    x, y, z, *wrist = [f"{letter}{value:.{n}f}" for letter, value, n in zip(LETTERS, first, DECIMALS, strict=True)]
+    above = " ".join([f"Z{_above(first)}", x, y, *(wrist if profile.axes.rotary else [])])
+    note = comment if "()" in profile.text.comments else f";{comment[1:-1]}"
+    return "\n".join([note, " ".join(f"G{code:g}" for code in codes), f"G0 {above}", f"G0 {z}", ""]).encode("ascii")
+
+
+def _above(point: FloatArray) -> str:
+    return f"{max(SAFE_Z_MM, point[2] + SAFE_Z_MM):.4f}"
+
+
+def _blocks(places: FloatArray, times: _Times) -> Iterator[bytes]:
+    """The feed moves, a chunk at a time: of each place what changed, F, and the dwell."""
+    written = np.ones((len(places) - 1, 7), dtype=np.bool_)
+    written[:, :5] = places[1:] != places[:-1]
+    written[:, 0] |= ~written[:, :5].any(axis=1)
+    written[:, 5] = times.feed_written
+    written[:, 6] = times.dwell is not None
+    dwell = np.zeros(len(times.feed)) if times.dwell is None else times.dwell
+    numbers = np.column_stack([places[1:], times.feed, dwell])
+    words = [f" {letter}%.{n}f" for letter, n in zip(LETTERS, DECIMALS, strict=True)]
+    words += [times.feed_template, times.dwell_template]
+    patterns = [
+        "G1" + "".join(word for bit, word in enumerate(words) if pattern >> bit & 1) + "\n" for pattern in range(128)
+    ]
+    pattern = written @ (1 << np.arange(7))
+    for first in range(0, len(numbers), CHUNK):
+        part = slice(first, first + CHUNK)
+        template = "".join([patterns[p] for p in pattern[part].tolist()])
+        yield (template % tuple(numbers[part][written[part]].tolist())).encode("ascii")
+
+
+def _comment(name: str) -> str:
+    """The name as a comment can hold it."""
+    return "".join(char if char.isascii() and char.isprintable() and char not in "()" else "_" for char in name)[:80]
 
 
 @cache

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from polishd.model.dwell import DwellSolution
-from polishd.process.convolution import ConvolutionEffect
-from polishd.process.dwell import douglas_rachford, interior_point, newton_cg, spectral
-from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import condition
-from polishd.process.dwell.validation import check
-from polishd.process.effect import SparseEffect
-from polishd.process.spreading.effect import SpreadEffect
+from polishd.process.dwell import alternating_directions, douglas_rachford, interior_point, newton_cg
+from polishd.process.dwell.problem import DwellProblem, check
+from polishd.process.dwell.quadratic import condition
+from polishd.process.removal.convolution import ConvolutionEffect
+from polishd.process.removal.effect import SparseEffect
+from polishd.process.removal.spread_effect import SpreadEffect
 
 NAME = "auto"
 ILL = 1e5
@@ -28,7 +27,7 @@ def solve(problem: DwellProblem, within_s: float) -> DwellSolution:
         return douglas_rachford.solve(problem, within_s)
     check(problem)
     if isinstance(problem.effect, SpreadEffect):
-        return spectral.solve(problem, within_s)
+        return alternating_directions.solve(problem, within_s)
     if problem.effect.n <= FEW and isinstance(problem.effect, SparseEffect) and condition(problem) > ILL:
         return interior_point.solve(problem, within_s)
     return newton_cg.solve(problem, within_s)

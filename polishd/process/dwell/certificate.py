@@ -8,11 +8,10 @@ from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic
-from polishd.process.dwell.setup import conditioning_note
-from polishd.process.metrics import band_rms
-from polishd.process.several import note as effect_note
-from polishd.process.several import off
+from polishd.process.dwell.quadratic import QuadraticObjective, conditioning_note, projected_gradient, quadratic
+from polishd.process.metrology.spectra import band_rms
+from polishd.process.removal.multi_tool_effect import note as effect_note
+from polishd.process.removal.multi_tool_effect import off
 
 
 def certified(

@@ -21,11 +21,10 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certified
-from polishd.process.dwell.limit import TimeLimit
-from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import QuadraticObjective, narrow, projected_gradient, quadratic
-from polishd.process.dwell.validation import check
-from polishd.process.effect import SparseEffect
+from polishd.process.dwell.time_limit import TimeLimit
+from polishd.process.removal.effect import SparseEffect
 
 Indices = NDArray[np.int64]
 

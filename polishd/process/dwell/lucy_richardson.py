@@ -12,9 +12,8 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.certificate import certified
-from polishd.process.dwell.limit import TimeLimit
-from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.validation import check
+from polishd.process.dwell.problem import DwellProblem, check
+from polishd.process.dwell.time_limit import TimeLimit
 
 NAME = "lucy_richardson"
 ITERATIONS = 100

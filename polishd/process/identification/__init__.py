@@ -1,1 +1,1 @@
-"""What the removal map of a pass teaches of the process, how surely, and what it cannot: docs/identification.md."""
+"""Identification: compare what was removed with what was planned, and name and fit the cause."""

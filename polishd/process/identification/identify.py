@@ -2,32 +2,209 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
-from polishd.process.identification.acting import ParameterAction
-from polishd.process.identification.comparison import (
-    RIVAL,
-    CandidateModel,
-    ModelComparison,
-    compare,
-    conditioned,
-    detection_limits,
-    without,
-    worth,
+from polishd.process.identification.fit import fit, followed_rate, without_plane
+from polishd.process.identification.forward_model import ParameterAction, forward
+from polishd.process.identification.parameters import (
+    ExecutedBlocks,
+    Parameter,
+    PriorKnowledge,
+    RemovalMap,
+    RemovalNoise,
+    check_pass,
 )
-from polishd.process.identification.confounding import Confounding, confounding_of
-from polishd.process.identification.fit import fit, followed_rate
-from polishd.process.identification.forward import forward
-from polishd.process.identification.parameters import Parameter, PriorKnowledge
-from polishd.process.identification.passes import ExecutedBlocks, RemovalMap, RemovalNoise, check_pass
-from polishd.process.identification.residual import without_plane
-from polishd.process.spot import Spot
+from polishd.process.removal.tif import Spot
+
+# Nested models compared by their evidence, and what each extension is worth to the next pass.
+
+PRICE = float(np.log(20.0))
+"""Logarithm of the odds against each extension before anything was measured."""
+RIVAL = float(np.log(20.0))
+"""Models whose odds are not worse than the best one's by more than this are rivals of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateModel:
+    """A model with some of the extensions."""
+
+    extensions: frozenset[str]
+    log_odds: float
+    """Against the model with all of them, natural logarithm."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelComparison:
+    """What evidence says of the extensions."""
+
+    best: CandidateModel
+    rivals: tuple[CandidateModel, ...]
+    """Others that the map cannot exclude, the likeliest first."""
+    probability: Mapping[str, float]
+    """Of each extension, over all models."""
+
+
+def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray) -> ModelComparison:
+    """The models with and without each extension, from the posterior of all parameters.
+
+    Args:
+        parameters: k of them.
+        theta: (k,) posterior mean.
+        covariance: (k, k) of the posterior.
+    """
+    names = extensions(parameters)
+    found = []
+    for taken in product((True, False), repeat=len(names)):
+        inside = frozenset(name for name, is_in in zip(names, taken, strict=True) if is_in)
+        out = without(parameters, inside)
+        odds = _density_at_zero(parameters, theta, covariance, out) + PRICE * (len(names) - len(inside))
+        found.append(CandidateModel(inside, odds))
+    found.sort(key=lambda one: -one.log_odds)
+    best = found[0]
+    share = np.exp([one.log_odds - best.log_odds for one in found])
+    probability = {name: float(share[[name in one.extensions for one in found]].sum() / share.sum()) for name in names}
+    rivals = tuple(one for one in found[1:] if one.log_odds > best.log_odds - RIVAL)
+    return ModelComparison(best, rivals, probability)
+
+
+def extensions(parameters: Sequence[Parameter]) -> tuple[str, ...]:
+    """Their names, each once, in order."""
+    return tuple(dict.fromkeys(p.extension for p in parameters if p.extension is not None))
+
+
+def without(parameters: Sequence[Parameter], taken: frozenset[str]) -> list[int]:
+    """Indices of the parameters that a model with these extensions leaves at 0."""
+    return [k for k, p in enumerate(parameters) if p.extension is not None and p.extension not in taken]
+
+
+def conditioned(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tuple[FloatArray, FloatArray]:
+    """(k,) mean and (k, k) covariance where the parameters ``out`` are known to be 0."""
+    if not out:
+        return theta, covariance
+    gain = np.linalg.solve(covariance[np.ix_(out, out)], covariance[out, :]).T
+    mean, rest = theta - gain @ theta[out], covariance - gain @ covariance[out, :]
+    mean[out], rest[out, :], rest[:, out] = 0.0, 0.0, 0.0
+    return mean, rest
+
+
+def detection_limits(parameters: Sequence[Parameter], covariance: FloatArray) -> dict[str, float]:
+    """By parameter of an extension: the size at which evidence is even, were it the only thing wrong."""
+    found = {}
+    for name in extensions(parameters):
+        _, alone = conditioned(np.zeros(len(parameters)), covariance, without(parameters, frozenset({name})))
+        own = [k for k, p in enumerate(parameters) if p.extension == name]
+        prior = 2 * sum(np.log(parameters[k].sigma) for k in own)
+        occam = (prior - np.linalg.slogdet(alone[np.ix_(own, own)])[1]) / 2
+        for k in own:
+            # seen by itself, the others of its extension free to follow: the marginal error is what it must exceed
+            found[parameters[k].name] = float(np.sqrt(2 * max(occam + PRICE, 0.0) * alone[k, k]))
+    return found
+
+
+def worth(
+    parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray, next_columns: FloatArray, name: str
+) -> float:
+    """What an extension takes off the next pass's residual, mean square in nm^2: its gain less its cost in noise.
+
+    Left out it leaves ``|J theta|^2``, taken in with its error ``tr(J C J')``; the first is known by its estimate,
+    which is too large by that error. So it pays where ``|J theta|^2 > 2 tr(J C J')`` (C. L. Mallows, Technometrics 15,
+    661, 1973).
+
+    Args:
+        parameters: k of them.
+        theta: (k,) of the model that holds it.
+        covariance: (k, k) likewise.
+        next_columns: (N, k) what each parameter does to the next pass, without piston and tilt.
+        name: of the extension.
+    """
+    own = [k for k, p in enumerate(parameters) if p.extension == name]
+    columns = next_columns[:, own]
+    gram = columns.T @ columns / len(columns)
+    return float(theta[own] @ gram @ theta[own] - 2 * np.trace(gram @ covariance[np.ix_(own, own)]))
+
+
+def _density_at_zero(
+    parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray, out: list[int]
+) -> float:
+    """Log of the posterior's density over the first prior's, of the parameters ``out`` all at 0."""
+    if not out:
+        return 0.0
+    own = covariance[np.ix_(out, out)]
+    off = theta[out] @ np.linalg.solve(own, theta[out])
+    prior = 2 * sum(np.log(parameters[k].sigma) for k in out)
+    return float((prior - np.linalg.slogdet(own)[1] - off) / 2)
+
+
+# What a pass cannot tell apart: said parameter by parameter, from the posterior against what was known before.
+
+HALF = 0.5
+DIGIT = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Confounding:
+    """How much a pass told of a parameter."""
+
+    retained: float
+    """Standard error after over before the pass."""
+    decided: bool
+    """Whether the pass took half off its error, or more."""
+    confounded_with: tuple[str, ...]
+    """Others without which it, or which without it, cannot be known."""
+
+
+def confounding_of(parameters: tuple[Parameter, ...], before: FloatArray, after: FloatArray) -> dict[str, Confounding]:
+    """By name, how much was told of each parameter.
+
+    Args:
+        parameters: k of them.
+        before: (k, k) covariance before the pass.
+        after: (k, k) after it.
+    """
+    retained = np.sqrt(np.diag(after) / np.diag(before))
+    partners: list[set[int]] = [set() for _ in parameters]
+    for k, share in enumerate(np.where(retained > HALF, HALF, DIGIT)):
+        for other in _fewest(after, k, float(share)):
+            partners[k].add(other)
+            partners[other].add(k)
+    return {
+        p.name: Confounding(float(r), bool(r <= HALF), tuple(parameters[j].name for j in sorted(others)))
+        for p, r, others in zip(parameters, retained, partners, strict=True)
+    }
+
+
+def _fewest(covariance: FloatArray, k: int, share: float) -> list[int]:
+    """The others that, if known, would leave a share of the error of parameter k: greedily in, what is idle out."""
+    enough = share**2 * covariance[k, k]
+    rest = [j for j in range(len(covariance)) if j != k]
+    if _left(covariance, k, rest) > enough:
+        return []
+    taken: list[int] = []
+    while _left(covariance, k, taken) > enough:
+        taken.append(min((j for j in rest if j not in taken), key=lambda j: _left(covariance, k, [*taken, j])))
+    for j in taken[:-1]:
+        fewer = [i for i in taken if i != j]
+        if _left(covariance, k, fewer) <= enough:
+            taken = fewer
+    return taken
+
+
+def _left(covariance: FloatArray, k: int, known: list[int]) -> float:
+    """Variance of parameter k where others are known."""
+    if not known:
+        return float(covariance[k, k])
+    across = covariance[known, k]
+    scale = np.sqrt(np.diag(covariance)[known])  # units far apart cost no digits
+    own = covariance[np.ix_(known, known)] / np.outer(scale, scale)
+    return float(covariance[k, k] - (across / scale) @ np.linalg.solve(own, across / scale))
+
 
 LEAST_GAIN_NM = 0.05
 """RMS that an extension must take off the next pass's residual to be applied."""

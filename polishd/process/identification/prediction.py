@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.identification.forward import ForwardModel
-from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge
-from polishd.process.identification.passes import RemovalNoise
-from polishd.process.identification.residual import without_plane
+from polishd.process.identification.fit import without_plane
+from polishd.process.identification.forward_model import ForwardModel
+from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge, RemovalNoise
 
 SAMPLES = 4000
 

@@ -1,126 +1,450 @@
-"""Compliance of the hybrid robot at the tool tip in closed form, for programs of any length (paper eq. 2-15, 39-41).
-
-Three limbs, three motions that the UP limb resists and two wrist joints are eight springs in series: with all but one
-rigid the mechanism has one freedom, in which the tip moves by m per unit of that spring's deflection, and the
-compliance is the sum of m m' / k. Each m follows from a 3 x 3 inverse, since the UP limb leaves the platform three
-motions only. The tests hold it to the paper's 6 x 6 matrices, equation by equation.
-"""
+"""One interface to the robots that a cell can have."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from polishd.model.process import Moment
-from polishd.model.robot import HybridRobot
-from polishd.model.surface import FloatArray
-from polishd.process.robot.parallel import cross, dot, geometry_of
-from polishd.process.robot.refusal import refuse_where
-from polishd.process.robot.stiffness import Stiffnesses, limb_stiffness_n_per_mm, stiffnesses_of
-from polishd.process.robot.workspace import RobotPoses, faults, flip, place, refuse_unreachable, require_poses
+from polishd.model.errors import ComputeError
+from polishd.model.process import (
+    FLAT,
+    SHIPPED_OPTIONS,
+    ComplianceOptions,
+    HybridRobot,
+    MeasuredCompliance,
+    Moment,
+    Optic,
+    Placement,
+    Projection,
+    RobotModel,
+    SerialRobot,
+    ToolProcess,
+)
+from polishd.model.program import Program
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process import frames
+from polishd.process.checks import refuse_where, require_number, require_unit_vectors, require_vectors
+from polishd.process.removal.contact import hertz_depth_mm
+from polishd.process.robot.hybrid import cross, dot, hybrid_reachable, hybrid_tip_compliance_mm_per_n
+from polishd.process.robot.measured import measured_compliance, measured_reachable
+from polishd.process.robot.serial import serial_reachable, serial_tip_compliance_mm_per_n
 
-CHUNK = 4096
-"""Poses worked on at once: what they need stays in the cache."""
-SPRINGS = 8
-"""Three limbs, the UP limb's three, C and A."""
 
-
-def hybrid_tip_compliance_mm_per_n(
-    robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray, *, moment: Moment, path: bool
+def tip_compliance_mm_per_n(
+    robot: HybridRobot | SerialRobot,
+    tip_mm: FloatArray,
+    axis: FloatArray,
+    *,
+    moment: Moment = "full",
+    path: bool = False,
 ) -> FloatArray:
-    """(n, 3, 3) mm/N, see `interface.tip_compliance_mm_per_n`; in memory the components come first."""
-    tip, axis = require_poses(tip_mm, axis)
-    geometry, elastic = geometry_of(robot), stiffnesses_of(robot)
-    matrix, tool = np.empty((3, 3, len(tip))), np.empty((2, len(tip)))
-    for start in range(0, len(tip), CHUNK):
-        part = slice(start, start + CHUNK)
-        placed = place(robot, geometry, np.ascontiguousarray(tip[part].T), np.ascontiguousarray(axis[part].T))
-        if any(fault.bad.any() for fault in faults(robot, placed)):
-            refuse_unreachable(robot, place(robot, geometry, tip.T, axis.T))  # its message counts over all points
-        matrix[:, :, part] = _compliance(robot, elastic, placed, moment)
-        tool[:, part] = placed.tool[:2]
-    if path:
-        refuse_where(*flip(tool, axis))
-    return matrix.transpose(2, 0, 1)
+    """(n, 3, 3) displacement of the tip per force, mm/N, base frame.
 
-
-def hybrid_compliance_at(
-    robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray
-) -> Callable[[HybridRobot], FloatArray]:
-    """The function from a robot with other stiffnesses to its (n, 3, 3) compliances there; poses are solved once."""
-    tip, axis = require_poses(tip_mm, axis)
-    placed = place(robot, geometry_of(robot), tip.T, axis.T)
-    refuse_unreachable(robot, placed)
-    return lambda other: _compliance(other, stiffnesses_of(other), placed, "full").transpose(2, 0, 1)
-
-
-def _compliance(robot: HybridRobot, elastic: Stiffnesses, placed: RobotPoses, moment: Moment) -> FloatArray:
-    """(3, 3, n) in the base frame, mm/N."""
-    turn, wrist = _screws(robot, elastic, placed)
-    soft = _softness(robot, elastic, placed)
-    tip = wrist - robot.tool_length_mm * cross(turn, placed.tool[:, None])
-    pushed = tip if moment == "full" else wrist
-    local = np.empty((3, 3, soft.shape[1]))
-    for i, row in enumerate(soft * tip):
-        for j, column in enumerate(pushed):
-            local[i, j] = (row * column).sum(axis=0) if moment == "paper" or j >= i else local[j, i]
-    matrix = _in_base(placed.parallel.frame, local)
-    if moment == "full":  # to the last bit
-        for i, j in ((1, 0), (2, 0), (2, 1)):
-            matrix[i, j] = matrix[j, i]
-    return matrix
-
-
-def _screws(robot: HybridRobot, elastic: Stiffnesses, placed: RobotPoses) -> tuple[FloatArray, FloatArray]:
-    """Turn, rad, and displacement of the wrist centre, mm: (3, 8, n), in the platform's frame, per unit of each spring.
-
-    Springs 0 to 2: limbs (unit: growth of ``q^2 / 2``); 3 to 5: the UP limb (shear along u; along v, with the turn that
-    it brings; torsion); 6 and 7: C and A (unit of A: 1 / sin A). In the UP limb's own frame n is (-e.w, 0, e.u): a
-    constraint n.Omega = 1 is a turn about w by 1 / e.u, and the compliance C_c ties it to shear along v. Its square
-    completed, the two are independent springs.
+    ``moment="full"``: the translational block of eq. 39 at the tip, with the moment of the force about the wrist (which
+    eq. 41 drops); symmetric positive definite. ``"paper"`` (hybrid only): eq. 41 as printed, the force acting at the
+    wrist centre; not symmetric, and without the wrist joints' share. ``tip_mm`` (n, 3) mm and ``axis`` (n, 3) unit,
+    from the tip into the spindle, base frame. Raises ComputeError that names the first pose which cannot be taken;
+    with ``path`` the poses follow one another, and a change of the wrist's or the arm's branch is refused too.
     """
-    parallel = placed.parallel
-    turn, wrist = np.zeros((2, 3, SPRINGS, parallel.limb_mm.shape[1]))
-    twist = parallel.turns[2] / parallel.sine
-    brought = -elastic.beam.cross / elastic.beam.shear * parallel.cosine / parallel.length_mm
-    held = (parallel.limbs_mm[0], parallel.limbs_mm[1] + brought * twist, twist)
-    free = np.empty((3, 6, turn.shape[2]))  # turn about e, turn about v, slide along w
-    free[:, :3] = parallel.cofactors / parallel.determinant
-    for k, growth in enumerate(held, start=3):
-        for motion in free:
-            motion[k] = -dot(motion, growth)
-    turn[0, :6] = parallel.sine * free[0]
-    turn[1, :6] = free[1]
-    turn[2, :6] = parallel.cosine * free[0]
-    turn[2, 4] += brought / parallel.sine
-    turn[2, 5] += 1 / parallel.sine
-    turn[2, 6] = 1
-    turn[0, 7], turn[1, 7] = -placed.tool[1], placed.tool[0]
-    distance = parallel.length_mm + robot.wrist_length_mm
-    wrist[0, :6] = distance * turn[1, :6]
-    wrist[1, :6] = -distance * turn[0, :6]
-    wrist[2, :6] = free[2]
-    wrist[0, 3] += 1
-    wrist[1, 4] += 1
-    return turn, wrist
+    if isinstance(robot, HybridRobot):
+        return hybrid_tip_compliance_mm_per_n(robot, tip_mm, axis, moment=moment, path=path)
+    if moment == "paper":
+        raise ComputeError('moment = "paper" is eq. 41 of the hybrid robot: for a serial arm it must be "full"')
+    return serial_tip_compliance_mm_per_n(robot, tip_mm, axis, path=path)
 
 
-def _softness(robot: HybridRobot, elastic: Stiffnesses, placed: RobotPoses) -> FloatArray:
-    """(8, n) deflection of each spring per unit of its load: their units are those of `_screws`."""
-    parallel, beam = placed.parallel, elastic.beam
-    length, limb = parallel.length_mm, parallel.limb_mm
-    soft = np.empty((SPRINGS, len(length)))
-    soft[:3] = limb * limb / limb_stiffness_n_per_mm(robot, limb)
-    soft[3] = soft[4] = beam.shear * length**3 / elastic.bending_n_mm2
-    bending = (beam.turn - beam.cross**2 / beam.shear) / elastic.bending_n_mm2
-    soft[5] = length * (bending * parallel.cosine**2 + parallel.sine**2 / elastic.torsion_n_mm2)
-    soft[6] = 1 / elastic.c_n_mm_per_rad
-    soft[7] = 1 / (elastic.a_n_mm_per_rad * placed.sine**2)
-    return soft
+def reachable(robot: RobotModel, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
+    """(n,) True where the robot takes the pose by itself, or the table of a measured one covers it.
+
+    Arguments as for `tip_compliance_mm_per_n`; raises ComputeError only for what is not a pose or not a robot.
+    """
+    if isinstance(robot, HybridRobot):
+        return hybrid_reachable(robot, tip_mm, axis)
+    if isinstance(robot, SerialRobot):
+        return serial_reachable(robot, tip_mm, axis)
+    return measured_reachable(robot, tip_mm)
 
 
-def _in_base(frame: FloatArray, local: FloatArray) -> FloatArray:
-    """(3, 3, n) matrices turned from the platform's frame, (3, 3, n) axis and component, into the base's."""
-    half = [sum(local[i, j] * frame[j] for j in range(3)) for i in range(3)]
-    return np.stack([sum(frame[i, k] * half[i] for i in range(3)) for k in range(3)])
+# From the robot's compliance matrix to one number a point, and to what is left of the contact's depth (eq. 42-48).
+
+JUMP = 0.05
+"""Relative change between neighbours, beyond that of the compliance matrix itself, that counts as a jump."""
+CHUNK = 4096
+"""Points worked on at a time: what they need stays in the processor's cache."""
+SEPARATE = 1e-3
+"""Where an eigenvalue lies nearer to another than this (relative), closed forms lose digits and LAPACK takes over."""
+ROUNDING = 1e-9
+"""Relative size up to which an asymmetry, or an imaginary part, is rounding."""
+EQUAL = 1e-6
+"""Eigenvalues this near (relative) are one: so are points with such a pair given to LAPACK."""
+
+
+def equivalent_compliance(
+    matrix: FloatArray, axis: FloatArray, normal: FloatArray, projection: Projection = "linear"
+) -> FloatArray:
+    """(n,) linear equivalent compliance in the direction of the surface normal b (paper eq. 42-43), mm/N.
+
+    ``matrix`` (n, 3, 3) mm/N, ``axis`` and ``normal`` (n, 3) unit, all in one frame. X_1 and X_2 are the eigenvectors
+    other than the one nearest the tool axis. "linear" sums ``lambda_k |<X_k, b>|`` (eq. 43, with the eigenvectors' sign
+    made harmless), "quadratic" sums ``lambda_k <X_k, b>^2``, "normal" is ``b' C b``, what a static loading test along b
+    measures. Where lambda_1 and lambda_2 are close "linear" depends on the eigenvectors' rotation: see `jumps`.
+
+    A matrix that is not symmetric (eq. 41 as printed) may have complex eigenvalues: ComputeError names the first such
+    point, and says how many there are; `complex_eigenvalues` finds them.
+    """
+    if projection == "normal":
+        return np.asarray(np.einsum("ni,nij,nj->n", normal, matrix, normal), dtype=np.float64)
+    if not _is_symmetric(matrix):
+        return _projected(*_real_eigen(matrix), axis, normal, projection)
+    result = np.empty(len(matrix))
+    for first in range(0, len(matrix), CHUNK):
+        part = slice(first, first + CHUNK)
+        result[part] = _symmetric(matrix[part], axis[part], normal[part], projection)
+    return result
+
+
+def complex_eigenvalues(matrix: FloatArray) -> BoolArray:
+    """(n,) True where an (n, 3, 3) matrix has complex eigenvalues, and no equivalent compliance: eq. 41 as printed."""
+    values = np.linalg.eigvals(matrix)
+    return np.asarray((np.abs(values.imag) > ROUNDING * np.abs(values)).any(axis=1), dtype=np.bool_)
+
+
+def jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
+    """(n - 1,) True where the equivalent compliance changes by over 5 % more than its matrix does, point to point.
+
+    ``compliance`` (n,) and ``matrix`` (n, 3, 3) in one unit. Such a change comes from the projection, not the robot.
+    """
+    size = np.linalg.norm(matrix, axis=(1, 2))
+    matrix_change = np.linalg.norm(np.diff(matrix, axis=0), axis=(1, 2)) / np.minimum(size[1:], size[:-1])
+    change = np.abs(np.diff(compliance)) / np.minimum(compliance[1:], compliance[:-1])
+    return np.asarray(change > JUMP + matrix_change, dtype=np.bool_)
+
+
+def depth_ratio(compliance_mm_per_n: FloatArray, process: ToolProcess, depth_mm: float | FloatArray) -> FloatArray:
+    """(n,) gamma = 1 - dz/d (paper eq. 48) with dz = c F / cos(dip) (eq. 44) and d the rigid robot's depth, mm.
+
+    ``depth_mm`` is a number, or (n,) where the part's curvature makes each its own.
+    Raises ComputeError where nothing of the depth would be left.
+    """
+    require_number("the process's dip_deg", process.dip_deg, "deg", above=-90.0, below=90.0)
+    offset_mm = compliance_mm_per_n * (process.force_n / np.cos(np.radians(process.dip_deg)))
+    gamma = np.asarray(1.0 - offset_mm / depth_mm, dtype=np.float64)
+    gone = ~(gamma > 0)
+    if gone.any():
+        first = int(np.argmax(gone))
+        softest, deep = float(compliance_mm_per_n[first]) * 1e3, np.broadcast_to(depth_mm, gone.shape)[first]
+        limit = (
+            f"the contact is only {deep:.5g} mm deep (equivalent compliance {softest:.4g} um/N at "
+            f"{process.force_n:g} N): gamma would not be above 0"
+        )
+        refuse_where(gone, offset_mm, "the way that the robot gives", "mm", limit)
+    return gamma
+
+
+def _is_symmetric(matrix: FloatArray) -> bool:
+    across = [np.abs(matrix[:, i, j] - matrix[:, j, i]).max(initial=0.0) for i, j in ((0, 1), (0, 2), (1, 2))]
+    return bool(max(across) <= ROUNDING * np.abs(matrix).max(initial=0.0))
+
+
+def _symmetric(matrix: FloatArray, axis: FloatArray, normal: FloatArray, projection: Projection) -> FloatArray:
+    """Eq. 43 in closed form: LAPACK's batched eigh alone costs as much as all of the robot's model.
+
+    X_3, the eigenvector nearest the tool axis, is found from its eigenvalue; the other two lie in the plane across it,
+    where a Jacobi rotation gives them. Where X_3's eigenvalue does not stand apart, LAPACK has the word.
+    """
+    c = np.ascontiguousarray(matrix.transpose(1, 2, 0))
+    a, b = np.ascontiguousarray(axis.T), np.ascontiguousarray(normal.T)
+    value, gap = _axial_eigenvalue(c, a)
+    x = _null_vector(c, value)
+    along = dot(x, b)
+    across = b - along * x
+    share = np.sqrt(dot(across, across))
+    first = across / np.maximum(share, 1e-300)
+    second = cross(x, first)
+    pushed = _times(c, first)
+    m_11, m_12, m_22 = dot(first, pushed), dot(second, pushed), dot(second, _times(c, second))
+    mean, half = (m_11 + m_22) / 2, (m_11 - m_22) / 2
+    spread = np.hypot(half, m_12)
+    big = np.where(spread > 0, (spread + np.abs(half)) / np.maximum(2 * spread, 1e-300), 1.0)
+    small = m_12**2 / np.maximum(4 * spread**2 * big, 1e-300)  # 1 - big, without its cancellation
+    on_high = np.where(half >= 0, big, small)
+    on_low = np.where(half >= 0, small, big)
+    if projection == "linear":
+        result = share * ((mean + spread) * np.sqrt(on_high) + (mean - spread) * np.sqrt(on_low))
+    else:
+        result = share**2 * ((mean + spread) * on_high + (mean - spread) * on_low)
+    near = gap < SEPARATE
+    if near.any():
+        result[near] = _projected(*np.linalg.eigh(matrix[near]), axis[near], normal[near], projection)
+    return np.asarray(result, dtype=np.float64)
+
+
+def _axial_eigenvalue(c: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) eigenvalue of the (3, 3, n) symmetric matrices whose eigenvector is nearest a (3, n), and its relative gap.
+
+    Eigenvalues by the trigonometric form; the squared cosine to each eigenvector is a' P_k a, P_k its projector.
+    """
+    mean = (c[0, 0] + c[1, 1] + c[2, 2]) / 3
+    d_0, d_1, d_2 = c[0, 0] - mean, c[1, 1] - mean, c[2, 2] - mean
+    off = c[0, 1] ** 2 + c[0, 2] ** 2 + c[1, 2] ** 2
+    size = np.sqrt((d_0**2 + d_1**2 + d_2**2 + 2 * off) / 6)
+    det = d_0 * (d_1 * d_2 - c[1, 2] ** 2) - c[0, 1] * (c[0, 1] * d_2 - c[1, 2] * c[0, 2])
+    det += c[0, 2] * (c[0, 1] * c[1, 2] - d_1 * c[0, 2])
+    angle = np.arccos(np.clip(det / np.maximum(2 * size**3, 1e-300), -1.0, 1.0)) / 3
+    high, low = mean + 2 * size * np.cos(angle), mean + 2 * size * np.cos(angle + 2 * np.pi / 3)
+    middle = 3 * mean - high - low
+    pushed = _times(c, a)
+    once, twice = dot(a, pushed), dot(pushed, pushed)
+    tiny = np.maximum(np.abs(mean), 1e-300) ** 2 * 1e-30
+    value = np.stack([high, middle, low])
+    share = np.stack(
+        [
+            (twice - (q + r) * once + q * r) / np.maximum((p - q) * (p - r) * sign, tiny) * sign
+            for p, q, r, sign in ((high, middle, low, 1.0), (middle, high, low, -1.0), (low, high, middle, 1.0))
+        ]
+    )
+    nearest = share.argmax(axis=0)[None, :]
+    own = np.take_along_axis(value, nearest, axis=0)[0]
+    closest = np.minimum(high - middle, middle - low)
+    gap = np.where(nearest[0] == 0, high - middle, np.where(nearest[0] == 2, middle - low, closest))
+    gap = np.where(closest > EQUAL * np.abs(high), gap, 0.0)  # of a pair so close the squared cosines are noise
+    return own, gap / np.maximum(np.abs(high), 1e-300)
+
+
+def _null_vector(c: FloatArray, value: FloatArray) -> FloatArray:
+    """(3, n) unit eigenvectors of the (3, 3, n) symmetric matrices for a simple eigenvalue (n,): a row cross a row."""
+    rows = c.copy()
+    for k in range(3):
+        rows[k, k] -= value
+    crosses = np.stack([cross(rows[0], rows[1]), cross(rows[1], rows[2]), cross(rows[2], rows[0])])
+    size = crosses[:, 0] ** 2 + crosses[:, 1] ** 2 + crosses[:, 2] ** 2
+    best = size.argmax(axis=0)
+    vector = np.take_along_axis(crosses, best[None, None, :], axis=0)[0]
+    return np.asarray(vector / np.sqrt(np.maximum(size.max(axis=0), 1e-300)), dtype=np.float64)
+
+
+def _times(c: FloatArray, p: FloatArray) -> FloatArray:
+    return np.stack([dot(c[0], p), dot(c[1], p), dot(c[2], p)])
+
+
+def _real_eigen(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues (n, 3) and eigenvectors in columns (n, 3, 3) of matrices that need not be symmetric."""
+    values, vectors = np.linalg.eig(matrix)
+    refuse_where(
+        complex_eigenvalues(matrix),
+        np.abs(values.imag).max(axis=1, initial=0.0) * 1e3,
+        'with moment = "paper" the compliance has complex eigenvalues, the imaginary part',
+        "um/N",
+        'no equivalent compliance is defined there; use moment = "full"',
+    )
+    return values.real, vectors.real
+
+
+def _projected(
+    values: FloatArray, vectors: FloatArray, axis: FloatArray, normal: FloatArray, projection: Projection
+) -> FloatArray:
+    """Eq. 43 from eigenvalues (n, 3) and unit eigenvectors in columns (n, 3, 3)."""
+    along_axis = np.abs(np.einsum("nij,ni->nj", vectors, axis))
+    across = np.arange(3) != along_axis.argmax(axis=1)[:, None]
+    share = np.abs(np.einsum("nij,ni->nj", vectors, normal))
+    return np.asarray((across * values * (share if projection == "linear" else share**2)).sum(axis=1))
+
+
+# The robot's compliance along a program's path, in the direction of the surface normal (paper eq. 34-44).
+
+DIP_TOLERANCE_DEG = 0.5
+"""How far the program's tool axis may be from the dip that the process states."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathCompliance:
+    """Linear equivalent compliance at n timed points, and how sure it is."""
+
+    compliance_mm_per_n: FloatArray
+    """(n,) mm/N."""
+    jumps: int
+    """Neighbours between which the projection jumps and the robot does not (see `compliance.jumps`)."""
+    fallbacks: int
+    """Points at which the path has no Frenet frame, and the surface normal was taken."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of it."""
+        n = len(self.compliance_mm_per_n)
+        found = []
+        if self.jumps:
+            found.append(
+                f"the linear equivalent compliance jumps {self.jumps} times by over 5 % where the robot's does not"
+            )
+        if self.fallbacks:
+            found.append(f"no Frenet frame at {self.fallbacks} of {n} points (straight path): surface normal taken")
+        return tuple(found)
+
+
+def path_compliance(
+    program: Program,
+    process: ToolProcess,
+    robot: RobotModel,
+    placement: Placement,
+    *,
+    options: ComplianceOptions = SHIPPED_OPTIONS,
+    optic: Optic = FLAT,
+) -> PathCompliance:
+    """Linear equivalent compliance at the timed points of a program in the part's frame.
+
+    The pose is the block's middle with the axis at its end. Raises ComputeError for a point that is out of reach or
+    whose axis is not dipped as the process says.
+    """
+    start = require_vectors("start of block", program.start_mm, "mm")
+    end = require_vectors("end of block", program.end_mm, "mm")
+    if not len(start) == len(end) == len(program.axis):
+        raise ComputeError(f"the program has {len(start)} starts, {len(end)} ends and {len(program.axis)} axes")
+    middle = (start + end) / 2
+    return compliance_at(middle, program.axis, process, robot, placement, options=options, optic=optic)
+
+
+def compliance_at(
+    point_mm: FloatArray,
+    axis: FloatArray,
+    process: ToolProcess,
+    robot: RobotModel,
+    placement: Placement,
+    *,
+    options: ComplianceOptions = SHIPPED_OPTIONS,
+    optic: Optic = FLAT,
+) -> PathCompliance:
+    """The same at points along a path: (n, 3) tool tips, mm, and (n, 3) unit tool axes, both in the part's frame."""
+    tip = frames.points_to_base(placement, point_mm)
+    base_axis = frames.directions_to_base(placement, require_unit_vectors("tool axis", axis))
+    surface = frames.surface_normals(placement, point_mm, optic)
+    dip = frames.dips_deg(base_axis, surface)
+    off = ~(np.abs(dip - process.dip_deg) <= DIP_TOLERANCE_DEG)
+    refuse_where(off, dip, "the program's tool axis is dipped: the dip", "deg", f"the process says {process.dip_deg:g}")
+    if isinstance(robot, MeasuredCompliance):
+        return PathCompliance(measured_compliance(robot, tip), 0, 0)
+    normal, fallbacks = _normals(options, placement, process.dip_deg, tip=tip, axis=base_axis, surface=surface)
+    matrix = tip_compliance_mm_per_n(robot, tip, base_axis, moment=options.moment, path=True)
+    compliance = equivalent_compliance(matrix, base_axis, normal, options.projection)
+    return PathCompliance(compliance, int(jumps(compliance, matrix).sum()), fallbacks)
+
+
+def _normals(
+    options: ComplianceOptions,
+    placement: Placement,
+    dip_deg: float,
+    *,
+    tip: FloatArray,
+    axis: FloatArray,
+    surface: FloatArray,
+) -> tuple[FloatArray, int]:
+    """(n, 3) unit normals b that the options ask for, base frame, and at how many points it fell back."""
+    if options.frame == "surface":
+        return surface, 0
+    if options.frame == "frenet":
+        binormal, defined = frames.frenet_binormals(tip)
+        facing = np.where(np.einsum("ni,ni->n", binormal, surface) < 0, -1.0, 1.0)
+        return np.where(defined[:, None], binormal * facing[:, None], surface), int((~defined).sum())
+    lean = frames.lean_directions(options, placement, tip, surface)
+    return frames.turned_back(axis, lean, dip_deg), 0
+
+
+# The equivalent compliance over the workspace (paper fig. 10): what a place of the cell is worth.
+
+AROUND_MM = 300.0
+"""Half the side of the cube about the part that stands for the workspace of a robot which states none."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComplianceField:
+    """Equivalent compliance and gamma on horizontal planes through the workspace, NaN where there is none."""
+
+    x_mm: FloatArray
+    """(nx,) base frame, ascending."""
+    y_mm: FloatArray
+    """(ny,) base frame, ascending."""
+    z_mm: FloatArray
+    """(nz,) base frame, one a plane."""
+    compliance_um_per_n: FloatArray
+    """(nz, ny, nx)."""
+    gamma: FloatArray
+    """(nz, ny, nx); not above 0 where the robot gives way by more than the contact's depth."""
+    places: int
+    """Samples within the workspace."""
+    out_of_reach: int
+    """Those of them that the robot cannot reach: out of stroke or limits, singular."""
+    undefined: int
+    """Those that it reaches, but at which eq. 41 as printed has complex eigenvalues."""
+
+
+def compliance_field(
+    robot: RobotModel,
+    process: ToolProcess,
+    placement: Placement,
+    options: ComplianceOptions,
+    *,
+    planes: int = 5,
+    across: int = 67,
+) -> ComplianceField:
+    """Sample the workspace at ``across`` x ``across`` places on each of ``planes``, for a flat part held like this one.
+
+    The tool is dipped as the options ask for; along or across the path means along or across the part's x, for want of
+    a path. The workspace is that of the hybrid robot's limits, a cube about the part for a serial arm, and the box of
+    the measured places for a table.
+    """
+    x, y, z = _axes(robot, placement, planes, across)
+    tip = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1)[..., ::-1].reshape(-1, 3)
+    inside = _inside(robot, tip)
+    value, undefined = np.full(len(tip), np.nan), 0
+    if isinstance(robot, MeasuredCompliance):
+        can = measured_reachable(robot, tip)
+        value[can] = measured_compliance(robot, tip[can])
+    else:
+        can = inside & _has_lean(options, tip)
+        normal = np.repeat(frames.surface_normals(placement, np.zeros((1, 3))), len(tip), axis=0)
+        axis = np.zeros_like(tip)
+        axis[can] = frames.dipped_axes(_without_path(options), placement, tip[can], normal[can], process.dip_deg)
+        can[can] = reachable(robot, tip[can], axis[can])
+        matrix = tip_compliance_mm_per_n(robot, tip[can], axis[can], moment=options.moment)
+        complex_ones = complex_eigenvalues(matrix) if options.moment == "paper" else np.zeros(len(matrix), np.bool_)
+        undefined, at = int(complex_ones.sum()), np.flatnonzero(can)[~complex_ones]
+        value[at] = equivalent_compliance(matrix[~complex_ones], axis[at], normal[at], options.projection)
+    gamma = 1 - value * process.force_n / np.cos(np.radians(process.dip_deg)) / hertz_depth_mm(process)
+    shape = (len(z), len(y), len(x))
+    places = int(inside.sum())
+    return ComplianceField(
+        x, y, z, value.reshape(shape) * 1e3, gamma.reshape(shape), places, places - int(can.sum()), undefined
+    )
+
+
+def _axes(
+    robot: RobotModel, placement: Placement, planes: int, across: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    if isinstance(robot, HybridRobot):
+        reach = robot.workspace_radius_mm
+        low, high = (robot.joint_height_mm - height for height in robot.workspace_height_mm[::-1])
+        return np.linspace(-reach, reach, across), np.linspace(-reach, reach, across), np.linspace(low, high, planes)
+    if isinstance(robot, MeasuredCompliance):
+        lows, highs = robot.tip_mm.min(axis=0), robot.tip_mm.max(axis=0)
+    else:
+        centre = np.asarray(placement.origin_mm)
+        lows, highs = centre - AROUND_MM, centre + AROUND_MM
+    x, y, z = (np.linspace(a, b, n) for a, b, n in zip(lows, highs, (across, across, planes), strict=True))
+    return x, y, np.unique(z)
+
+
+def _inside(robot: RobotModel, tip_mm: FloatArray) -> np.ndarray:
+    """(n,) True within the workspace: the hybrid robot's is a cylinder."""
+    if isinstance(robot, HybridRobot):
+        return np.asarray(np.hypot(tip_mm[:, 0], tip_mm[:, 1]) <= robot.workspace_radius_mm)
+    return np.ones(len(tip_mm), dtype=np.bool_)
+
+
+def _has_lean(options: ComplianceOptions, tip_mm: FloatArray) -> np.ndarray:
+    """(n,) False on the base's z axis, where inward has no direction."""
+    return np.asarray((options.dip_direction != "inward") | (np.hypot(tip_mm[:, 0], tip_mm[:, 1]) > 1e-6))
+
+
+def _without_path(options: ComplianceOptions) -> ComplianceOptions:
+    azimuth = {"along": 0.0, "across": 90.0}.get(options.dip_direction)
+    return options if azimuth is None else ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=azimuth)

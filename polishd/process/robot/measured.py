@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 
 from polishd.model.errors import ComputeError
-from polishd.model.robot import MeasuredCompliance
+from polishd.model.process import MeasuredCompliance
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.robot.refusal import refuse_where, require_vectors
+from polishd.process.checks import refuse_where, require_vectors
 
 FLAT_MM = 1.0
 """A table that is not thicker than this either way is flat, and holds for points as near to it."""

@@ -7,10 +7,179 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from polishd.sim_backends.can_hosts import Frame
-from polishd.sim_backends.cia402 import power as stage
-from polishd.sim_backends.cia402.objects import DEVICE_STATE, RANGE, Key, Objects
-from polishd.sim_backends.cia402.power import Power
+from polishd.sim_backends.common.can import Frame
+
+# The drive's object dictionary and its SDO server (CiA 301): expedited transfers, checked as a drive does.
+
+U8, U16, U32, I8, I16, I32 = "<B", "<H", "<I", "<b", "<h", "<i"
+
+UNKNOWN_COMMAND, READ_ONLY, NO_OBJECT, NO_SUB, WRONG_LENGTH, RANGE, DEVICE_STATE = (
+    0x05040001,
+    0x06010002,
+    0x06020000,
+    0x06090011,
+    0x06070010,
+    0x06090030,
+    0x08000022,
+)
+_SDO = struct.Struct("<BHB4s")
+
+Key = tuple[int, int]
+"""(index, sub)."""
+
+# (index, sub): (type, writable, value at power-up)
+OBJECTS: dict[Key, tuple[str, bool, int]] = {
+    (0x1000, 0): (U32, False, 0x00020192),
+    (0x1001, 0): (U8, False, 0),
+    (0x1016, 0): (U8, False, 1),
+    (0x1016, 1): (U32, True, 0),
+    (0x1017, 0): (U16, True, 0),
+    (0x1018, 0): (U8, False, 4),
+    (0x1018, 1): (U32, False, 0x506F),
+    (0x1018, 2): (U32, False, 0x0402),
+    (0x1018, 3): (U32, False, 0x00010002),
+    (0x1018, 4): (U32, False, 4020),
+    (0x6007, 0): (I16, True, 1),
+    (0x603F, 0): (U16, False, 0),
+    (0x6040, 0): (U16, True, 0),
+    (0x6041, 0): (U16, False, 0),
+    (0x605A, 0): (I16, True, 2),
+    (0x6060, 0): (I8, True, 0),
+    (0x6061, 0): (I8, False, 0),
+    (0x6064, 0): (I32, False, 0),
+    (0x606C, 0): (I32, False, 0),
+    (0x6071, 0): (I16, True, 0),
+    (0x6072, 0): (U16, True, 1500),
+    (0x6077, 0): (I16, False, 0),
+    (0x607A, 0): (I32, True, 0),
+    (0x6080, 0): (U32, True, 6000),
+    (0x6081, 0): (U32, True, 1000),
+    (0x6083, 0): (U32, True, 10000),
+    (0x6084, 0): (U32, True, 10000),
+    (0x6085, 0): (U32, True, 50000),
+    (0x6087, 0): (U32, True, 1000),
+    (0x60FF, 0): (I32, True, 0),
+    (0x6502, 0): (U32, False, 0b1101),
+}
+RANGES = {(0x6007, 0): (0, 3), (0x605A, 0): (0, 6), (0x6060, 0): (0, 4), (0x6071, 0): (-1500, 1500)}
+"""What may be written, where that is less than the type holds."""
+
+
+@dataclass(slots=True)
+class Objects:
+    """The values of one drive; anything in it may change them, a client what is writable."""
+
+    on_write: Callable[[Key, int], int] = lambda _key, _value: 0
+    """Told before a client's value is taken; an abort code refuses it."""
+    values: dict[Key, int] = field(default_factory=lambda: {key: value for key, (_, _, value) in OBJECTS.items()})
+
+    def __getitem__(self, index: int) -> int:
+        return self.values[index, 0]
+
+    def __setitem__(self, index: int, value: int) -> None:
+        self.values[index, 0] = value
+
+    def serve(self, request: bytes) -> bytes | None:
+        """Answer a client's eight bytes; None: nothing is to be said."""
+        specifier, index, sub, data = _SDO.unpack(request)
+        key = (index, sub)
+        if specifier == 0x80:
+            return None
+        if specifier >> 5 not in {1, 2}:
+            return self._abort(key, UNKNOWN_COMMAND)
+        if key not in self.values:
+            return self._abort(key, NO_SUB if any(index == known for known, _ in self.values) else NO_OBJECT)
+        if specifier == 0x40:
+            return self._read(key)
+        return self._write(key, specifier, data)
+
+    def _read(self, key: Key) -> bytes:
+        data = struct.pack(OBJECTS[key][0], self.values[key])
+        return _SDO.pack(0x43 | (4 - len(data)) << 2, *key, data.ljust(4, b"\0"))
+
+    def _write(self, key: Key, specifier: int, data: bytes) -> bytes:
+        kind, writable, _ = OBJECTS[key]
+        size = struct.calcsize(kind)
+        if not writable:
+            return self._abort(key, READ_ONLY)
+        if specifier != 0x23 | (4 - size) << 2:
+            return self._abort(key, WRONG_LENGTH)
+        (value,) = struct.unpack(kind, data[:size])
+        low, high = RANGES.get(key, (value, value))
+        code = self.on_write(key, value) if low <= value <= high else RANGE
+        if code:
+            return self._abort(key, code)
+        self.values[key] = value
+        return _SDO.pack(0x60, *key, bytes(4))
+
+    def _abort(self, key: Key, code: int) -> bytes:
+        return _SDO.pack(0x80, *key, struct.pack("<I", code))
+
+
+# The power stage's state machine (CiA 402), by its numbered transitions. Pure.
+
+DISABLED, READY, ON, ENABLED, QUICK_STOP, REACTION, FAULT = range(7)
+STATUS = (0x250, 0x231, 0x233, 0x237, 0x217, 0x21F, 0x218)
+"""Low bits of the status word in each state, with voltage and remote; quick stop shows in bit 5."""
+
+
+@dataclass(slots=True)
+class Power:
+    """What control words and events make of the state."""
+
+    state: int = DISABLED
+    control: int = 0
+    quick_stop_option: int = 2
+
+    @property
+    def status(self) -> int:
+        """State bits of the status word."""
+        return STATUS[self.state]
+
+    @property
+    def live(self) -> bool:
+        """The motor has current."""
+        return self.state in {ENABLED, QUICK_STOP, REACTION}
+
+    def command(self, word: int) -> None:
+        """A control word was written. What is no command in this state changes nothing."""
+        rises = word & ~self.control
+        self.control = word
+        if self.state == FAULT:
+            if rises & 0x80:
+                self.state = DISABLED
+        elif self.state != REACTION:
+            self.state = self._next(word)
+
+    def fault(self) -> None:
+        """Something is wrong: it is stopped, and then in fault."""
+        if self.state != FAULT:
+            self.state = REACTION if self.live else FAULT
+
+    def stands(self) -> None:
+        """The motor has come to rest."""
+        if self.state == REACTION:
+            self.state = FAULT
+        elif self.state == QUICK_STOP and self.quick_stop_option <= 4:
+            self.state = DISABLED
+
+    def _next(self, word: int) -> int:
+        if not word & 0x02:
+            return DISABLED
+        if not word & 0x04:
+            stops = self.state in {ENABLED, QUICK_STOP} and self.quick_stop_option != 0
+            return QUICK_STOP if stops else DISABLED
+        low = word & 0x0F
+        if self.state == QUICK_STOP:
+            return ENABLED if low == 0x0F and self.quick_stop_option > 4 else QUICK_STOP
+        if low == 0x06:  # shut down
+            return READY
+        if low == 0x07:  # switch on, or disable operation
+            return self.state if self.state == DISABLED else ON
+        if low == 0x0F:  # enable; from READY by way of ON, within one command as CiA 402 allows
+            return ENABLED if self.state in {READY, ON, ENABLED} else self.state
+        return self.state
+
 
 BOOTING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 SILENCE, BUS_OFF_OVER, OVER_CURRENT = 0x8130, 0x8140, 0x2310
@@ -82,7 +251,7 @@ class Node:
         self.now_s = max(now_s, self.now_s)
         was = self.power.state
         self.axis.step(self.now_s, self.objects, self.power)
-        if self.power.state == stage.FAULT != was:
+        if self.power.state == FAULT != was:
             self.report("drive_fault", self.now_s)
         self._show()
         if not self.hung:
@@ -140,7 +309,7 @@ class Node:
             return RANGE
         if key == (0x6060, 0) and value not in {0, 1, 3, 4}:
             return RANGE
-        if key == (0x6060, 0) and self.power.state in {stage.QUICK_STOP, stage.REACTION}:
+        if key == (0x6060, 0) and self.power.state in {QUICK_STOP, REACTION}:
             return DEVICE_STATE
         if key == (0x6040, 0) and value & FAULT_RESET and self._estranged:
             return 0  # taken, and ignored
@@ -157,7 +326,7 @@ class Node:
     def _command(self, word: int) -> None:
         was = self.power.state
         self.power.command(word)
-        if was == stage.FAULT != self.power.state:
+        if was == FAULT != self.power.state:
             self.objects[0x603F] = 0
             self.objects[0x1001] = COMMUNICATION_BITS if self._silent else 0
             self._emergency(0)
@@ -167,7 +336,7 @@ class Node:
         self._heard_s = self.now_s
         if self._silent:
             self._silent = False
-            if self.power.state != stage.FAULT:
+            if self.power.state != FAULT:
                 self.objects[0x1001] = self.objects[0x603F] = 0
                 self._emergency(0)
 
@@ -181,7 +350,7 @@ class Node:
         self.objects[0x603F] = SILENCE
         self._emergency(SILENCE)
         self.state = PRE_OPERATIONAL
-        if self.power.state == stage.ENABLED:
+        if self.power.state == ENABLED:
             self._abandoned(self.objects[0x6007])
 
     def _abandoned(self, option: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from polishd.config.simulator import Effects, SimConfig
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.truth import stream
+from polishd.sim_backends.common.hidden_truth import stream
 
 
 @dataclass(frozen=True, slots=True)

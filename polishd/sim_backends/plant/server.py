@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import heapq
+import itertools
 import json
 import math
 import os
@@ -10,19 +12,57 @@ import signal
 import time
 import zlib
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
 from polishd.config.simulator import STATES
 from polishd.model.surface import FloatArray
-from polishd.sim_backends import bus, truth
+from polishd.sim_backends.common import hidden_truth, runtime
+from polishd.sim_backends.common.runtime import Start, announce, cancel_all, replace_file, until_ended
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
-from polishd.sim_backends.plant.timeline import Timeline
-from polishd.sim_backends.plant.witness import SimEventLog
-from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.runtime import Start, announce, cancel_all, replace_file, until_ended
+from polishd.sim_backends.plant.world import Timeline, World
+
+# ``sim.log``: one JSON line for each thing that happened, in the order in which it happened.
+
+KEPT = 4000
+
+
+@dataclass(slots=True)
+class SimEventLog:
+    """Holds events back until every device has vouched for their time, then writes them in order."""
+
+    path: Path
+    _heap: list[tuple[float, int, dict[str, Any]]] = field(default_factory=list)
+    _number: itertools.count[int] = field(default_factory=itertools.count)
+    _wall: list[float] = field(default_factory=list)
+    _process: list[float] = field(default_factory=list)
+
+    def add(self, device: str, name: str, at_s: float, **data: Any) -> None:
+        """Something happened at that time (time.monotonic)."""
+        heapq.heappush(self._heap, (at_s, next(self._number), {"device": device, "event": name, **data}))
+
+    def clock(self, wall_s: float, process_s: float) -> None:
+        """How the two clocks stand together."""
+        self._wall.append(wall_s)
+        self._process.append(process_s)
+        if len(self._wall) > 2 * KEPT:
+            del self._wall[:KEPT], self._process[:KEPT]
+
+    def write(self, until_s: float) -> None:
+        """Append all that happened up to then."""
+        lines = []
+        while self._heap and self._heap[0][0] <= until_s:
+            at_s, _, event = heapq.heappop(self._heap)
+            process = float(np.interp(at_s, self._wall, self._process)) if self._wall else 0.0
+            lines.append(json.dumps({"mono_s": round(at_s, 6), "process_s": round(process, 6), **event}))
+        if lines:
+            with self.path.open("a") as file:
+                file.write("\n".join(lines) + "\n")
+
 
 TICK_S = 0.02
 SUMMARY_S = 1.0
@@ -58,13 +98,13 @@ class PlantServer:
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One device, from hello to its end."""
-        hello = await bus.read_frame(reader)
+        hello = await runtime.read_frame(reader)
         if not isinstance(hello, dict) or "hello" not in hello:
             writer.close()
             return
         device = str(hello["hello"])
         self._arrive(device, float(hello["t"]), writer)
-        while (message := await bus.read_frame(reader)) is not None:
+        while (message := await runtime.read_frame(reader)) is not None:
             if self.writers.get(device) is writer:
                 self._hear(device, message)
         if self.writers.get(device) is writer:
@@ -109,7 +149,7 @@ class PlantServer:
             known = part in self.others
             self.world.part = self.others.pop(part) if known else parts.make(self.start.config.plant, seed)
         if "interferometer" in self.writers:
-            self.writers["interferometer"].write(bus.pack_json({"part": part}))
+            self.writers["interferometer"].write(runtime.pack_json({"part": part}))
 
     def again(self) -> None:
         """Read SIM.toml again: truth and tool may be others from now on, and parts that come have another surface."""
@@ -134,7 +174,7 @@ class PlantServer:
         elif device in {"actuator", "spindle"}:
             self._timeline(device).connect(at_s)
         welcome = {"pose": list(world.pose), "touch_um": world.touch_um, "pitch_mm": world.part.grid.pitch_mm}
-        writer.write(bus.pack_json({**welcome, "origin_px": list(world.part.origin_px), "part": self.seat}))
+        writer.write(runtime.pack_json({**welcome, "origin_px": list(world.part.origin_px), "part": self.seat}))
 
     def _leave(self, device: str) -> None:
         now = time.monotonic()
@@ -149,7 +189,7 @@ class PlantServer:
     def _timeline(self, device: str) -> Timeline:
         return self.world.force if device == "actuator" else self.world.rpm
 
-    def _hear(self, device: str, message: bus.Message | FloatArray) -> None:
+    def _hear(self, device: str, message: runtime.Message | FloatArray) -> None:
         if not isinstance(message, dict):
             self.world.move(message)
             self._summarise(message)
@@ -168,7 +208,7 @@ class PlantServer:
             self._timeline(device).push(message["samples"], float(message["mark"]))
             self._tell_force()
 
-    def _note(self, device: str, name: str, at_s: float, data: bus.Message) -> None:
+    def _note(self, device: str, name: str, at_s: float, data: runtime.Message) -> None:
         if device == "robot" and name in MOVING:
             self.moving, self.safe_s = MOVING[name], max(at_s, self.safe_s)
         if device == "actuator" and name in EXTENDED:
@@ -197,7 +237,7 @@ class PlantServer:
         touch_um = self.world.touch_um
         if touch_um != self._touch_um and "actuator" in self.writers:
             self._touch_um = touch_um
-            self.writers["actuator"].write(bus.pack_json({"touch_um": touch_um}))
+            self.writers["actuator"].write(runtime.pack_json({"touch_um": touch_um}))
 
     def _tell_force(self) -> None:
         """What truly acts between tool and part, to those that feel it, or whose faults begin by it."""
@@ -205,7 +245,7 @@ class PlantServer:
         if acting_n != self._acting_n:
             self._acting_n = acting_n
             for device in self.writers.keys() - DEAF:
-                self.writers[device].write(bus.pack_json({"acting_n": acting_n}))
+                self.writers[device].write(runtime.pack_json({"acting_n": acting_n}))
 
     def _measure(self, horizon_s: float) -> None:
         if self.asked_s is None or horizon_s < max(self.asked_s, self.safe_s) or self.moving or self.extended:
@@ -219,7 +259,7 @@ class PlantServer:
         self.witness.add("plant", "measured", horizon_s, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
         self._write(horizon_s)
         if "interferometer" in self.writers:
-            self.writers["interferometer"].write(bus.pack_rows(seen))
+            self.writers["interferometer"].write(runtime.pack_rows(seen))
 
     def _keep(self, name: str) -> None:
         """A part's truth stays for others to see once it is taken off."""
@@ -234,9 +274,9 @@ class PlantServer:
 def build(start: Start) -> PlantServer:
     """Draw the truth, make the part, leave a note of both in the state folder."""
     config = start.config
-    hidden = truth.draw(config.truth, start.seed, config.robot_model())
+    hidden = hidden_truth.draw(config.truth, start.seed, config.robot_model())
     part = parts.from_map(start.surface, config.plant) if start.surface else parts.make(config.plant, start.seed)
-    rng = truth.stream(start.seed, "plant")
+    rng = hidden_truth.stream(start.seed, "plant")
     drawn = effects.draw(config, start.seed)
     world = World(config, hidden, part, rng, config.robot.home, time.monotonic(), effects=drawn)
     log = start.state / "sim.log"
@@ -252,11 +292,11 @@ def build(start: Start) -> PlantServer:
 async def main(start: Start) -> None:
     """The plant's process."""
     server = build(start)
-    path = start.state / bus.SOCKET
+    path = start.state / runtime.SOCKET
     path.unlink(missing_ok=True)
     folder = os.open(start.state, os.O_RDONLY | os.O_DIRECTORY)
     stop = asyncio.Event()
-    listener = await asyncio.start_unix_server(server.serve, bus.socket_path(folder), limit=1 << 26)
+    listener = await asyncio.start_unix_server(server.serve, runtime.socket_path(folder), limit=1 << 26)
     announce("plant", str(path))
     asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, server.mark_way_out)
     asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, server.again)

@@ -3,21 +3,99 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from polishd.config.simulator import SimConfig
-from polishd.model.process import ToolProcess
-from polishd.model.robot import RobotModel
+from polishd.model.process import HybridRobot, MeasuredCompliance, Projection, RobotModel, SerialRobot, ToolProcess
 from polishd.model.surface import FloatArray
-from polishd.sim_backends.placement import Frames
+from polishd.sim_backends.common.hidden_truth import Frames
+from polishd.sim_backends.common.mechanics import tip_gives_mm_per_n
 from polishd.sim_backends.plant.effects import PlantEffects
-from polishd.sim_backends.plant.giving import Giving, giving
-from polishd.sim_backends.plant.measured import MeasuredStamp
-from polishd.sim_backends.plant.part import TruePart
-from polishd.sim_backends.plant.removal import contact_radius_mm, hertz_depth_mm, sliding, wear, worn_depth_mm
-from polishd.sim_backends.plant.shape import Local
+from polishd.sim_backends.plant.part import Local, TruePart
+from polishd.sim_backends.plant.removal import (
+    MeasuredStamp,
+    contact_radius_mm,
+    hertz_depth_mm,
+    sliding,
+    wear,
+    worn_depth_mm,
+)
+
+# How far the robot gives way under the tool: its own mechanics, or a table of what was measured.
+
+THIN_MM = 1.0
+"""A table that is not thicker than this one way has no extent there."""
+
+
+@dataclass(frozen=True, slots=True)
+class TipDeflection:
+    """By how much the tip gives way at n places, mm/N; 0 where the robot cannot be."""
+
+    along: FloatArray
+    """(n,) equivalent, along the normal."""
+    matrix: FloatArray
+    """(n, 3, 3) base frame; 0 where only the other was measured."""
+
+
+Giving = Callable[[FloatArray, FloatArray, FloatArray], TipDeflection]
+"""Tips (n, 3) mm, tool axes (n, 3) and normals (n, 3), base frame."""
+
+
+def giving(robot: RobotModel, projection: Projection) -> Giving:
+    """Of that robot. Where a table has nothing it gives as at the nearest place; where a model cannot be: 0."""
+    if isinstance(robot, MeasuredCompliance):
+        table = _by_table(robot)
+        return lambda tip, _axis, _normal: TipDeflection(table(tip), np.zeros((len(tip), 3, 3)))
+    return lambda tip, axis, normal: given_way(robot, tip, axis, normal, projection)
+
+
+def given_way(
+    robot: HybridRobot | SerialRobot,
+    tip_mm: FloatArray,
+    axis: FloatArray,
+    normal: FloatArray,
+    projection: Projection = "linear",
+) -> TipDeflection:
+    """Of a robot with mechanics; its compliance along the surface normal is the equivalent one of paper eq. 43.
+
+    ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) or (n, 3) in the base frame. The eigenvector nearest the tool axis
+    is left out: the voice coil gives way along it; but for ``normal``, what a loading test along the normal measures.
+    """
+    can, matrix = tip_gives_mm_per_n(robot, tip_mm, axis)
+    normal = np.broadcast_to(normal, tip_mm.shape)
+    if projection == "normal":
+        return TipDeflection(np.einsum("ni,nij,nj->n", normal, matrix, normal, optimize=True), matrix)
+    values, vectors = np.linalg.eigh(matrix)
+    nearest = np.argmax(np.abs(np.einsum("nik,ni->nk", vectors, axis)), axis=1)
+    shown = np.abs(np.einsum("nik,ni->nk", vectors, normal))
+    share = values * (shown if projection == "linear" else shown**2)
+    share[np.arange(len(share)), nearest] = 0.0
+    return TipDeflection(np.where(can, share.sum(axis=1), 0.0), matrix)
+
+
+def _by_table(table: MeasuredCompliance) -> Callable[[FloatArray], FloatArray]:
+    """Linear between the places, in as many dimensions as they extend; beyond them as the nearest."""
+    centre = table.tip_mm.mean(axis=0)
+    directions = np.linalg.svd(table.tip_mm - centre, full_matrices=False)[2]
+    along = directions[np.ptp((table.tip_mm - centre) @ directions.T, axis=0) > THIN_MM]
+    place, value = (table.tip_mm - centre) @ along.T, table.compliance_um_per_n * 1e-3
+    nearest = NearestNDInterpolator(place, value)
+    if len(along) == 1:
+        order = np.argsort(place[:, 0])
+        return lambda tip: np.interp((tip - centre) @ along[0], place[order, 0], value[order])
+    between = LinearNDInterpolator(place, value)
+
+    def at(tip: FloatArray) -> FloatArray:
+        where = (tip - centre) @ along.T
+        found = between(where)
+        return np.asarray(np.where(np.isnan(found), nearest(where), found))
+
+    return at
+
 
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
@@ -128,3 +206,58 @@ def _circling(count: int) -> FloatArray:
     """(n, 2) places of the unit circle, one after the other all round: of a tip much faster than the path."""
     angle = GOLDEN * np.arange(count)
     return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+# The true force behind the actuator's: a damped coil on a springy contact, with a part that comes and goes.
+
+TOGETHER_S = 1e-3
+"""Process time between contacts beyond which the tool has lifted and lands anew."""
+
+
+@dataclass(slots=True)
+class ForceDynamics:
+    """The force between tool and part as it goes on from contact to contact."""
+
+    lag_s: float
+    """tau, process time."""
+    friction_n: float = 0.0
+    """f."""
+    _force_n: float = 0.0
+    """Of the contact and of the friction, together."""
+    _held_n: float = 0.0
+    """By the friction, positive where it takes from the contact."""
+    _gap_mm: float = 0.0
+    _middle_s: float = 0.0
+    _until_s: float = -math.inf
+
+    def lift(self) -> None:
+        """The tool leaves the part: the next contact is a landing."""
+        self._until_s = -math.inf
+
+    def truly(
+        self, force_n: FloatArray, *, begin_s: FloatArray, lasts_s: FloatArray, gap_mm: FloatArray, stiff: FloatArray
+    ) -> FloatArray:
+        """(n,) mean forces of contacts in which the coil exerts ``force_n``; 0 at least.
+
+        ``begin_s``, ``lasts_s`` process time; ``gap_mm`` from the part out along the tool to where the robot holds it,
+        in the middle of each; ``stiff`` the contact's stiffness, N/mm.
+        """
+        means = np.empty(len(force_n))
+        columns = (force_n, begin_s, lasts_s, gap_mm, stiff)
+        for row, (coil, begin, lasts, gap, k) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+            middle = begin + lasts / 2.0
+            pushed = 0.0
+            if begin - self._until_s > TOGETHER_S:
+                self._force_n, self._held_n = 0.0, self.friction_n  # it comes out, and is held back
+            elif middle > self._middle_s:
+                before, way_n = self._held_n, k * (gap - self._gap_mm)
+                self._held_n = min(max(before + way_n, -self.friction_n), self.friction_n)
+                pushed = self.lag_s * (self._held_n - before - way_n) / (middle - self._middle_s)
+            settled = max(coil + pushed, self._held_n)  # nothing pulls
+            ratio = lasts / self.lag_s if self.lag_s else math.inf
+            behind = (self._force_n - settled) * -math.expm1(-ratio)
+            mean = settled + (behind / ratio if ratio > 0.0 else self._force_n - settled)
+            means[row] = max(mean - self._held_n, 0.0)
+            self._force_n -= behind
+            self._gap_mm, self._middle_s, self._until_s = gap, middle, begin + lasts
+        return means

@@ -2,24 +2,192 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from polishd.config.simulator import SimConfig
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.sim_backends.bus import ROW
-from polishd.sim_backends.placement import Frames
-from polishd.sim_backends.plant.account import ContactExitRecord, DwellAccount, Pit
+from polishd.sim_backends.common.hidden_truth import Frames, HiddenTruth
+from polishd.sim_backends.common.runtime import ROW, replace_file
 from polishd.sim_backends.plant.effects import PlantEffects
-from polishd.sim_backends.plant.lag import ForceDynamics
-from polishd.sim_backends.plant.part import TruePart
-from polishd.sim_backends.plant.shape import Local, Shape
-from polishd.sim_backends.plant.timeline import Timeline
-from polishd.sim_backends.plant.tool import ContactPoints, Tool
-from polishd.sim_backends.truth import HiddenTruth
+from polishd.sim_backends.plant.part import Local, Shape, TruePart
+from polishd.sim_backends.plant.tool import ContactPoints, ForceDynamics, Tool
+
+# The history of a force or a speed, as its device vouches for it.
+
+
+@dataclass(slots=True)
+class Timeline:
+    """Piecewise linear in wall time; constant after the last point up to the mark."""
+
+    rest: float = 0.0
+    """Value when the device is not there: no power, no force, no speed."""
+    times: list[float] = field(default_factory=lambda: [-math.inf])
+    values: list[float] = field(default_factory=lambda: [0.0])
+    mark_s: float = math.inf
+    """Nothing before it will change any more; infinite while no device is connected."""
+
+    def connect(self, at_s: float) -> None:
+        """A device has powered up; it vouches for nothing yet."""
+        self.step(at_s, self.rest)
+        self.mark_s = at_s
+
+    def disconnect(self, at_s: float, *, stays: bool = False) -> None:
+        """The device is gone: the value falls to rest at once, or stays what it was."""
+        self.step(max(at_s, self.times[-1]), self.values[-1] if stays else self.rest)
+        self.mark_s = math.inf
+
+    def push(self, samples: list[tuple[float, float]], mark_s: float) -> None:
+        """Take points in time order and the new mark. A point before the one known last is moved up to it."""
+        for time_s, value in samples:
+            self.times.append(max(time_s, self.times[-1]))
+            self.values.append(value)
+        self.mark_s = mark_s
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """Values at times before the mark."""
+        return np.asarray(np.interp(times_s, self.times[1:] or [0.0], self.values[1:] or [self.rest]))
+
+    def forget(self, before_s: float) -> None:
+        """Drop what lies before, but for the last point."""
+        keep = max(int(np.searchsorted(self.times, before_s)) - 2, 0)
+        if keep > 100:
+            del self.times[1:keep], self.values[1:keep]
+
+    def step(self, at_s: float, value: float) -> None:
+        """Another value from then on."""
+        self.times += [at_s, at_s]
+        self.values += [self.values[-1], value]
+
+
+# The plant's own account of dwell: the witness that nothing was polished twice.
+
+
+@dataclass(slots=True)
+class ContactExitRecord:
+    """What the part lost from a moment on: the cost of leaving contact, marked by whoever causes it (SIGUSR1)."""
+
+    from_s: float
+    """Wall time (monotonic) of the mark."""
+    removed_nm: FloatArray
+    standing_nm: FloatArray
+    contact_s: float = 0.0
+    standing_s: float = 0.0
+    until_s: float = 0.0
+    """Wall time of the last contact."""
+
+    def report(self) -> dict[str, float]:
+        """Seconds of contact (process time) and the deepest place, in all and at standstill."""
+        seconds = {name: getattr(self, name) for name in ("from_s", "until_s", "contact_s", "standing_s")}
+        return {
+            **seconds,
+            "peak_nm": float(self.removed_nm.max()),
+            "standing_peak_nm": float(self.standing_nm.max()),
+        }
+
+
+@dataclass(slots=True)
+class Pit:
+    """Removal beyond plan from the first wrong moment on: what a fault of motion or force costs the part.
+
+    Planned is the set point of the force for as long as the motion planned takes. A tool that stands, or is slow, or
+    presses more, removes more than that; one that is being lifted removes less.
+    """
+
+    from_s: float
+    """Wall time (monotonic) of the first wrong moment."""
+    excess_nm: FloatArray
+    contact_s: float = 0.0
+    """Process time of contact since."""
+    until_s: float = 0.0
+    """Wall time of the last contact."""
+
+    def report(self, part: TruePart) -> dict[str, Any]:
+        """Times, and the worst place in the part's own x and y."""
+        row, column = np.unravel_index(int(self.excess_nm.argmax()), self.excess_nm.shape)
+        return {
+            **{name: getattr(self, name) for name in ("from_s", "until_s", "contact_s")},
+            "peak_nm": float(self.excess_nm.max()),
+            "at_mm": [float(part.grid.x_mm[column]), float(part.grid.y_mm[row])],
+            **self._on_part(part),
+        }
+
+    def _on_part(self, part: TruePart) -> dict[str, float]:
+        """Worst place of the part itself, without the ring on which the tool lands, and what was planned there."""
+        on_part = np.pad(part.valid, part.pad)
+        worst = int(np.where(on_part, self.excess_nm, -np.inf).argmax())
+        planned_nm = part.start_nm - part.height_nm - self.excess_nm
+        return {"part_nm": float(self.excess_nm.flat[worst]), "planned_nm": float(planned_nm.flat[worst])}
+
+
+@dataclass(slots=True)
+class DwellAccount:
+    """Contact seconds (process time) for each block of each program, and at standstill."""
+
+    programs: dict[str, FloatArray] = field(default_factory=dict)
+    loads: dict[str, int] = field(default_factory=dict)
+    current: str = ""
+    standstill_s: float = 0.0
+    stands: list[dict[str, float]] = field(default_factory=list)
+    way_out: ContactExitRecord | None = None
+    pit: Pit | None = None
+
+    def load(self, sha256: str, blocks: int) -> None:
+        """A program was loaded; one that was loaded before goes on with its old account."""
+        self.current = sha256
+        self.loads[sha256] = self.loads.get(sha256, 0) + 1
+        known = self.programs.get(sha256)
+        if known is None or len(known) != blocks:
+            self.programs[sha256] = np.zeros(blocks)
+
+    def dwell(self, program: str, seq: FloatArray, seconds: FloatArray) -> None:
+        """Contact in blocks."""
+        book = self.programs.get(program)
+        if book is not None and len(seq):
+            np.add.at(book, seq.astype(np.int64), seconds)
+
+    def stand(
+        self, x_mm: float, y_mm: float, at_s: float, seconds: float, *, force_n: float = 0.0, rpm: float = 0.0
+    ) -> None:
+        """Contact at standstill, under that force and at that speed of the spindle."""
+        self.standstill_s += seconds
+        last = self.stands[-1] if self.stands else None
+        if last and at_s - last["until_s"] < 0.5 and abs(last["x_mm"] - x_mm) + abs(last["y_mm"] - y_mm) < 0.01:
+            last["seconds"] += seconds
+            last["until_s"] = at_s
+            last["most_n"], last["most_rpm"] = max(last["most_n"], force_n), max(last["most_rpm"], rpm)
+        else:
+            times = {"from_s": at_s, "until_s": at_s, "seconds": seconds}
+            self.stands.append({"x_mm": x_mm, "y_mm": y_mm, **times, "most_n": force_n, "most_rpm": rpm})
+
+    def write(self, folder: Path, part: TruePart, process_s: float, until_s: float) -> None:
+        """``dwell_account.json`` and ``truth.npz``, each replaced whole; all is in them up to that wall time."""
+        rms, pv = part.stats()
+        books: list[dict[str, Any]] = [
+            {"sha256": sha, "blocks": len(book), "loads": self.loads[sha], "contact_s": np.round(book, 7).tolist()}
+            for sha, book in self.programs.items()
+        ]
+        message = {
+            "process_s": process_s,
+            "until_s": until_s,
+            "rms_nm": rms,
+            "pv_nm": pv,
+            "standstill_contact_s": self.standstill_s,
+            "stands": self.stands,
+            "way_out": self.way_out.report() if self.way_out is not None else None,
+            "pit": self.pit.report(part) if self.pit is not None else None,
+            "programs": books,
+            "truth": "truth.npz",
+        }
+        replace_file(folder / "dwell_account.json", json.dumps(message).encode())
+        part.write(folder / "truth.npz")
+
 
 REACH_MM = 4.5
 """So far the actuator's stroke lets the bonnet follow the surface."""

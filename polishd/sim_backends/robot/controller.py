@@ -3,17 +3,100 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from polishd.config.simulator import SimRobotSection
-from polishd.sim_backends.robot import frames
-from polishd.sim_backends.robot.clients import Client, Lease
-from polishd.sim_backends.robot.intake import Intake, Reach
+from polishd.sim_backends.common import framing
 from polishd.sim_backends.robot.motion import SimMotion
+from polishd.sim_backends.robot.program_reader import Intake, Reach
 
-WRITER_ONLY = {frames.LOAD, frames.BLOCKS, frames.RESUME, frames.ABORT, frames.LIFT}
+# Who is connected to the robot controller, and which of them may write.
+
+CHUNK = 2000
+"""Blocks in one EXECUTED frame."""
+BACKLOG = 1 << 19
+"""Bytes on their way to a client beyond which records wait for the next tick."""
+
+
+@dataclass(eq=False, slots=True)
+class Client:
+    """One connection."""
+
+    send: Callable[[bytes], None]
+    backlog: Callable[[], int] = lambda: 0
+    """Bytes that it has not taken yet."""
+    role: str = ""
+    told: int = 0
+    """Executed blocks of the program that it was told of."""
+    credit: tuple[int, int] = (-1, -1)
+    awaits: list[int] = field(default_factory=list)
+    """Types (HOLD, ABORT) whose ACK waits for standstill."""
+
+    def ack(self, kind: int, status: dict[str, Any]) -> None:
+        """It was done."""
+        self.send(framing.pack_json(framing.ACK, {"of": kind, "status": status}))
+
+    def tell(self, credit: tuple[int, int], ahead_s: float, executed: Sequence[tuple[int, float, float]]) -> None:
+        """ACCEPTED where ``credit`` changed, EXECUTED where there is more and it takes it."""
+        if self.credit != credit:
+            self.credit = credit
+            self.send(framing.pack(framing.ACCEPTED, struct.pack(">IId", *credit, ahead_s)))
+        while self.told < len(executed) and self.backlog() < BACKLOG:
+            part = executed[self.told : self.told + CHUNK]
+            self.send(framing.pack_executed(part))
+            self.told += len(part)
+
+    def nak(self, kind: int, code: str, text: str) -> None:
+        """It was refused."""
+        self.send(framing.pack_json(framing.NAK, {"of": kind, "code": code, "text": text}))
+
+
+@dataclass(slots=True)
+class Lease:
+    """The right to write. Each frame of its writer renews it; it lapses when nothing is heard for its time."""
+
+    lasts_s: float
+    name: str = ""
+    """The last one given."""
+    writer: Client | None = None
+    """None while its holder is away."""
+    _heard_s: float = float("-inf")
+    _count: int = 0
+
+    def take(self, client: Client, name: str, now_s: float, *, standing: bool) -> bool:
+        """Whether this connection may write from now on; the one that could until now may only read on.
+
+        Where the robot stands, nobody is waited for whose connection has ended.
+        """
+        taken = self.silent_s(now_s) <= self.lasts_s and not (standing and self.writer is None)
+        if not self.name or name != self.name:
+            if taken:
+                return False
+            self._count += 1
+            self.name = f"lease-{self._count}"
+        if self.writer is not None:
+            self.writer.role = "reader"
+        self.writer, self._heard_s = client, now_s
+        return True
+
+    def heard(self, client: Client, now_s: float) -> None:
+        """A frame of this connection was sound."""
+        if client is self.writer:
+            self._heard_s = now_s
+
+    def silent_s(self, now_s: float) -> float:
+        """How long nothing was heard of the writer."""
+        return now_s - self._heard_s
+
+    def leave(self, client: Client) -> None:
+        """A connection ended."""
+        if client is self.writer:
+            self.writer = None
+
+
+WRITER_ONLY = {framing.LOAD, framing.BLOCKS, framing.RESUME, framing.ABORT, framing.LIFT}
 MAX_BLOCKS = 5_000_000
 LONGEST_LIFT_MM = 500.0
 Report = Callable[..., None]
@@ -46,13 +129,13 @@ class SimRobotController:
     def on_frame(self, client: Client, kind: int, payload: bytes, now_s: float) -> None:
         """Act on one intact frame."""
         self.lease.heard(client, now_s)
-        if kind == frames.HELLO:
+        if kind == framing.HELLO:
             self._hello(client, payload, now_s)
         elif not client.role:
             client.nak(kind, "protocol", "the first frame must be HELLO")
         elif kind in WRITER_ONLY and client is not self.lease.writer:
             client.nak(kind, "reader", "who has not the lease may only watch, ping and hold")
-        elif kind == frames.BLOCKS:
+        elif kind == framing.BLOCKS:
             self._blocks(client, payload, now_s)
         else:
             self._command(client, kind, payload, now_s)
@@ -94,21 +177,21 @@ class SimRobotController:
 
     def send_status(self) -> None:
         """STATUS to everyone."""
-        frame = frames.pack_json(frames.STATUS, self.status())
+        frame = framing.pack_json(framing.STATUS, self.status())
         for client in self.clients:
             client.send(frame)
 
     def _hello(self, client: Client, payload: bytes, now_s: float) -> None:
-        message = frames.unpack_json(payload)
+        message = framing.unpack_json(payload)
         role = message.get("role") if message else None
         if message is None or message.get("protocol") != 1 or role not in {"writer", "reader"} or client.role:
-            client.nak(frames.HELLO, "protocol", "HELLO wants protocol 1, a role, and comes once")
+            client.nak(framing.HELLO, "protocol", "HELLO wants protocol 1, a role, and comes once")
             return
         self.motion.advance(now_s)
         self._watch(now_s)  # what runs is not handed to a new writer
         name, standing = str(message.get("lease", "")), self.motion.state != "running"
         if role == "writer" and not self.lease.take(client, name, now_s, standing=standing):
-            client.nak(frames.HELLO, "busy", "another writer has the lease")
+            client.nak(framing.HELLO, "busy", "another writer has the lease")
             return
         client.role = role
         self.clients.append(client)
@@ -116,7 +199,7 @@ class SimRobotController:
         client.told = start if isinstance(start, int) and start >= 0 else 0
         welcome = {"protocol": 1, **self.identity, "watchdog_s": self.config.watchdog_s, "window": self.config.window}
         lease = self.lease.name if role == "writer" else ""
-        client.send(frames.pack_json(frames.WELCOME, {**welcome, "lease": lease, "status": self.status()}))
+        client.send(framing.pack_json(framing.WELCOME, {**welcome, "lease": lease, "status": self.status()}))
         self.report("client", role=role, client=str(message.get("client", "")))
         self._tell(client)
 
@@ -138,16 +221,16 @@ class SimRobotController:
         self.motion.hold(now_s, why)
 
     def _blocks(self, client: Client, payload: bytes, now_s: float) -> None:
-        taken = frames.unpack_blocks(payload)
+        taken = framing.unpack_blocks(payload)
         intake = self._intake
         if taken is None:
-            client.nak(frames.BLOCKS, "protocol", "malformed BLOCKS")
+            client.nak(framing.BLOCKS, "protocol", "malformed BLOCKS")
             return
         if intake is None:
-            client.nak(frames.BLOCKS, "no_program", "LOAD first")
+            client.nak(framing.BLOCKS, "no_program", "LOAD first")
             return
         if refusal := intake.refusal():
-            client.nak(frames.BLOCKS, *refusal)
+            client.nak(framing.BLOCKS, *refusal)
             return
         first, lines = taken
         self.motion.advance(now_s)
@@ -161,7 +244,7 @@ class SimRobotController:
         if blocks := intake.take(expected, new):
             self.motion.append(now_s, blocks)
         if refusal := intake.refusal():
-            client.nak(frames.BLOCKS, *refusal)
+            client.nak(framing.BLOCKS, *refusal)
         self._tell(client)
 
     def _ask_again(self, client: Client, intake: Intake) -> None:
@@ -169,7 +252,7 @@ class SimRobotController:
         expected = self.motion.accepted
         if intake.asked_from != expected:
             intake.asked_from = expected
-            client.send(frames.pack(frames.RESEND, struct.pack(">I", expected)))
+            client.send(framing.pack(framing.RESEND, struct.pack(">I", expected)))
 
     def _room(self) -> int:
         """Blocks that may be sent."""
@@ -177,23 +260,23 @@ class SimRobotController:
         return max(min(len(motion.executed) + self.config.window, motion.path.blocks) - motion.accepted, 0)
 
     def _command(self, client: Client, kind: int, payload: bytes, now_s: float) -> None:
-        message = frames.unpack_json(payload)
+        message = framing.unpack_json(payload)
         if message is None:
             client.nak(kind, "protocol", "the payload is not a JSON object")
-        elif kind == frames.PING:
+        elif kind == framing.PING:
             self.motion.advance(now_s)
             client.credit = (-1, -1)  # an ACCEPTED that was lost is made good
             self._tell(client)
-            client.send(frames.pack_json(frames.STATUS, self.status()))
-        elif kind == frames.LOAD:
+            client.send(framing.pack_json(framing.STATUS, self.status()))
+        elif kind == framing.LOAD:
             self._load(client, message, now_s)
-        elif kind == frames.RESUME:
+        elif kind == framing.RESUME:
             self._resume(client, message, now_s)
-        elif kind in {frames.HOLD, frames.ABORT}:
-            self._stop(now_s, "hold" if kind == frames.HOLD else "abort")
+        elif kind in {framing.HOLD, framing.ABORT}:
+            self._stop(now_s, "hold" if kind == framing.HOLD else "abort")
             client.awaits.append(kind)
             self._changes()
-        elif kind == frames.LIFT:
+        elif kind == framing.LIFT:
             self._lift(client, message, now_s)
         else:
             client.nak(kind, "protocol", f"unknown type 0x{kind:02x}")
@@ -201,14 +284,14 @@ class SimRobotController:
     def _lift(self, client: Client, message: dict[str, Any], now_s: float) -> None:
         distance_mm = message.get("distance_mm")
         if not isinstance(distance_mm, int | float) or not 0.0 < distance_mm <= LONGEST_LIFT_MM:
-            client.nak(frames.LIFT, "protocol", f"LIFT wants distance_mm, at most {LONGEST_LIFT_MM:g}")
+            client.nak(framing.LIFT, "protocol", f"LIFT wants distance_mm, at most {LONGEST_LIFT_MM:g}")
             return
         if self.estop:
-            client.nak(frames.LIFT, "fault", "emergency stop")
+            client.nak(framing.LIFT, "fault", "emergency stop")
             return
         self.stops += 1
         self.motion.lift(now_s, float(distance_mm))
-        client.awaits.append(frames.LIFT)
+        client.awaits.append(framing.LIFT)
         self._changes()
 
     def _load(self, client: Client, message: dict[str, Any], now_s: float) -> None:
@@ -216,10 +299,10 @@ class SimRobotController:
         blocks, hashes = message.get("blocks"), [message.get(key) for key in ("program_sha256", "blocks_sha256")]
         name, hashed = (value if isinstance(value, str) else "" for value in hashes)
         if self.motion.state == "running":
-            client.nak(frames.LOAD, "running", "hold first")
+            client.nak(framing.LOAD, "running", "hold first")
             return
         if not name or not hashed or not isinstance(blocks, int) or not 0 < blocks <= MAX_BLOCKS:
-            client.nak(frames.LOAD, "protocol", "LOAD wants program_sha256, blocks_sha256 and blocks")
+            client.nak(framing.LOAD, "protocol", "LOAD wants program_sha256, blocks_sha256 and blocks")
             return
         self.motion.load(blocks)
         self.sha256 = name
@@ -227,7 +310,7 @@ class SimRobotController:
         for each in self.clients:
             each.told = 0
         self.report("program_loaded", sha256=self.sha256, blocks=blocks)
-        client.ack(frames.LOAD, self.status())
+        client.ack(framing.LOAD, self.status())
         self.send_status()
         self._tell(client)
 
@@ -237,16 +320,16 @@ class SimRobotController:
         if self.estop:
             refusal = ("fault", "emergency stop")
         if refusal is not None:
-            client.nak(frames.RESUME, "no_program", refusal[1])
+            client.nak(framing.RESUME, "no_program", refusal[1])
         elif self.motion.lifted:
-            client.nak(frames.RESUME, "no_program", "the tool was lifted off the path: LOAD again")
+            client.nak(framing.RESUME, "no_program", "the tool was lifted off the path: LOAD again")
         elif until is not None and not isinstance(until, int):
-            client.nak(frames.RESUME, "protocol", "until is a sequence number or null")
+            client.nak(framing.RESUME, "protocol", "until is a sequence number or null")
         elif message.get("stops") != self.stops:
-            client.nak(frames.RESUME, "stale", f"{self.stops} stops, not {message.get('stops')}: look again")
+            client.nak(framing.RESUME, "stale", f"{self.stops} stops, not {message.get('stops')}: look again")
         else:
             self.motion.resume(now_s, until)
-            client.ack(frames.RESUME, self.status())
+            client.ack(framing.RESUME, self.status())
             self._changes()
 
     def _changes(self) -> None:
@@ -262,7 +345,7 @@ class SimRobotController:
         for client in [client for client in self.clients if client.awaits]:
             self._tell(client)
             for kind in client.awaits:
-                if kind == frames.ABORT:
+                if kind == framing.ABORT:
                     motion.forget()
                     self.sha256, self._intake, self._was = "", None, "idle"
                     self.send_status()

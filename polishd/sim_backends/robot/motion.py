@@ -2,17 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from polishd.model.surface import FloatArray
-from polishd.sim_backends.robot.legs import Cursor, Legs, braking, plan, rows
-from polishd.sim_backends.robot.lift import Lift, standing
-from polishd.sim_backends.robot.path import PAUSE, BlockColumns, Limits
-from polishd.sim_backends.robot.rnc import Pose, SimProgramBlock
+from polishd.model.process import MeasuredCompliance
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.sim_backends.common import hidden_truth
+from polishd.sim_backends.common.faults import SpeedOverride
+from polishd.sim_backends.common.hidden_truth import Frames, tool_axis
+from polishd.sim_backends.common.mechanics import Reaching
+from polishd.sim_backends.common.runtime import ROW, SimRuntime
+from polishd.sim_backends.robot.program_reader import Pose, SimProgramBlock
+from polishd.sim_backends.robot.trajectory import PAUSE, BlockColumns, Cursor, Legs, Limits, braking, plan, rows
+
+# Leaving the path along the tool's axis: a trapezoid of its own, laid over what the path still does.
+
+STEP_S = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Lift:
+    """From rest to rest over a distance, from ``begin_s`` of the process clock on."""
+
+    begin_s: float
+    distance_mm: float
+    accel_mm_s2: float
+    speed_mm_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When it stands."""
+        up_s, cruise_s = self._phases()
+        return self.begin_s + 2.0 * up_s + cruise_s
+
+    def offset_mm(self, process_s: FloatArray) -> FloatArray:
+        """How far off the path it is, (n,)."""
+        up_s, cruise_s = self._phases()
+        t = np.clip(process_s - self.begin_s, 0.0, 2.0 * up_s + cruise_s)
+        down_s = np.maximum(t - up_s - cruise_s, 0.0)
+        top = self.accel_mm_s2 * up_s
+        rising = 0.5 * self.accel_mm_s2 * np.minimum(t, up_s) ** 2
+        return np.asarray(rising + top * np.maximum(t - up_s, 0.0) - 0.5 * self.accel_mm_s2 * down_s**2)
+
+    def poses(self, path: FloatArray, process_s: FloatArray) -> FloatArray:
+        """Poses of the path (n, 5) at those times (n,), lifted along their own tool axes."""
+        axis = tool_axis(path[:, 3], path[:, 4])
+        return np.column_stack([path[:, :3] + axis * self.offset_mm(process_s)[:, None], path[:, 3:]])
+
+    def _phases(self) -> tuple[float, float]:
+        """Seconds of acceleration, and at full speed."""
+        up_s = min(self.speed_mm_s / self.accel_mm_s2, math.sqrt(self.distance_mm / self.accel_mm_s2))
+        cruise_mm = self.distance_mm - self.accel_mm_s2 * up_s**2
+        return up_s, max(cruise_mm, 0.0) / (self.accel_mm_s2 * up_s)
+
+
+def standing(seq: int, pose: Pose, since_s: float, until_s: float) -> FloatArray:
+    """Rows (n, 8) of a tool that stands on its path: seq, from_s, to_s and its pose."""
+    edges = np.linspace(since_s, until_s, max(math.ceil((until_s - since_s) / STEP_S), 1) + 1)
+    count = len(edges) - 1
+    return np.column_stack([np.full(count, float(seq)), edges[:-1], edges[1:], np.tile(pose, (count, 1))])
+
 
 State = Literal["idle", "held", "running", "done"]
 
@@ -269,3 +323,65 @@ class SimMotion:
     def _starved(self) -> bool:
         """Whether the stop came because there was nothing to run at all, not because of a pause."""
         return len(self._legs.block) == 0
+
+
+# The moving part of any simulated robot: its hidden truth, its reach, and what it tells the plant of its motion.
+
+
+class SimRobotBody:
+    """What a controller orders."""
+
+    def __init__(self, runtime: SimRuntime) -> None:
+        start, robot = runtime.start, runtime.start.config.robot
+        hidden = hidden_truth.draw(start.config.truth, start.seed)
+        limits = Limits(
+            accel_mm_s2=hidden.accel_mm_s2,
+            overhead_s=hidden.overhead_s,
+            corner_deg=robot.corner_deg,
+            rapid_mm_s=robot.rapid_mm_s,
+            max_feed_mm_s=robot.max_feed_mm_s,
+            speed=start.speed,
+        )
+        x, y, z, a, c = runtime.link.welcome.get("pose") or robot.home
+        self.motion = SimMotion(limits, (x, y, z, a, c))
+        self._runtime = runtime
+        self._override = SpeedOverride()
+        runtime.script.suffer = self._override.suffer
+        self.blocks_of: Callable[[FloatArray], FloatArray] = lambda blocks: blocks
+        """The program's blocks (n,) of the motion's, where the controller's file has more lines."""
+        self._frames = Frames(start.config.plant)
+        model = start.config.robot_model()
+        self._reaching = None if isinstance(model, MeasuredCompliance) else Reaching(model)
+
+    def set_pace(self, now_s: float) -> None:
+        """Move from now on as fast as the faults of the script allow, and tell the plant."""
+        pace = self._override.actual(now_s)
+        if pace != self.motion.pace:
+            self.motion.set_pace(now_s, pace)
+            self._runtime.link.pace(pace, now_s)
+        self.motion.reported_pace = self._override.reported(now_s)
+
+    def reach(self, blocks: list[SimProgramBlock]) -> BoolArray:
+        """Which blocks end where the robot can be; of one that was only measured nobody knows."""
+        poses = np.array([block.end for block in blocks]).reshape(-1, 5)
+        if self._reaching is None:
+            return np.ones(len(poses), dtype=np.bool_)
+        return self._reaching.reached(*self._frames.in_base(*self._frames.in_part(poses)))
+
+    def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
+        """Tell the witness, after the motion that came before."""
+        self.report()
+        self._runtime.link.event(name, at_s, **data)
+
+    def report(self) -> None:
+        """Send what moved since the last time, and vouch for it."""
+        motion = self.motion
+        now = time.monotonic()
+        motion.advance(now)
+        rows = np.concatenate(motion.rows) if motion.rows else np.zeros((0, len(ROW)))
+        motion.rows.clear()
+        mark = now
+        if motion.state == "running" and len(rows):
+            mark = float(rows[-1, 2])
+        rows[:, 0] = self.blocks_of(rows[:, 0])
+        self._runtime.link.rows(rows, mark, motion.pose)

@@ -2,13 +2,109 @@
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from polishd.sim_backends.universal_robots import fields
-from polishd.sim_backends.universal_robots.fields import FORMATS, INPUTS, OUTPUTS
-from polishd.sim_backends.universal_robots.machine import UrController
+from polishd.sim_backends.universal_robots.arm import REGISTERS
+from polishd.sim_backends.universal_robots.controller import UrController
+
+# The fields of RTDE that this controller has, with their types; what it does not simulate is 0.
+
+FORMATS = {
+    "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
+    "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
+}  # fmt: skip
+_NAMES = {
+    "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
+    "actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 "
+    "standard_analog_output0 standard_analog_output1 io_current payload tool_output_current tool_temperature",
+    "VECTOR6D": "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
+    "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed "
+    "joint_temperatures actual_joint_voltage ft_raw_wrench payload_inertia tcp_offset",
+    "VECTOR3D": "actual_tool_accelerometer elbow_position elbow_velocity payload_cog",
+    "VECTOR6INT32": "joint_mode",
+    "INT32": "robot_mode safety_mode safety_status tool_output_voltage",
+    "UINT32": "runtime_state robot_status_bits safety_status_bits analog_io_types output_bit_registers0_to_31 "
+    "output_bit_registers32_to_63 tool_mode",
+    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
+}
+OUTPUTS = {name: kind for kind, names in _NAMES.items() for name in names.split()}
+OUTPUTS |= {f"output_int_register_{at}": "INT32" for at in range(REGISTERS)}
+OUTPUTS |= {f"output_double_register_{at}": "DOUBLE" for at in range(REGISTERS)}
+INPUTS = {
+    "speed_slider_mask": "UINT32", "speed_slider_fraction": "DOUBLE",
+    "standard_digital_output_mask": "UINT8", "standard_digital_output": "UINT8",
+    "configurable_digital_output_mask": "UINT8", "configurable_digital_output": "UINT8",
+    "tool_digital_output_mask": "UINT8", "tool_digital_output": "UINT8",
+    "standard_analog_output_mask": "UINT8", "standard_analog_output_type": "UINT8",
+    "standard_analog_output_0": "DOUBLE", "standard_analog_output_1": "DOUBLE",
+}  # fmt: skip
+INPUTS |= {f"input_int_register_{at}": "INT32" for at in range(REGISTERS)}
+INPUTS |= {f"input_double_register_{at}": "DOUBLE" for at in range(REGISTERS)}
+ON, PROGRAM_RUNS = 1, 2
+_NORMAL_BIT, _PROTECTIVE_BIT, _EMERGENCY_BITS = 1, 4, 0x90
+_JOINT_RUNNING = 253
+
+
+def value(machine: UrController, name: str) -> float | Sequence[float]:
+    """What an output says now."""
+    head, _, number = name.rpartition("_")
+    if head == "output_int_register":
+        return machine.ints_out[int(number)]
+    if head == "output_double_register":
+        return machine.doubles_out[int(number)]
+    vector = _vectors(machine, name)
+    if vector is not None:
+        return vector
+    known: dict[str, float] = {
+        "timestamp": machine.time_s,
+        "runtime_state": machine.runtime,
+        "robot_mode": machine.robot_mode,
+        "safety_mode": machine.safety_mode,
+        "safety_status": machine.safety_mode,
+        "target_speed_fraction": machine.slider * machine.override.reported(machine.wall_s()),
+        "speed_scaling": machine.pace,
+        "robot_status_bits": ON * (machine.robot_mode == 7) | PROGRAM_RUNS * (machine.runtime == 2),
+        "safety_status_bits": {1: _NORMAL_BIT, 3: _PROTECTIVE_BIT}.get(machine.safety_mode, _EMERGENCY_BITS),
+        "actual_main_voltage": 48.0,
+        "actual_robot_voltage": 48.0,
+    }
+    return known.get(name, 0)
+
+
+def _vectors(machine: UrController, name: str) -> Sequence[float] | None:
+    if name in {"actual_TCP_pose", "target_TCP_pose"}:
+        return machine.arm.pose_m()
+    if name in {"actual_TCP_speed", "target_TCP_speed"}:
+        return [*(part / 1000.0 for part in machine.arm.velocity), 0.0, 0.0, 0.0]
+    if name == "joint_mode":
+        return [_JOINT_RUNNING] * 6
+    kind = OUTPUTS[name]
+    return [0.0] * int(kind[6]) if kind.startswith("VECTOR") else None
+
+
+def write(machine: UrController, name: str, number: float, mask: float) -> None:
+    """An input was written; ``mask`` is the last one of the same package."""
+    head, _, at = name.rpartition("_")
+    if head == "input_int_register":
+        machine.ints_in[int(at)] = int(number)
+    elif head == "input_double_register":
+        machine.doubles_in[int(at)] = number
+    elif name == "speed_slider_fraction" and mask and math.isfinite(number):
+        machine.slider = min(max(number, 0.0), 1.0)
+    machine.written(name)
+
+
+def packed(machine: UrController, names: Sequence[str]) -> bytes:
+    """The values of these outputs."""
+    flat: list[float] = []
+    for name in names:
+        found = value(machine, name)
+        flat += found if isinstance(found, Sequence) else [found]
+    return struct.pack(">" + "".join(FORMATS[OUTPUTS[name]] for name in names), *flat)
+
 
 HEAD = struct.Struct(">HB")
 VERSION, CONTROLLER, TEXT, DATA, SET_OUTPUTS, SET_INPUTS, START, PAUSE = b"VvMUOISP"
@@ -67,7 +163,7 @@ class RtdeClient:
         period_s = max(1.0 / self.rate_hz, self.machine.speed / MOST_HZ)
         self._next_s = max(self._next_s + period_s, before_s)
         if self.backlog() < BACKLOG:
-            self.send(pack(DATA, b"\1" + fields.packed(self.machine, self.outputs)))
+            self.send(pack(DATA, b"\1" + packed(self.machine, self.outputs)))
 
     def _take(self, kind: int, payload: bytes) -> None:
         if kind == VERSION:
@@ -121,7 +217,7 @@ class RtdeClient:
         mask = 0.0
         for name, number in zip(names, form.unpack(payload[1:]), strict=True):
             mask = number if name.endswith("_mask") else mask
-            fields.write(self.machine, name, number, mask)
+            write(self.machine, name, number, mask)
 
 
 def _names(payload: bytes) -> list[str]:

@@ -10,9 +10,8 @@ import pytest
 import pytest_asyncio
 
 from polishd.api import DeviceRefused, ForceActuator, ForceSample, LinkError
-from polishd.testing.patience import within
-from polishd.testing.rig import Rig, cuts, presses, rig_fixture
-from polishd.testing.waiting import failure_of, first, is_lost, seen
+from polishd.testing.device_rig import Rig, cuts, presses, rig_fixture
+from polishd.testing.helpers import failure_of, first, is_lost, seen, within
 
 ActuatorRig = Rig[ForceActuator]
 ROUNDED_N = 0.02

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from polishd.daemon.app import CellRun, run_cells
-from polishd.testing.bench import HilBench
-from polishd.testing.plugin import BENCH
+from polishd.testing.hil_bench import HilBench
+from polishd.testing.pytest_plugin import BENCH
 
 
 @pytest.fixture

@@ -9,10 +9,9 @@ import pytest
 
 from polishd.api import Device, LinkError
 from polishd.config.cell import PORTS
-from polishd.daemon.port_checks import missing_members
-from polishd.testing.patience import within
-from polishd.testing.rig import Rig, cuts, mutes, rig_fixture
-from polishd.testing.waiting import until_lost
+from polishd.daemon.cell.device_polling import missing_members
+from polishd.testing.device_rig import Rig, cuts, mutes, rig_fixture
+from polishd.testing.helpers import until_lost, within
 
 AnyRig = Rig[Any]
 

@@ -10,8 +10,8 @@ import pytest
 import pytest_asyncio
 
 from polishd.api import DeviceRefused, ForceSensor, LinkError, SensedForce
-from polishd.testing.patience import SOON_S, within
-from polishd.testing.rig import Rig, cuts, mutes, rig_fixture
+from polishd.testing.device_rig import Rig, cuts, mutes, rig_fixture
+from polishd.testing.helpers import SOON_S, within
 
 ForceSensorRig = Rig[ForceSensor]
 

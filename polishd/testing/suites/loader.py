@@ -8,9 +8,8 @@ import pytest
 import pytest_asyncio
 
 from polishd.api import DeviceRefused, PartLoader, WrongPart
-from polishd.testing.patience import within
-from polishd.testing.rig import Rig, moves, mutes, rig_fixture
-from polishd.testing.waiting import failure_of, is_lost
+from polishd.testing.device_rig import Rig, moves, mutes, rig_fixture
+from polishd.testing.helpers import failure_of, is_lost, within
 
 LoaderRig = Rig[PartLoader]
 

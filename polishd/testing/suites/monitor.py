@@ -9,8 +9,8 @@ import pytest
 import pytest_asyncio
 
 from polishd.api import LinkError, Monitor, Signal
-from polishd.testing.patience import SOON_S, within
-from polishd.testing.rig import Rig, cuts, mutes, rig_fixture
+from polishd.testing.device_rig import Rig, cuts, mutes, rig_fixture
+from polishd.testing.helpers import SOON_S, within
 
 MonitorRig = Rig[Monitor]
 

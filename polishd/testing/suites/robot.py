@@ -9,10 +9,8 @@ import pytest
 import pytest_asyncio
 
 from polishd.api import DeviceRefused, ExecutedBlock, LinkError, Plan, Robot, Segment
-from polishd.testing.patience import within
-from polishd.testing.plans import plan_of
-from polishd.testing.rig import Rig, cuts, fresh, moves, rig_fixture
-from polishd.testing.waiting import failure_of, is_lost, seen
+from polishd.testing.device_rig import Rig, cuts, fresh, moves, rig_fixture
+from polishd.testing.helpers import failure_of, is_lost, plan_of, seen, within
 
 RobotRig = Rig[Robot]
 

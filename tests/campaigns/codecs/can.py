@@ -10,14 +10,13 @@ from typing import Any
 
 import pytest
 
-from polishd.drivers.spindle_can import codec
-from polishd.drivers.spindle_can import link as links
+from polishd.drivers import spindle_can
 from polishd.drivers.transport.address import SlcanAddress
 from polishd.drivers.transport.can_bus import CanFrame, OnFrame
 from tests.campaigns.codecs.nasty import WEIGHTS, Nasty, Talk
 
 NODE = 5
-OBJECTS = (codec.VENDOR_ID, codec.PRODUCT_CODE, codec.SERIAL_NUMBER, codec.MAXIMUM_SPEED)
+OBJECTS = (spindle_can.VENDOR_ID, spindle_can.PRODUCT_CODE, spindle_can.SERIAL_NUMBER, spindle_can.MAXIMUM_SPEED)
 STEP = 97
 """All speeds that it tells are so many tenths of rpm, or a multiple."""
 
@@ -55,7 +54,7 @@ class Spindle(Talk):
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
-        self._link = links.DriveLink(SlcanAddress(Path("bus")), NODE, self.silence_s)
+        self._link = spindle_can.DriveLink(SlcanAddress(Path("bus")), NODE, self.silence_s)
         self._timer: asyncio.TimerHandle | None = None
         self._asked = b""
 
@@ -63,10 +62,10 @@ class Spindle(Talk):
         async def open_bus(_: object, _node: int) -> Bus:
             return Bus(nasty)
 
-        monkeypatch.setattr(links, "open_bus", open_bus)
+        monkeypatch.setattr(spindle_can, "open_bus", open_bus)
 
     async def open(self) -> None:
-        self._link = links.DriveLink(SlcanAddress(Path("bus")), NODE, self.silence_s)
+        self._link = spindle_can.DriveLink(SlcanAddress(Path("bus")), NODE, self.silence_s)
         await self._link.open()
 
     async def close(self) -> None:
@@ -86,26 +85,26 @@ class Spindle(Talk):
     def _tick(self) -> None:
         number = next(self.numbers)
         self._timer = asyncio.get_running_loop().call_later(self.period_s, self._tick)
-        self.say(self._frame(codec.HEARTBEAT, b"\5"))
-        self.say(self._frame(codec.STATUS, struct.pack("<BBiBx", 2, number % 256, STEP * (number % 500), 0)))
+        self.say(self._frame(spindle_can.HEARTBEAT, b"\5"))
+        self.say(self._frame(spindle_can.STATUS, struct.pack("<BBiBx", 2, number % 256, STEP * (number % 500), 0)))
 
     def replies(self, data: bytes) -> Iterable[bytes]:
         identifier, self._asked = int.from_bytes(data[:2], "big"), data[3:6]
-        if identifier == codec.SDO_REQUEST + NODE:
+        if identifier == spindle_can.SDO_REQUEST + NODE:
             index, sub = struct.unpack("<HB", self._asked)
             self.truth = (index, sub, index * 7 + sub)
-            yield self._frame(codec.SDO_ANSWER, b"\x43" + self._asked + self.truth[2].to_bytes(4, "little"))
+            yield self._frame(spindle_can.SDO_ANSWER, b"\x43" + self._asked + self.truth[2].to_bytes(4, "little"))
 
     def refusal(self, reply: bytes) -> bytes:
         return b"" if reply[1] & 0x80 == 0 or reply[2] != 0x43 else reply[:2] + b"\x80" + reply[3:6] + b"\0\0\2\6"
 
     def tells(self, sent: bytes, reply: bytes) -> bool:
         identifier, data = int.from_bytes(sent[:2], "big"), sent[2:]
-        if identifier == codec.SDO_ANSWER + NODE:
+        if identifier == spindle_can.SDO_ANSWER + NODE:
             return sent == reply or len(data) != 8 or data[0] not in (0x43, 0x80) or data[1:4] != self._asked
-        if identifier == codec.STATUS + NODE:
+        if identifier == spindle_can.STATUS + NODE:
             return len(data) != 8 or data[0] > 3 or struct.unpack_from("<i", data, 2)[0] % STEP == 0
-        return identifier != codec.HEARTBEAT + NODE or data != b"\0"
+        return identifier != spindle_can.HEARTBEAT + NODE or data != b"\0"
 
     def _frame(self, kind: int, data: bytes) -> bytes:
         return (kind + NODE).to_bytes(2, "big") + data

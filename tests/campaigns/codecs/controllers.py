@@ -22,10 +22,10 @@ from asyncua import ua
 
 from polishd.api import PolishdError
 from polishd.config.controller_profile import Variable, load_controller_profile
-from polishd.drivers.handover.ads import Ads
-from polishd.drivers.handover.opcua import OpcUa
-from polishd.drivers.handover.report import report_of
-from polishd.drivers.handover.variables import Variables, watched
+from polishd.drivers.plc_robot.ads import Ads
+from polishd.drivers.plc_robot.opcua import OpcUa
+from polishd.drivers.plc_robot.program_tracker import report_of
+from polishd.drivers.plc_robot.variables import Variables, watched
 
 BAD_SHARE = 0.6
 NOW = datetime(2026, 1, 1)  # noqa: DTZ001 -- as asyncua gives them

@@ -74,7 +74,7 @@ def _module(of: type | ModuleType) -> str:
 DRIVERS = {
     **{make.name: Driver(partial(_of_talk, make), (f"polishd/drivers/{make.driver}", _module(make))) for make in TALKS},
     **{
-        name: Driver(partial(_of_variables, make), ("polishd/drivers/handover", _module(controllers)))
+        name: Driver(partial(_of_variables, make), ("polishd/drivers/plc_robot", _module(controllers)))
         for name, make in MAKERS.items()
     },
 }

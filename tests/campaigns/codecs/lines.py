@@ -12,13 +12,12 @@ from typing import Any
 
 from polishd.api import PlainLines
 from polishd.drivers.force_sensor_line import ForceSensorLine
-from polishd.drivers.linuxcnc.connection import RshConnection
-from polishd.drivers.linuxcnc.dialogue import AXES
+from polishd.drivers.linuxcnc.protocol import AXES, RshConnection
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.monitor_line import MonitorLine
-from polishd.drivers.profiled import make
+from polishd.drivers.profile_device import build
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.model.times import LoaderTimes, MonitorTimes, SensorTimes
+from polishd.model.devices import LoaderTimes, MonitorTimes, SensorTimes
 from tests.campaigns.codecs.nasty import Talk
 from tests.fakes.devices_by_profile import shipped
 
@@ -149,11 +148,11 @@ class Loader(Sampled):
 
 class VoiceCoil(Numbered):
     name = "voice coil, lines"
-    driver = "profiled"
+    driver = "profile_device"
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
-        self._wire = make.wire_of(shipped("voice_coil_serial"), self.address, self.silence_s)
+        self._wire = build.wire_of(shipped("voice_coil_serial"), self.address, self.silence_s)
 
     async def open(self) -> None:
         await self._wire.connect()
@@ -188,12 +187,12 @@ class Plain(Talk):
 
 class ForceGauge(Plain):
     name = "force gauge by profile, plain lines"
-    driver = "profiled"
+    driver = "profile_device"
     pattern, refused = re.compile(rb"[-+]?\d+(\.\d+)? N"), re.compile(rb"\*(10|11|12|22)$")
 
     def __init__(self, address: SerialLine | Tcp = LINE, **how: Any) -> None:
         super().__init__(**how)
-        self._wire = make.wire_of(shipped("mark10_series5"), address, self.silence_s)
+        self._wire = build.wire_of(shipped("mark10_series5"), address, self.silence_s)
 
     async def open(self) -> None:
         await self._wire.connect()

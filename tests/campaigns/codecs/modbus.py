@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.handover.modbus import Modbus
-from polishd.drivers.handover.registers import ModbusAddress, place
-from polishd.drivers.handover.variables import watched
-from polishd.drivers.profiled.modbus_link import ModbusLink
+from polishd.drivers.plc_robot.modbus import Modbus, ModbusAddress, place
+from polishd.drivers.plc_robot.variables import watched
 from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.modbus_link import ModbusLink
 from tests.campaigns.codecs.lines import HOST, LINE
 from tests.campaigns.codecs.nasty import Talk
 
@@ -179,7 +178,7 @@ class ProfiledTcp(TcpSlave):
     """Words and bits are read, words are written, in turn."""
 
     name = "profile, Modbus TCP"
-    driver = "profiled"
+    driver = "profile_device"
 
     def __init__(self, address: Any = HOST, **how: Any) -> None:
         super().__init__(**how)
@@ -220,7 +219,7 @@ class Controller(TcpSlave):
     """The shipped profile of a PLC; its registers are read in three requests."""
 
     name = "handover, Modbus"
-    driver = "handover"
+    driver = "plc_robot"
     least = 0.2  # two answers are one reading
 
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:

@@ -15,11 +15,10 @@ from zlib import crc32
 
 from polishd.api import RobotTimes
 from polishd.drivers.robot_link.connection import RobotLinkConnection
-from polishd.drivers.robot_link.frames import FrameType
+from polishd.drivers.robot_link.protocol import FrameType
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.universal_robots import dashboard
-from polishd.drivers.universal_robots.link import RtdeConnection
-from polishd.drivers.universal_robots.sample import OUTPUTS, UrRegisters
+from polishd.drivers.universal_robots import driver
+from polishd.drivers.universal_robots.rtde import OUTPUTS, RtdeConnection, UrRegisters
 from tests.campaigns.codecs.lines import HOST
 from tests.campaigns.codecs.nasty import WEIGHTS, Talk
 
@@ -257,5 +256,5 @@ class Dashboard(Talk):
         return not any(self.answer.fullmatch(line) or b"not " in line.lower() for line in wrong)
 
     async def ask(self) -> Any:
-        answer = await dashboard.ask(self._address, "running", self.silence_s)
-        return dashboard.yes(answer)
+        answer = await driver.ask(self._address, "running", self.silence_s)
+        return driver.yes(answer)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.drivers.handover.variables import VariableSnapshot
+from polishd.drivers.plc_robot.variables import VariableSnapshot
 from tests.campaigns.codecs.controllers import MAKERS, Make, read_for_ever
 
 SEED = 15

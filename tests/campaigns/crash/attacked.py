@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.journal import Journal
+from polishd.daemon.journal.journal import Journal
 
 WHERE = ("before", "amid", "after")
 

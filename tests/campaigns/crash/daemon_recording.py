@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from polishd.console.demo_files import DemoFiles, with_values
-from polishd.daemon import client
-from polishd.daemon.lock import LOCK_NAME
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, with_values
+from polishd.daemon.runtime.exit_record import LOCK_NAME
+from polishd.daemon.socket import client
 from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.recording import MARKS, ROOT, Op, marked, ops, traced
 from tests.patience import SOON_S

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from polishd.files import write_atomic
+from polishd.util.files import write_atomic
 from tests.campaigns.crash.attacks import ATTACKS_KNOWN
 from tests.campaigns.crash.daemon_recording import recorded_daemon
 from tests.campaigns.crash.kills import Count
@@ -23,7 +23,7 @@ from tests.campaigns.crash.model import BROKEN, Checked
 from tests.campaigns.crash.recording import ROOT, Op
 from tests.campaigns.crash.states import KEY_BYTES, Tried
 
-PROVED = ("polishd/daemon", "polishd/files.py")
+PROVED = ("polishd/daemon", "polishd/util/files.py")
 """What the figures are of: where it changes, they begin anew."""
 SAID = {
     "lost": "acknowledged, and lost",

@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.journal import JOURNAL_NAME, Journal
-from polishd.daemon.journal_check import CommitRecord, register_checksum
-from polishd.daemon.journal_schema import connect
+from polishd.daemon.journal.checksums import CommitRecord, register_checksum
+from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
+from polishd.daemon.journal.store import connect
 from polishd.model.errors import PolishdError
 from tests.campaigns.crash.disk import Files
 from tests.campaigns.crash.recording import STATE, Op

@@ -19,8 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import with_values
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell, with_values
 from tests.campaigns.crash.attacked import WHERE
 from tests.campaigns.site import EXTENDED, LOOK_S, Site
 from tests.patience import SOON_S

@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-import polishd.files
-from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.lock import locked
-from polishd.model.cycle import CyclePhase, Outcome
+import polishd.util.files
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.journal.records import BlockRecord
+from polishd.daemon.runtime.exit_record import locked
 from polishd.model.devices import ExecutedBlock
-from polishd.plain import plain
+from polishd.model.states import CyclePhase, Outcome
+from polishd.util.serialization import plain
 
 CHECKPOINT_PAGES = 24
 """So that pages wander into the database all the time, not once in 1,000."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from polishd.sim_backends.robot import frames
+from polishd.sim_backends.common import framing
 from tests.campaigns.crash.marked import WEAK
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -200,8 +200,8 @@ class _Reader:
 def _wire(text: str, began: int) -> Iterator[Op]:
     """Whether this sends the robot a program, or off."""
     for raw in _STRING.findall(text):
-        for kind, payload in frames.Splitter().feed(_bytes(raw)):
-            if kind == frames.LOAD:
+        for kind, payload in framing.Splitter().feed(_bytes(raw)):
+            if kind == framing.LOAD:
                 yield Op("mark", began=began, at=began, what={"loads": json.loads(payload)["program_sha256"]})
-            elif kind == frames.RESUME:
+            elif kind == framing.RESUME:
                 yield Op("mark", began=began, at=began, what={"resumes": True})

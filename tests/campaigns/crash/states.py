@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from types import MappingProxyType
 
-from polishd.daemon.journal import JOURNAL_NAME
+from polishd.daemon.journal.journal import JOURNAL_NAME
 from tests.campaigns.crash.disk import Disk, Files
 from tests.campaigns.crash.judge import Judge, Promised, Promises, Verdict
 from tests.campaigns.crash.recording import STATE, Op

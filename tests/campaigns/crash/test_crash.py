@@ -21,7 +21,7 @@ from tests.campaigns.crash.recording import Op, files_in, recorded
 from tests.campaigns.crash.states import round_of
 from tests.campaigns.site import Site
 from tests.system.sim_rig import wait_for
-from tests.unit.daemon.test_journal import FORMAT_1, FORMAT_2, made
+from tests.unit.daemon.journal.test_journal import FORMAT_1, FORMAT_2, made
 
 needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="strace records the writes")
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.campaigns.faults.links import LINKS
 from tests.system.agreement import disagreements
 from tests.system.cell_rig import Daemon, events, summary, whole_account, with_faults

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles, free_port, with_values
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
 from tests.system import handover_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, EDS, SPINDLE
@@ -53,9 +53,9 @@ QUICK: Sections = {"actuator": {"land_s": 0.5}, "spindle": {"spin_s": 0.5}, "int
 COMMON = (
     "polishd/daemon",
     "polishd/model",
-    "polishd/ports",
+    "polishd/interfaces.py",
     "polishd/drivers/transport",
-    "polishd/sim_backends/faults",
+    "polishd/sim_backends/common/faults.py",
     "tests/campaigns/faults/judge.py",
 )
 """What each case depends on."""
@@ -73,7 +73,7 @@ class Link:
     """Of the robot's, where it has several."""
     needed: bool = True
     """In contact; else its loss costs nothing until it is used."""
-    driver: str = "profiled"
+    driver: str = "profile_device"
     """Its folder in polishd/drivers."""
     simulator: str = ""
     """Its folder in polishd/sim_backends, where that is not called as the device."""
@@ -189,7 +189,7 @@ FORCE = {"sticks": {"what": "stick"}}
 DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
 CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
 UR = partial(Link, "robot", _universal, driver="universal_robots", simulator="universal_robots")
-PLC = partial(Link, "robot", silence_s=PLC_SILENCE_S, driver="handover", simulator="handover")
+PLC = partial(Link, "robot", silence_s=PLC_SILENCE_S, driver="plc_robot", simulator="plc_robot")
 CIA402 = partial(Link, write=_cia402, driver="cia402", simulator="cia402")
 ASIDE: Mapping[str, Fault] = {name: LOST[name] for name in ("hangs", "unplugged")}
 LINKS: Mapping[str, Link] = {

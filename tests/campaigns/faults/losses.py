@@ -18,9 +18,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import last_words, simulated_cell
-from polishd.daemon import client
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, last_words, simulated_cell
+from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from tests.campaigns.faults.judge import FORCE_OFF_S, LATE_S, OFF, PRESSES, REACTIONS, SPEED, UP, disagreeing, first
 from tests.campaigns.faults.links import LINKS

@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.campaigns.faults import links as f
 from tests.system import handover_rig, linuxcnc_rig
 from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, write_small
@@ -130,16 +129,16 @@ def _robot(write: Callable[[Path], DemoFiles], faults: Mapping[str, Fault], driv
 
 
 def _actuator(write: Callable[[Path], DemoFiles], faults: Mapping[str, Fault] = FORCE, **how: Any) -> Link:
-    return Link("actuator", write, faults, ("polishd/drivers/profiled", "polishd/sim_backends/actuator"), **how)
+    return Link("actuator", write, faults, ("polishd/drivers/profile_device", "polishd/sim_backends/actuator"), **how)
 
 
 ALL = {**MOTION, **SILENT}
 LINKS: Mapping[str, Link] = {
     "robot link": _robot(partial(_demo, f._small), ALL, "robot_link", "robot"),
     "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
-    "handover, OPC UA": _robot(partial(_plc, "opcua"), ALL, "handover", "handover"),
-    "handover, ADS": _robot(partial(_plc, "ads"), ALL, "handover", "handover"),
-    "handover, Modbus": _robot(partial(_plc, "modbus"), ALL, "handover", "handover"),
+    "handover, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
+    "handover, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
+    "handover, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),
     "LinuxCNC": Link(
         "robot", _linuxcnc, MOTION, ("polishd/drivers/linuxcnc", "polishd/sim_backends/linuxcnc"), linuxcnc=True
     ),

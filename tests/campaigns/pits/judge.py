@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from polishd.console.demo_files import DemoFiles
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.campaigns.faults.judge import OFF, REACTIONS, UP, first, load
 from tests.campaigns.pits.cases import LINKS
 from tests.system.cell_rig import account, events, summary
@@ -64,7 +64,7 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
 
 def check(files: DemoFiles) -> Mapping[str, Any]:
     """Answer of ``polishd check --json``."""
-    command = [sys.executable, "-m", "polishd.cli", "check", str(files.cell), "--json"]
+    command = [sys.executable, "-m", "polishd.cli.app", "check", str(files.cell), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=END_S)
     assert done.returncode == 0, done.stdout + done.stderr
     return dict(json.loads(done.stdout))

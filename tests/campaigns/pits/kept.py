@@ -26,7 +26,7 @@ COMMON = (
     "polishd/daemon",
     "polishd/model",
     "polishd/drivers/transport",
-    "polishd/sim_backends/faults",
+    "polishd/sim_backends/common/faults.py",
     "polishd/sim_backends/plant",
     "tests/campaigns/pits/cases.py",
     "tests/campaigns/pits/judge.py",

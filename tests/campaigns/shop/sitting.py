@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from polishd.console.simulator import simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 from polishd.shop import parts
 from polishd.shop.database import Database
 from tests.campaigns.shop.judge import OVER, lost_or_twice, polished, twice, untold

@@ -16,8 +16,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from polishd.console.demo_files import DemoFiles, free_port, with_values
-from polishd.console.simulator import measure_artefact, simulated_cell
+from polishd.commissioning.rehearsal.simulated_cell import (
+    DemoFiles,
+    free_port,
+    measure_artefact,
+    simulated_cell,
+    with_values,
+)
 from polishd.model.errors import PolishdError
 from tests.campaigns.site import Site
 from tests.campaigns.soak.usage import Meter, children

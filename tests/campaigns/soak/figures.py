@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from polishd.files import write_atomic
+from polishd.util.files import write_atomic
 from tests.campaigns.soak.growth import BOUNDS, Slope, slopes
 from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import ACCEPTED, BY_A_PERSON, CALM, RECOVERED, SCRIPTS, Script

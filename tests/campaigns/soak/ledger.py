@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.daemon import client
+from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
-from polishd.sim_backends.loader.arm import ANOTHER
+from polishd.sim_backends.loader import ANOTHER
 from tests.campaigns.soak.cell import Row, SoakCell
 from tests.campaigns.soak.judge import told_of, truth_of, untouched
 from tests.campaigns.soak.parts import Part

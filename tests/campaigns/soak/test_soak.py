@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.journal_schema import SCHEMA, connect
+from polishd.daemon.journal.store import SCHEMA, connect
 from tests.campaigns.soak.cell import Row
 from tests.campaigns.soak.figures import BEGIN, END, HEAD, LIFE_BEGIN, LIFE_END, PAGE, Figures, Sums, table
 from tests.campaigns.soak.growth import BOUNDS, WARM, slope

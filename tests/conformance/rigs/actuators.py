@@ -7,10 +7,10 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 
 from polishd.api import ForceActuator
-from polishd.drivers.profiled import make
+from polishd.drivers.profile_device import build
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp
-from polishd.model.times import ActuatorTimes
-from polishd.testing.rig import TestScope
+from polishd.model.devices import ActuatorTimes
+from polishd.testing.device_rig import TestScope
 from polishd.testing.suites.actuator import ActuatorRig
 from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
 from tests.fakes import cia402
@@ -72,7 +72,7 @@ async def actuator_line_drive(folder: Path) -> AsyncIterator[ActuatorRig]:
     """A profile of the user's own: plain lines, in which the set point alone lands the tool."""
     peer = ProfiledPeer(file_of("line_drive.toml"), IdealDrive)
     wire = PtyWire(peer, folder / "drive")
-    device: ForceActuator = make.actuator(shipped("line_drive.toml"), SerialLine(wire.path), PATIENT)
+    device: ForceActuator = build.actuator(shipped("line_drive.toml"), SerialLine(wire.path), PATIENT)
     async with on_wire(wire, device, lambda: stands(peer, "retracted", "fault")) as rig:
         yield rig
 

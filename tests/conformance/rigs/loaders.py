@@ -9,7 +9,7 @@ from pathlib import Path
 from polishd.api import PartLoader
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.model.times import LoaderTimes
+from polishd.model.devices import LoaderTimes
 from polishd.testing.suites.loader import LoaderRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes.loader import FakeLoader

@@ -10,9 +10,9 @@ from typing import TypeVar
 from polishd.api import ForceSensor, Monitor, MonitorTimes, SensorTimes
 from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.monitor_line import MonitorLine
-from polishd.drivers.profiled import make
+from polishd.drivers.profile_device import build
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.testing.rig import Rig
+from polishd.testing.device_rig import Rig
 from polishd.testing.suites.force_sensor import ForceSensorRig
 from polishd.testing.suites.monitor import MonitorRig
 from tests.conformance.rigs.wired import on_wire
@@ -61,7 +61,7 @@ async def force_sensor_gauge(_: Path) -> AsyncIterator[ForceSensorRig]:
 @asynccontextmanager
 async def _profiled_sensor(name: str) -> AsyncIterator[ForceSensorRig]:
     wire = await TcpWire(ProfiledPeer(file_of(name), gauge(lambda: 3.0), tcp=True)).start()
-    device = make.force_sensor(shipped(name), Tcp("127.0.0.1", wire.port), PATIENT_SENSOR)
+    device = build.force_sensor(shipped(name), Tcp("127.0.0.1", wire.port), PATIENT_SENSOR)
     async with _looking(wire, device) as rig:
         yield rig
 

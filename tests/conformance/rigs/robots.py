@@ -8,13 +8,13 @@ from pathlib import Path
 
 from polishd.api import Robot
 from polishd.drivers.linuxcnc.driver import LinuxCnc
-from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.driver import UniversalRobot
-from polishd.drivers.universal_robots.sample import UrRegisters
+from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
-from polishd.model.times import RobotTimes
-from polishd.testing.rig import Rig, TestScope
+from polishd.model.devices import RobotTimes
+from polishd.testing.device_rig import Rig, TestScope
 from polishd.testing.suites.robot import RobotRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes import handover

@@ -7,11 +7,11 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 
 from polishd.api import Spindle
-from polishd.drivers.profiled import make
+from polishd.drivers.profile_device import build
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp
-from polishd.model.times import SpindleTimes
-from polishd.testing.rig import TestScope
+from polishd.model.devices import SpindleTimes
+from polishd.testing.device_rig import TestScope
 from polishd.testing.suites.spindle import SpindleRig
 from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
 from tests.fakes import cia402
@@ -103,7 +103,7 @@ def _inverter(
     name: str, peer: ProfiledPeer, wire: PtyWire | TcpWire, *, forgives: bool = True
 ) -> AbstractAsyncContextManager[SpindleRig]:
     address = SerialLine(wire.path) if isinstance(wire, PtyWire) else Tcp("127.0.0.1", wire.port)
-    device = make.spindle(shipped(name), address, PATIENT_SPINDLE)
+    device = build.spindle(shipped(name), address, PATIENT_SPINDLE)
     return on_wire(wire, device, lambda: stands(peer, "stopped", "fault"), scope=TestScope(forgives=forgives))
 
 

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 from polishd.api import Device
-from polishd.testing.rig import USUAL, Rig, TestScope
+from polishd.testing.device_rig import USUAL, Rig, TestScope
 from tests.fakes import cia402
 from tests.fakes.profiled import ProfiledPeer
 from tests.fakes.wires import PtyWire, TcpWire

@@ -16,13 +16,12 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from polishd.config.cell import CellConfig, device_options, load_config
-from polishd.config.places import key_lines
-from polishd.config.process import ComplianceSection, HybridSection, ProcessSection
+from polishd.config.process_sections import ComplianceSection, HybridSection, ProcessSection
+from polishd.config.toml_loader import key_lines
 from polishd.daemon.assembly import contact_limits
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
-from polishd.model.process import ComplianceOptions, ToolProcess
-from polishd.model.robot import HybridRobot
+from polishd.model.process import ComplianceOptions, HybridRobot, ToolProcess
 from polishd.process.frames import rotation_from_rpy_deg
 
 

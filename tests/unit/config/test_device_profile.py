@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.device_file import load_device_profile
-from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR, profile_of, shipped
+from polishd.commissioning.device_profiles import TEMPLATES
+from polishd.config.device_profile_checks import load_device_profile
+from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, profile_of, shipped
 from polishd.model.errors import ConfigError
-from polishd.workbench.devices.verbs import TEMPLATES
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 FILES = [*DEVICE_PROFILE_DIR.glob("*.toml"), *TEMPLATES.glob("*.toml"), EXAMPLES / "line_drive.toml"]

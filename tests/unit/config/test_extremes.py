@@ -13,14 +13,14 @@ import pytest
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR as CONTROLLERS
 from polishd.config.controller_profile import load_controller_profile
-from polishd.config.device_file import load_device_profile
-from polishd.config.document import MOST_LEVELS
-from polishd.config.job_file import JobFile
-from polishd.config.loop_study import load_scenario
-from polishd.config.profile import load_profile
+from polishd.config.device_profile_checks import load_device_profile
+from polishd.config.instrument_profile import load_profile
+from polishd.config.job import JobFile
 from polishd.config.simulator import load_simulator
-from polishd.config.sweep_points import load_swept
-from polishd.drivers.profiled.shelf import DEVICE_PROFILE_DIR as DEVICES
+from polishd.config.study import load_scenario
+from polishd.config.sweep import load_swept
+from polishd.config.toml_loader import MOST_LEVELS
+from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR as DEVICES
 from polishd.model.errors import ConfigError
 from tests.unit.said import Polishd
 
@@ -154,7 +154,7 @@ def test_a_computer_without_the_memory_says_so(
     def too_much(*_: object) -> None:
         raise MemoryError("Unable to allocate 820. GiB for an array")
 
-    monkeypatch.setattr("polishd.console.verbs.load_cell", too_much)
+    monkeypatch.setattr("polishd.cli.cell.load_cell", too_much)
     (tmp_path / "cell.toml").write_text(example)
     found = polishd("check", tmp_path / "cell.toml")
     assert found.code == 10

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.config.cell import load_config
-from polishd.config.places import Location, key_lines
+from polishd.config.toml_loader import Location, key_lines
 from polishd.model.errors import ConfigError
 
 EXAMPLE = (Path(__file__).resolve().parents[3] / "examples" / "cell.toml").read_text()

@@ -9,8 +9,8 @@ import pytest
 
 from polishd.config.study import CorrectionsStudy, PassesStudy, SpotsStudy, load_study
 from polishd.model.errors import ComputeError, ConfigError
-from polishd.model.robot import HybridRobot
-from tests.unit.workbench.studies.studies import EXAMPLES, FIG_12, TABLE_III, TABLE_IV, line_of, variant
+from polishd.model.process import HybridRobot
+from tests.unit.studies.studies import EXAMPLES, FIG_12, TABLE_III, TABLE_IV, line_of, variant
 
 
 def complaint(path: Path) -> str:

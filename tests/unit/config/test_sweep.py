@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from polishd.config.study import CorrectionsStudy
-from polishd.config.sweep_points import load_swept, location_of, put
+from polishd.config.sweep import load_swept, location_of, put
 from polishd.model.errors import ConfigError
-from tests.unit.workbench.studies.studies import SMALL, TABLE_IV, variant
+from tests.unit.studies.studies import SMALL, TABLE_IV, variant
 
 HEAD = "\n[sweep]\nseed = 3\n"
 

@@ -12,34 +12,32 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.sections import DwellSection, JobSection, PartSection, ProgramSection
+from polishd.config.cell_sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.daemon import app
+from polishd.daemon.contact.safety import ContactLimits
 from polishd.daemon.cycle import polish
-from polishd.daemon.job import Job
-from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import PassRecord
-from polishd.daemon.safety import ContactLimits
-from polishd.daemon.turns import ToolSequence, ToolStepState
+from polishd.daemon.job.job import Job
+from polishd.daemon.job.tool_sequence import ToolSequence, ToolStepState
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.journal.records import PassRecord
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
-from polishd.model.beliefs import Estimate, Estimates
-from polishd.model.cycle import Outcome
 from polishd.model.dwell import OptimalityCertificate
+from polishd.model.estimates import Estimate, Estimates
 from polishd.model.events import Event
-from polishd.model.limits import Envelope
 from polishd.model.outline import Circle
-from polishd.model.process import FLAT, SHIPPED_OPTIONS, Placement, ToolProcess
-from polishd.model.program import Plan, Program, Segment
-from polishd.model.robot import HybridRobot
+from polishd.model.process import FLAT, SHIPPED_OPTIONS, HybridRobot, Placement, ToolProcess
+from polishd.model.program import Envelope, Plan, Program, Segment
+from polishd.model.states import Outcome
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.plugins.rnc_robot.make import path_program
+from polishd.pipeline import steps
+from polishd.pipeline.recipe import Recipe
+from polishd.pipeline.records import EstimatesInUse
+from polishd.pipeline.run_folder import RunFolder
+from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.dwell import newton_cg
-from polishd.process.metrics import fitted
-from polishd.process.paths.apertures import circle
-from polishd.process.paths.raster import raster
-from polishd.recipe import steps
-from polishd.recipe.folder import RunFolder
-from polishd.recipe.recipe import Recipe
-from polishd.recipe.records import EstimatesInUse
+from polishd.process.metrology.statistics import fitted
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
 from tests.fakes.devices import FakeCell
 from tests.rs274 import RS274
 from tests.unit.process.gaussian import envelope, rough, spot_effect

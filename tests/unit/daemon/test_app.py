@@ -14,14 +14,14 @@ from typing import Any, Self
 
 import pytest
 
-from polishd.daemon import app, cell, making
-from polishd.daemon.client import request
-from polishd.daemon.daemon import Daemon
-from polishd.daemon.events import EventBus
-from polishd.daemon.journal import Journal
-from polishd.daemon.journal_records import BlockRecord
-from polishd.daemon.making import run_folder
-from polishd.model.cycle import Outcome
+from polishd.daemon import app, assembly
+from polishd.daemon.assembly import run_folder
+from polishd.daemon.cell import cell
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.journal.records import BlockRecord
+from polishd.daemon.runtime.events import EventBus
+from polishd.daemon.socket.client import request
+from polishd.daemon.state_machine import Daemon
 from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import (
     ConfigError,
@@ -35,6 +35,7 @@ from polishd.model.errors import (
 )
 from polishd.model.events import CommandReceived, Event
 from polishd.model.program import Program
+from polishd.model.states import Outcome
 from tests.unit.daemon.small import (
     LIMITS,
     MOVES,
@@ -483,7 +484,7 @@ class Site:
         monkeypatch.setattr(app, "read_recipes", lambda config, hooks: (self.recipe,))
         monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
         monkeypatch.setattr(app, "build_cell", self.build)
-        monkeypatch.setattr(making, "contact_limits", lambda config: LIMITS)
+        monkeypatch.setattr(assembly, "contact_limits", lambda config: LIMITS)
         monkeypatch.setattr(app, "Compute", InProcess)
         monkeypatch.setattr(app, "_journal", kept)
 

@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import demo_program, with_values
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.sections import LimitsSection
-from polishd.console.demo_files import demo_program, with_values
-from polishd.daemon import checking
+from polishd.config.cell_sections import LimitsSection
+from polishd.daemon import checks
 from polishd.daemon.assembly import build_cell, contact_limits
-from polishd.daemon.lock import locked
-from polishd.daemon.priority import host
-from polishd.hooks.loader import Hooks, load_own, load_plugins
+from polishd.daemon.runtime.exit_record import locked
+from polishd.daemon.runtime.process import host
 from polishd.hookspecs import DeviceContext, DeviceType
-from polishd.model.beliefs import Estimates, MachineEstimates
+from polishd.interfaces import Device, ForceActuator, Robot, Spindle
 from polishd.model.errors import ConfigError, LinkError, ProgramError
+from polishd.model.estimates import Estimates, MachineEstimates
 from polishd.model.surface import SurfaceMap
-from polishd.ports.devices import Device, ForceActuator, Robot, Spindle
-from polishd.recipe.making import make_recipe, require_commissioned
+from polishd.pipeline.build_recipe import make_recipe, require_commissioned
+from polishd.plugin_loader import Hooks, load_own, load_plugins
 from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
 
@@ -157,7 +157,7 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
     config = load_config(path)
     config.program_path.write_bytes(demo_program(config))
     told: list[str] = []
-    facts = checking.check_cell(config, hooks, told.append)
+    facts = checks.check_cell(config, hooks, told.append)
     assert told[:2] == ["part, tool and instrument", "devices and their time limits"]
     assert [one.partition(" ")[0] for one in told[2:]] == ["reading", "reach"]
     assert facts["devices"] == (
@@ -172,7 +172,7 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
     path.write_text(right.replace("retract_s = 3.0", "retract_s = 9.0"))
     line = path.read_text().splitlines().index("[robot.right]") + 1
     with pytest.raises(ConfigError, match=rf"two_robots.toml:{line}: robot.right.watchdog_s: .* at least 10.7 s"):
-        checking.check_cell(load_config(path), hooks)
+        checks.check_cell(load_config(path), hooks)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_contact_limits(configured: Any) -> None:
 def test_check_reads_and_computes(configured: Any, hooks: Hooks) -> None:
     config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0})
     config.program_path.write_bytes(demo_program(config))
-    facts = checking.check_cell(config, hooks)
+    facts = checks.check_cell(config, hooks)
     assert facts["program"].startswith("program.rnc: ")
     removal_nm = float(facts["removal of the program as it is"].split(" ")[0])
     lie = facts["if the actuator misreads its force"]
@@ -226,7 +226,7 @@ def test_check_refuses_a_pass_that_can_never_be_short_enough(configured: Any, ho
     config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": 20.0})
     config.program_path.write_bytes(demo_program(config))
     with pytest.raises(ConfigError) as caught:
-        checking.check_cell(config, hooks)
+        checks.check_cell(config, hooks)
     said = re.fullmatch(
         r".*limits\.max_pass_s: program\.rnc at the largest feed takes (\d+) s, more than limits\.max_pass_s = 20 s; "
         r"set it to (\d+) or more, .*", str(caught.value)
@@ -234,14 +234,14 @@ def test_check_refuses_a_pass_that_can_never_be_short_enough(configured: Any, ho
     assert said
     assert float(said[2]) > float(said[1]) > 20
     enough = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": float(said[2])})
-    assert checking.check_cell(enough, hooks)["pass"].startswith(f"{said[1]} s at the largest feed, ")
+    assert checks.check_cell(enough, hooks)["pass"].startswith(f"{said[1]} s at the largest feed, ")
 
 
 def test_check_says_what_a_pass_can_remove(configured: Any, hooks: Hooks) -> None:
     config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": 3600.0})
     config.program_path.write_bytes(demo_program(config))
     said = re.search(r"(\d+) s as programmed; limits.max_pass_s = 3600 s removes ([\d.]+) nm",
-                     checking.check_cell(config, hooks)["pass"])  # fmt: skip
+                     checks.check_cell(config, hooks)["pass"])  # fmt: skip
     assert said
     area_mm2 = np.pi * (15.0 + 1.5) ** 2  # with the path's own overrun
     volume_nm_mm2_s = 0.058 / 60 * 1e6
@@ -255,18 +255,18 @@ def test_the_default_lets_a_large_parts_pass_end() -> None:
 
 def test_check_needs_the_program(configured: Any, hooks: Hooks) -> None:
     with pytest.raises(ProgramError, match=r"program\.rnc"):
-        checking.check_cell(configured(), hooks)
+        checks.check_cell(configured(), hooks)
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> FakeCell:
     found = FakeCell()
-    monkeypatch.setattr(checking, "build_cell", lambda config, hooks: found.cell)
+    monkeypatch.setattr(checks, "build_cell", lambda config, hooks: found.cell)
     return found
 
 
 async def test_probe_identifies_all_and_leaves_them_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
-    found = await checking.probe_cell(configured(), hooks)
+    found = await checks.probe_cell(configured(), hooks)
     assert [identity.model for identity in found.identities.values()] == ["actuator", "robot", "spindle", "metrology"]
     assert not found.problems
     assert fake.of("make_safe", "close")[:3] == ["spindle.make_safe", "actuator.make_safe", "robot.make_safe"]
@@ -275,7 +275,7 @@ async def test_probe_identifies_all_and_leaves_them_safe(configured: Any, hooks:
 
 async def test_probe_tells_what_is_not_safe(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     fake.actuator.acts.fails["make_safe"] = LinkError("deaf")
-    found = await checking.probe_cell(configured(), hooks)
+    found = await checks.probe_cell(configured(), hooks)
     assert found.problems == {"actuator": "not confirmed safe: deaf"}
     assert "actuator" in found.identities
     assert fake.events[-1] == "metrology.close"
@@ -285,25 +285,25 @@ async def test_a_dead_device_does_not_hide_the_others(configured: Any, hooks: Ho
     fake.actuator.acts.fails["open"] = LinkError("no answer")
     fake.actuator.acts.fails["make_safe"] = LinkError("is not open")
     fake.spindle.acts.fails["identify"] = ZeroDivisionError()
-    found = await checking.probe_cell(configured(), hooks)
+    found = await checks.probe_cell(configured(), hooks)
     assert list(found.identities) == ["robot", "metrology"]
     assert found.problems == {"actuator": "no answer", "spindle": "ZeroDivisionError"}, "the first word of each"
     assert fake.of("make_safe")[-1] == "robot.make_safe", "after the actuator's own watchdog"
 
 
 async def test_probe_of_one_asks_it_who_it_is_and_nothing_else(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
-    found = await checking.probe_cell(configured(), hooks, ["robot"])
+    found = await checks.probe_cell(configured(), hooks, ["robot"])
     assert list(found.identities) == ["robot"]
     assert fake.events[:2] == ["robot.open", "robot.identify"]
     assert not fake.of("make_safe")
     with pytest.raises(ConfigError, match="--only arm: the cell has actuator, robot, spindle, metrology"):
-        await checking.probe_cell(configured(), hooks, ["arm"])
+        await checks.probe_cell(configured(), hooks, ["arm"])
 
 
 async def test_probe_does_not_disturb_a_running_daemon(configured: Any, hooks: Hooks, fake: FakeCell) -> None:
     config = configured()
     with locked(config.state_dir), pytest.raises(ConfigError, match="another polishd"):
-        await checking.probe_cell(config, hooks)
+        await checks.probe_cell(config, hooks)
     assert fake.events == []
 
 
@@ -344,7 +344,7 @@ def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: 
     with pytest.raises(ConfigError, match="edited after it was commissioned"):
         require_commissioned(config, recipe.instrument)
     config.program_path.write_bytes(demo_program(config))
-    found = checking.check_cell(config, hooks)
+    found = checks.check_cell(config, hooks)
     assert "run will refuse" in found["instrument"]
     assert found["accepted"].startswith("as measured: nothing is known of the instrument's own error")
 

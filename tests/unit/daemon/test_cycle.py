@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from polishd.hookspecs import DwellSolver
-from polishd.model.cycle import Outcome
-from polishd.model.devices import ForceSample
+from polishd.model.devices import ActuatorTimes, ForceSample
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import (
     ComputeError,
@@ -26,14 +25,14 @@ from polishd.model.errors import (
     SafetyStop,
     ToolStop,
 )
+from polishd.model.estimates import Finding
 from polishd.model.events import FindingReported, PassStarted
-from polishd.model.finding import Finding
-from polishd.model.times import ActuatorTimes
+from polishd.model.states import Outcome
+from polishd.pipeline import steps
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from polishd.recipe import steps
+from tests.unit.daemon.contact.test_streaming_stream import time_passes
 from tests.unit.daemon.small import LIMITS, MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
-from tests.unit.daemon.test_stream import time_passes
 
 SLOW = replace(LIMITS, excess_nm=1e6)
 """A robot may be as slow as it likes."""
@@ -457,14 +456,14 @@ async def test_a_worn_tool_waits_for_a_person_who_may_go_on_with_it(
 ) -> None:
     worn = Finding("wear", "the rate fell", "cell")
     told = [(worn,), ()]
-    monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: told.pop(0))
+    monkeypatch.setattr("polishd.daemon.job.job.watch", lambda *_: told.pop(0))
     job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2)
     with pytest.raises(ToolStop, match="the rate fell"):
         await bench.polish(job)
     assert len(bench.journal.passes) == 1
     assert [event.stops for event in job.told if isinstance(event, FindingReported)] == ["cell"]
     bench.fake.metrology.measure = lambda: as_map(bench.measure().height_nm + 1e-6)
-    monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: ())
+    monkeypatch.setattr("polishd.daemon.job.job.watch", lambda *_: ())
     assert await bench.polish(job) is Outcome.CYCLES_USED
 
 
@@ -472,7 +471,7 @@ async def test_a_part_in_tolerance_is_accepted_by_a_worn_tool_too(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worn = Finding("wear", "the rate fell", "cell")
-    monkeypatch.setattr("polishd.daemon.job.watch", lambda *_: (worn,))
+    monkeypatch.setattr("polishd.daemon.job.job.watch", lambda *_: (worn,))
     job = bench.job(recipe=small_recipe(tolerance_nm=5.0))
     assert await bench.polish(job) is Outcome.IN_TOLERANCE
     assert job.findings == (worn,), "whoever begins the next job is told"

@@ -15,10 +15,10 @@ import pytest
 
 from polishd.daemon import health
 from polishd.daemon.health import Health, HealthFigure
-from polishd.model.cycle import Outcome
 from polishd.model.errors import DeviceRefused, HostFault, LinkError
 from polishd.model.events import CellHeld
-from polishd.recipe.disk import SPARE_FILES, SPARE_MB, SpaceNeeded
+from polishd.model.states import Outcome
+from polishd.pipeline.disk_space import SPARE_FILES, SPARE_MB, SpaceNeeded
 from tests.unit.daemon.small import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
 

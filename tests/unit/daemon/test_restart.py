@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.cell import Cell
-from polishd.daemon.client import request
-from polishd.daemon.journal_schema import connect
+from polishd.daemon.cell.cell import Cell
+from polishd.daemon.journal.store import connect
+from polishd.daemon.socket.client import request
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
-from polishd.recipe.folder import RunFolder
+from polishd.pipeline.run_folder import RunFolder
 from tests.unit.daemon.small import as_map, run_cell
 from tests.unit.daemon.test_app import Site
 
@@ -127,7 +127,7 @@ async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun
 async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     site: Rerun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from polishd.recipe import dwell_step
+    from polishd.pipeline import dwell_step
 
     starts: list[Any] = []
     solve = dwell_step.solve_first

@@ -15,9 +15,9 @@ import pytest
 from polishd.daemon import app
 from polishd.daemon.app import CellRun, ShutdownRequest, run_cells
 from polishd.daemon.cycle import short_collections
-from polishd.daemon.journal import Journal
-from polishd.daemon.lock import locked
-from polishd.daemon.supervisor import SystemdNotifier
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.runtime.exit_record import locked
+from polishd.daemon.runtime.process import SystemdNotifier
 from polishd.model.errors import ConfigError, LinkError, SafetyStop
 from polishd.model.program import Program
 from tests.unit.daemon.test_app import CLOSED, SAFE, Site

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from polishd.drivers.robot_link import RobotLink
+from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.robot import FakeRobot
 from tests.programs import plan_of

@@ -10,14 +10,14 @@ import pytest
 
 from polishd.api import ProtocolError
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.handover.driver import times_of
-from polishd.drivers.linuxcnc.dialogue import override_of
 from polishd.drivers.linuxcnc.driver import LinuxCnc
-from polishd.drivers.robot_link import messages
+from polishd.drivers.linuxcnc.protocol import override_of
+from polishd.drivers.plc_robot.driver import times_of
+from polishd.drivers.robot_link import protocol
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.universal_robots.sample import RtdeSample, UrRegisters, UrRuntimeState
-from polishd.model.times import RobotTimes
-from polishd.sim_backends.universal_robots import fields
+from polishd.drivers.universal_robots.rtde import RtdeSample, UrRegisters, UrRuntimeState
+from polishd.model.devices import RobotTimes
+from polishd.sim_backends.universal_robots import rtde
 from tests.fakes.handover import PROFILE, FakePlc, direct
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.wires import TcpWire
@@ -28,18 +28,18 @@ STATUS = {"state": "running", "accepted": 3, "executed": 1, "stops": 0, "buffer_
 
 @pytest.mark.parametrize(("value", "told"), [(0, 0.0), (0.5, 0.5), (1, 1.0), (1.2, 1.2), (None, None)])
 def test_the_robot_link_may_report_it(value: float | None, told: float | None) -> None:
-    assert messages.status(json.dumps({**STATUS, "override": value}).encode()).override == told
+    assert protocol.status(json.dumps({**STATUS, "override": value}).encode()).override == told
 
 
 def test_a_robot_link_of_before_reports_none() -> None:
-    assert messages.status(json.dumps({**STATUS, "unheard_of": [1]}).encode()).override is None
+    assert protocol.status(json.dumps({**STATUS, "unheard_of": [1]}).encode()).override is None
 
 
 @pytest.mark.parametrize("value", ["-0.1", "11", "1e400", "NaN", '"1"', "true", "[]", "1" + "0" * 400])
 def test_a_robot_link_that_reports_no_fraction_is_not_believed(value: str) -> None:
     status = json.dumps({**STATUS, "override": 0})[:-2] + value + "}"
     with pytest.raises(ProtocolError, match="override"):
-        messages.status(status.encode())
+        protocol.status(status.encode())
 
 
 @pytest.mark.parametrize(("value", "told"), [("100", 1.0), ("0", 0.0), ("50", 0.5), ("120", 1.2)])
@@ -81,7 +81,7 @@ def test_universal_robots_reports_slider_times_scaling_and_the_slider_alone_at_r
     assert sample().override == 1.0
     assert sample(target_speed_fraction=0.5, speed_scaling=0.5).override == 0.25
     assert sample(target_speed_fraction=0.5, speed_scaling=0.0, runtime_state=UrRuntimeState.STOPPED).override == 0.5
-    assert {"target_speed_fraction", "speed_scaling"} <= fields.OUTPUTS.keys()
+    assert {"target_speed_fraction", "speed_scaling"} <= rtde.OUTPUTS.keys()
 
 
 @pytest.mark.parametrize("scaling", [-0.1, 1.5, float("nan"), float("inf")])

@@ -3,8 +3,8 @@
 import pytest
 
 from polishd.drivers.cia402 import spindle as cia402
-from polishd.drivers.cia402.states import DriveState402
-from polishd.drivers.profiled import spindle as profiled
+from polishd.drivers.cia402.protocol import DriveState402
+from polishd.drivers.profile_device import drives as profiled
 
 
 @pytest.mark.parametrize(

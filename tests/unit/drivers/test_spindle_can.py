@@ -14,7 +14,8 @@ import pytest
 import serial
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError, ProtocolError, SpindleTimes
-from polishd.drivers.spindle_can import SpindleCan, codec
+from polishd.drivers import spindle_can
+from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport import can_bus
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
@@ -55,7 +56,7 @@ async def test_an_adapter_that_takes_nothing_is_told_at_once_and_holds_nobody_up
     tty.setraw(slave)
     (tmp_path / "can").symlink_to(os.ttyname(slave))
     link = await can_bus.open_bus(SlcanAddress(tmp_path / "can"), 5)
-    frame = codec.encode_command(5, run=True, counter=1, rpm=1000)
+    frame = spindle_can.encode_command(5, run=True, counter=1, rpm=1000)
 
     def fill() -> None:
         for _ in range(10_000):

@@ -10,9 +10,9 @@ from typing import get_type_hints
 import pytest
 
 from polishd.model import events
-from polishd.model.cycle import Outcome
 from polishd.model.devices import DeviceIdentity
 from polishd.model.events import EVENTS, CellOpened, Event, MapMeasured, PassEnded
+from polishd.model.states import Outcome
 from polishd.model.surface import SurfaceStats
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "plugins.md"

@@ -8,17 +8,10 @@ from typing import Any
 
 import pytest
 
-from polishd.daemon.time_limits import TimeLimits
-from polishd.hooks.loader import load_own
+from polishd.daemon.cell.time_limits import TimeLimits
 from polishd.hookspecs import DeviceContext, DeviceType
-from polishd.model.times import (
-    ActuatorTimes,
-    LoaderTimes,
-    MonitorTimes,
-    RobotTimes,
-    SensorTimes,
-    SpindleTimes,
-)
+from polishd.model.devices import ActuatorTimes, LoaderTimes, MonitorTimes, RobotTimes, SensorTimes, SpindleTimes
+from polishd.plugin_loader import load_own
 from tests.fakes.cia402 import EDS
 
 TIMES: dict[str, Any] = {

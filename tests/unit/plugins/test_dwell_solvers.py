@@ -14,7 +14,6 @@ import qpsolvers
 from polishd import hookspecs
 from polishd.api import API_VERSION, ComputeError, DwellSolver
 from polishd.plugins import dwell_solvers
-from polishd.plugins.dwell_solvers import qp
 from polishd.process.dwell import douglas_rachford, newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.process.gaussian import dwell_problem
@@ -38,7 +37,7 @@ def test_the_plugin_declares_the_default_first_and_each_backend_by_name() -> Non
     names = [solver.name for solver in declared()]
     assert names[0] == "auto"
     assert {"newton_cg", "douglas_rachford", "lucy_richardson"} <= set(names)
-    assert names[names.index("qp") + 1 :] == [f"qp:{name}" for name in qp.installed()]
+    assert names[names.index("qp") + 1 :] == [f"qp:{name}" for name in dwell_solvers.installed()]
     assert "qp:clarabel" in names
 
 
@@ -84,9 +83,11 @@ def few_samples() -> DwellProblem:
 def test_both_forms_have_the_same_minimum(make: object, hessian: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     assert callable(make)
     problem = make()
-    monkeypatch.setitem(qp.BACKENDS, "clarabel", replace(qp.BACKENDS["clarabel"], takes_hessian=hessian))
+    monkeypatch.setitem(
+        dwell_solvers.BACKENDS, "clarabel", replace(dwell_solvers.BACKENDS["clarabel"], takes_hessian=hessian)
+    )
     ours = newton_cg.solve(problem, 20, 1e-11).certificate
-    theirs = qp.solve_qp(problem, 20, "clarabel").certificate
+    theirs = dwell_solvers.solve_qp(problem, 20, "clarabel").certificate
     assert theirs.objective == pytest.approx(ours.objective, rel=1e-8)
 
 
@@ -108,7 +109,7 @@ def spied(monkeypatch: pytest.MonkeyPatch, answer: float | None = None) -> list[
 def test_the_hessian_is_formed_where_points_are_no_denser_than_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     programs = spied(monkeypatch)
     for problem in (bounded(), few_samples()):
-        qp.solve_qp(problem, 20)
+        dwell_solvers.solve_qp(problem, 20)
     assert [program.A is None for program in programs] == [True, False]
     for program in programs:
         assert program.P.has_sorted_indices  # else piqp answers nonsense
@@ -124,7 +125,7 @@ def test_what_the_hessian_form_does_not_solve_is_tried_without(monkeypatch: pyte
         return solve(program, **rest)
 
     monkeypatch.setattr(qpsolvers, "solve_problem", poor)
-    certificate = qp.solve_qp(bounded(), 20).certificate
+    certificate = dwell_solvers.solve_qp(bounded(), 20).certificate
     assert certificate.stopped == "converged"
     assert certificate.kkt_residual <= 1e-6
 
@@ -132,14 +133,14 @@ def test_what_the_hessian_form_does_not_solve_is_tried_without(monkeypatch: pyte
 def test_infinite_upper_bounds() -> None:
     problem = dwell_problem(radius_mm=8)
     problem = replace(problem, upper_s=np.full(problem.effect.n, np.inf))
-    ours, theirs = newton_cg.solve(problem, 20, 1e-11), qp.solve_qp(problem, 20)
+    ours, theirs = newton_cg.solve(problem, 20, 1e-11), dwell_solvers.solve_qp(problem, 20)
     assert ours.certificate.objective == pytest.approx(theirs.certificate.objective, rel=1e-8)
 
 
 def test_bounds_that_meet_leave_no_choice() -> None:
     problem = dwell_problem(radius_mm=6)
     fixed = replace(problem, upper_s=problem.lower_s.copy())
-    np.testing.assert_allclose(qp.solve_qp(fixed, 20).time_s, problem.lower_s)
+    np.testing.assert_allclose(dwell_solvers.solve_qp(fixed, 20).time_s, problem.lower_s)
 
 
 # effects that are no matrix
@@ -147,23 +148,26 @@ def test_bounds_that_meet_leave_no_choice() -> None:
 
 def test_convolutions_are_written_out_as_the_matrix_that_they_are() -> None:
     problem = lattice_problem(radius_mm=7)
-    written = qp.matrix_of(problem)
+    written = dwell_solvers.matrix_of(problem)
     assert written.shape == (np.count_nonzero(problem.solve_mask), problem.effect.n)
     assert written.nnz < 0.2 * written.shape[0] * written.shape[1]
-    exact = qp.matrix_of(as_matrix(problem)).toarray()
+    exact = dwell_solvers.matrix_of(as_matrix(problem)).toarray()
     np.testing.assert_allclose(written.toarray(), exact, atol=1e-11 * exact.max())
 
 
 def test_the_qp_and_the_transforms_agree() -> None:
     problem = lattice_problem(radius_mm=9)
-    ours, theirs = douglas_rachford.solve(problem, 30, 1e-9).certificate, qp.solve_qp(problem, 30).certificate
+    ours, theirs = (
+        douglas_rachford.solve(problem, 30, 1e-9).certificate,
+        dwell_solvers.solve_qp(problem, 30).certificate,
+    )
     assert theirs.objective == pytest.approx(ours.objective, rel=1e-8)
 
 
 def test_too_many_convolutions_are_refused_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(qp, "MOST_ENTRIES", 1000)
+    monkeypatch.setattr(dwell_solvers, "MOST_ENTRIES", 1000)
     with pytest.raises(ComputeError, match=r"points of \d+ samples each are too many for a QP: use douglas_rachford"):
-        qp.solve_qp(lattice_problem(radius_mm=7), 5)
+        dwell_solvers.solve_qp(lattice_problem(radius_mm=7), 5)
 
 
 def test_the_qp_cannot_use_an_effect_that_it_knows_no_matrix_of() -> None:
@@ -174,7 +178,7 @@ def test_the_qp_cannot_use_an_effect_that_it_knows_no_matrix_of() -> None:
         removal_nm, adjoint = problem.effect.removal_nm, problem.effect.adjoint
 
     with pytest.raises(ComputeError, match="a QP needs the effect as a matrix, not as Opaque: use newton_cg"):
-        qp.solve_qp(replace(problem, effect=Opaque()), 5)
+        dwell_solvers.solve_qp(replace(problem, effect=Opaque()), 5)
 
 
 # refusals
@@ -183,30 +187,30 @@ def test_the_qp_cannot_use_an_effect_that_it_knows_no_matrix_of() -> None:
 def test_the_qp_checks_the_problem_first() -> None:
     problem = dwell_problem(radius_mm=6)
     with pytest.raises(ComputeError, match="lower_s is above upper_s at point 0"):
-        qp.solve_qp(replace(problem, upper_s=problem.lower_s / 2), 5)
+        dwell_solvers.solve_qp(replace(problem, upper_s=problem.lower_s / 2), 5)
 
 
 def test_without_a_backend_it_says_which_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qpsolvers, "available_solvers", [])
     with pytest.raises(ComputeError, match="no QP backend is installed: one of clarabel"):
-        qp.solve_qp(dwell_problem(radius_mm=6), 5)
+        dwell_solvers.solve_qp(dwell_problem(radius_mm=6), 5)
 
 
 def test_a_backend_that_is_not_installed_is_named_with_those_that_are() -> None:
     with pytest.raises(ComputeError, match="QP backend gurobo is not installed; there are: clarabel"):
-        qp.solve_qp(dwell_problem(radius_mm=6), 5, "gurobo")
+        dwell_solvers.solve_qp(dwell_problem(radius_mm=6), 5, "gurobo")
 
 
 def test_dense_backends_are_not_offered_and_unknown_ones_come_last(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qpsolvers, "available_solvers", ["quadprog", "abacus", "highs", "clarabel"])
     monkeypatch.setattr(qpsolvers, "sparse_solvers", ["abacus", "highs", "clarabel"])
-    assert qp.installed() == ["clarabel", "highs", "abacus"]
+    assert dwell_solvers.installed() == ["clarabel", "highs", "abacus"]
 
 
 def test_a_backend_that_finds_nothing_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(qpsolvers, "solve_problem", lambda program, **rest: qpsolvers.Solution(program))
     with pytest.raises(ComputeError, match="clarabel found no dwell within 5 s"):
-        qp.solve_qp(dwell_problem(radius_mm=6), 5, "clarabel")
+        dwell_solvers.solve_qp(dwell_problem(radius_mm=6), 5, "clarabel")
 
 
 def test_a_backend_that_fails_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,7 +219,7 @@ def test_a_backend_that_fails_is_an_error(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(qpsolvers, "solve_problem", fails)
     with pytest.raises(ComputeError, match="clarabel failed: singular"):
-        qp.solve_qp(dwell_problem(radius_mm=6), 5, "clarabel")
+        dwell_solvers.solve_qp(dwell_problem(radius_mm=6), 5, "clarabel")
 
 
 @pytest.mark.parametrize(("within_s", "stopped", "asked"), [(100.0, "iterations", 2), (0.0, "deadline", 1)])
@@ -224,7 +228,7 @@ def test_what_a_backend_believes_of_its_answer_does_not_count(
 ) -> None:
     problem = dwell_problem(radius_mm=6)
     programs = spied(monkeypatch, answer=-1.0)
-    solution = qp.solve_qp(problem, within_s)
+    solution = dwell_solvers.solve_qp(problem, within_s)
     assert (solution.certificate.stopped, len(programs)) == (stopped, asked)
     np.testing.assert_array_equal(solution.time_s, problem.lower_s)
     assert solution.certificate.kkt_residual > 0.1
@@ -238,7 +242,7 @@ def test_the_time_that_is_left_is_what_the_backend_gets(monkeypatch: pytest.Monk
         return qpsolvers.Solution(program, x=np.zeros(program.q.shape))
 
     monkeypatch.setattr(qpsolvers, "solve_problem", spy)
-    qp.solve_qp(dwell_problem(radius_mm=6), 7.0, "clarabel")
+    dwell_solvers.solve_qp(dwell_problem(radius_mm=6), 7.0, "clarabel")
     assert 0 < asked["time_limit"] <= 7.0
 
 
@@ -260,14 +264,14 @@ def test_a_backend_that_was_starved_is_asked_again_for_longer(
     monkeypatch.setattr(time, "thread_time", lambda: cpu)
     monkeypatch.setattr(time, "monotonic", lambda: slowness * cpu)
     monkeypatch.setattr(qpsolvers, "solve_problem", backend)
-    monkeypatch.setattr(qp, "_forms", lambda problem, how: [True])
-    qp.solve_qp(dwell_problem(radius_mm=6), 10.0, "clarabel")
+    monkeypatch.setattr(dwell_solvers, "_forms", lambda problem, how: [True])
+    dwell_solvers.solve_qp(dwell_problem(radius_mm=6), 10.0, "clarabel")
     assert given == pytest.approx(asked)
 
 
 def test_out_of_time_it_says_so_or_refuses() -> None:
     try:
-        certificate = qp.solve_qp(dwell_problem(radius_mm=30), 0.02).certificate
+        certificate = dwell_solvers.solve_qp(dwell_problem(radius_mm=30), 0.02).certificate
     except ComputeError as error:
         assert "found no dwell within" in str(error)  # noqa: PT017  either is honest
     else:

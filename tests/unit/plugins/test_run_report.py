@@ -20,12 +20,11 @@ from polishd.api import PolishdError, SurfaceStats
 from polishd.model.events import MapMeasured, PlanWritten, RemovalCheckFailed, RunFolderCompleted
 from polishd.model.tolerance import Judged
 from polishd.plugins import run_report
-from polishd.plugins.run_report import trend
-from polishd.plugins.run_report.folder import ExecutedTimes, ReportSurface, read_folder
-from polishd.plugins.run_report.page import CERTIFICATE, COLUMNS, ReportSection, render
-from polishd.plugins.run_report.report import write_report
-from polishd.show.sheet import Picture
-from polishd.show.words import duration, plain, spent, when
+from polishd.rendering.document import Picture
+from polishd.reports import run_pictures
+from polishd.reports.run_reader import ExecutedTimes, ReportSurface, read_folder
+from polishd.reports.run_report import CERTIFICATE, COLUMNS, ReportSection, render, write_report
+from polishd.reports.wording import duration, plain, spent, when
 
 N = 24
 PITCH_MM = 1.0
@@ -102,13 +101,13 @@ def write_run(folder: Path, passes: int) -> Path:
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.show.style.DPI", 40)
+    monkeypatch.setattr("polishd.rendering.plots.DPI", 40)
 
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made, but not drawn, which takes the time."""
-    monkeypatch.setattr("polishd.plugins.run_report.report.png", lambda figure: b"")
+    monkeypatch.setattr("polishd.reports.run_report.png", lambda figure: b"")
 
 
 @pytest.fixture
@@ -151,7 +150,7 @@ class TestEvents:
     def test_what_is_complete_is_reported_by_another_process(
         self, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("polishd.plugins.run_report.report.write_report", None)
+        monkeypatch.setattr("polishd.reports.run_report.write_report", None)
         run_report.polishd_on_event(kind(run_dir=str(tmp_path)))
         assert (tmp_path / "report.html").is_file()
 
@@ -294,7 +293,7 @@ def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) 
     rows = [{"rms_nm": 9.0, "band_rms_nm": 8.0}, {"rms_nm": 3.0, "band_rms_nm": 1.0}]
     write_summary(run_dir, rows, tolerance_period_mm=7.0)
     assert "RMS, periods &gt; 7 mm</dt><dd>8.00 → 1.00 nm" in words_of(run_dir)
-    labels = [text.get_text() for text in trend.rms_per_measurement(rows, 2.0, 7.0).axes[0].get_legend().texts]
+    labels = [text.get_text() for text in run_pictures.rms_per_measurement(rows, 2.0, 7.0).axes[0].get_legend().texts]
     assert "measured, periods above 7 mm" in labels
     assert "measured, all periods" in labels
 
@@ -344,7 +343,7 @@ def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path:
         "Pass 2",
         "Measurement after pass 2",
     ]
-    predicted = trend.rms_per_measurement(cycles, 2.0, 0.0).axes[0].get_lines()[0].get_ydata()
+    predicted = run_pictures.rms_per_measurement(cycles, 2.0, 0.0).axes[0].get_lines()[0].get_ydata()
     assert np.isnan(predicted).tolist() == [True, False, True, False], "nobody predicted what a part of a pass leaves"
 
 
@@ -459,14 +458,14 @@ class TestSpectrum:
         # White noise: the density is flat, variance times the area of a sample.
         rng = np.random.default_rng(5)
         height = 3.0 * rng.standard_normal((128, 128))
-        frequency, power = trend.radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = run_pictures.radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
         flat = power[frequency > 0.1]
         np.testing.assert_allclose(flat.mean(), 9.0 * 0.25, rtol=0.05)
 
     def test_a_ripple_stands_at_its_own_frequency(self) -> None:
         x = np.arange(128) * 0.5
         height = np.broadcast_to(np.sin(2 * np.pi * x / 8.0), (128, 128))
-        frequency, power = trend.radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = run_pictures.radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
         assert frequency[np.argmax(power)] == pytest.approx(1 / 8.0, rel=0.1)
 
     def test_tilt_and_holes_do_not_matter_much(self) -> None:
@@ -475,10 +474,10 @@ class TestSpectrum:
         mask = np.ones((96, 96), dtype=bool)
         tilted = height + 40 * np.linspace(-1, 1, 96)[:, None]
         np.testing.assert_allclose(
-            trend.radial_psd(tilted, mask, 1.0)[1], trend.radial_psd(height, mask, 1.0)[1], rtol=0.3
+            run_pictures.radial_psd(tilted, mask, 1.0)[1], run_pictures.radial_psd(height, mask, 1.0)[1], rtol=0.3
         )
         tilted[40:44, 50:53] = np.nan
-        assert np.isfinite(trend.radial_psd(tilted, mask, 1.0)[1]).all()
+        assert np.isfinite(run_pictures.radial_psd(tilted, mask, 1.0)[1]).all()
 
 
 def test_a_surface_lies_where_its_grid_does() -> None:

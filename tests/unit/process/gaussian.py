@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from polishd.model.limits import Envelope
-from polishd.model.program import Encoding, Program
+from polishd.model.program import Encoding, Envelope, Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.effect import SparseEffect
-from polishd.process.paths.apertures import circle
-from polishd.process.paths.raster import raster
+from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
+from polishd.process.removal.effect import SparseEffect
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
 
 
 def spot_effect(

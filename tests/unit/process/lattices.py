@@ -10,12 +10,12 @@ from scipy import sparse
 from polishd.model.process import ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.convolution import ConvolutionEffect, convolution_effect
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.setup import choose_piston_nm, regularisation_from_rho
-from polishd.process.dynamic_tif import effect_matrix
-from polishd.process.effect import SparseEffect
-from polishd.process.spot import HertzSpot
+from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
+from polishd.process.removal.convolution import ConvolutionEffect, convolution_effect
+from polishd.process.removal.dynamic_tif import effect_matrix
+from polishd.process.removal.effect import SparseEffect
+from polishd.process.removal.tif import HertzSpot
 from tests.unit.process.gaussian import rough
 from tests.unit.process.moves import program
 

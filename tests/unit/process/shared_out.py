@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.laying import Indices
-from polishd.process.spot import PATCH, cell_shares
+from polishd.process.removal.dynamic_tif import Indices
+from polishd.process.removal.tif import PATCH, cell_shares
 
 
 def overlap(

@@ -19,13 +19,13 @@ from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.process.commissioning import artefact_heights, prove
-from polishd.process.gate import judge
-from polishd.process.instrument import as_profiled
-from polishd.process.orientation import ORIENTATIONS, ArrayOrientation
-from polishd.process.registration import register
+from polishd.process.frames import ORIENTATIONS, ArrayOrientation
+from polishd.process.identification.removal_check import judge
+from polishd.process.metrology.commissioning import artefact_heights, prove
+from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.registration import register
 from tests.unit.process.gaussian import rough
-from tests.unit.process.placed_parts import BUMPS, MARKS_MM, punched, seen_px
+from tests.unit.process.metrology.placed_parts import BUMPS, MARKS_MM, punched, seen_px
 
 GRID = Grid(160, 160, 0.7)
 PART = GRID.radius_mm() <= 52

@@ -12,7 +12,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import ComplianceOptions, Optic, Placement
 from polishd.model.surface import FloatArray
 from polishd.process import frames
-from polishd.sim_backends.placement import tool_axis
+from polishd.sim_backends.common.hidden_truth import tool_axis
 from tests.unit.process.moves import inward_axis
 
 TURN = st.floats(-360, 360)

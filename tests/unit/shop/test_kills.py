@@ -15,25 +15,23 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
-from polishd.config.shop import ShopFile
-from polishd.console.demo_files import write_demo
-from polishd.daemon.journal import Journal
-from polishd.daemon.queue import Queue
-from polishd.door.users import Role
-from polishd.hooks.cell import plugins_of
+from polishd.config.server_sections import ShopFile
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.queue.queue import Queue
 from polishd.model import events
+from polishd.plugin_loader import plugins_of
 from polishd.shop import link as link_module
 from polishd.shop import parts
-from polishd.shop.app import application, cells_of, people_of
-from polishd.shop.database import Database
-from polishd.shop.jobs import digests, part_of
-from polishd.shop.link import ShopLink
-from polishd.shop.schema import DATABASE_NAME
-from polishd.shop.wire import ShopClient
+from polishd.shop.database import DATABASE_NAME, Database
+from polishd.shop.link import ShopClient, ShopLink
+from polishd.shop.parts import digests, part_of
+from polishd.shop.server import application, cells_of, people_of
+from polishd.web.http.users import Role
 from tests.killed import Steps, killed_at
-from tests.unit.shop.test_app import write_shop
 from tests.unit.shop.test_link import HELD, SECTION, Desk
+from tests.unit.shop.test_server import write_shop
 
 URL = "http://127.0.0.1:8760"
 JOB = '[job]\nid = "lens"\n[part]\nid = "P-1"\n'

@@ -11,22 +11,20 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import write_demo
-from polishd.daemon.events import Event
-from polishd.daemon.journal import JOURNAL_NAME, Journal
-from polishd.daemon.queue import Queue
-from polishd.door.users import Role
-from polishd.hooks.cell import plugins_of
+from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
+from polishd.daemon.queue.queue import Queue
+from polishd.daemon.runtime.events import Event
 from polishd.model import events
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError, TokenRefused
+from polishd.plugin_loader import plugins_of
 from polishd.shop import link as module
-from polishd.shop import told
-from polishd.shop.app import application, cells_of
 from polishd.shop.database import Database
-from polishd.shop.link import ShopLink
-from polishd.shop.wire import ShopClient
-from tests.unit.shop.test_app import write_shop
+from polishd.shop.link import ShopClient, ShopLink
+from polishd.shop.server import application, cells_of
+from polishd.web.http.users import Role
+from tests.unit.shop.test_server import write_shop
 
 SECTION = '\n[shop]\nurl = "http://127.0.0.1:9"\ntoken = "file:shop.token"\n'
 OFFER = {
@@ -92,8 +90,8 @@ class Desk:
             if self.refuses:
                 return {"ok": False, "error": self.refuses[0], "exit_code": self.refuses[1]}
             with Queue.at_rest(self._config.state_dir) as queue:
-                from polishd.config.job_file import JobFile
-                from polishd.daemon.queue import NewJob
+                from polishd.config.job import JobFile
+                from polishd.daemon.queue.queue import NewJob
 
                 (job,) = args["files"]
                 name = json.loads(job["content"].split("id = ")[1].split("\n")[0])
@@ -158,7 +156,7 @@ def test_what_the_journal_says_is_told_by_its_own_numbers_and_progress_is_left_o
 
 
 def test_a_long_journal_is_told_in_pieces(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(told, "MOST_EVENTS", 2)
+    monkeypatch.setattr(module, "MOST_EVENTS", 2)
     rig.happens(*[HELD] * 5)
     rig.desk.up = False
     assert [rig.link.turn() for _ in range(3)] == [True, True, False]
@@ -377,7 +375,7 @@ def test_a_daemon_that_hangs_keeps_nothing_from_the_shop(rig: Rig) -> None:
 
 
 def test_two_links_of_one_cell_are_refused(rig: Rig) -> None:
-    from polishd.daemon.lock import locked
+    from polishd.daemon.runtime.exit_record import locked
 
     with locked(rig.config.state_dir / "shop"), pytest.raises(ConfigError, match="another polishd"):
         rig.link.run(threading.Event())

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from polishd.model.errors import ConfigError
-from polishd.shop import parts, views
+from polishd.shop import parts, server
 from polishd.shop.database import Database
 from polishd.shop.parts import AssignmentAnswer, NewPart
 
@@ -45,12 +45,12 @@ def release(shop: Database, job: str, *, gone: bool = False) -> str:
 
 def states(shop: Database) -> dict[str, str]:
     with shop.transaction() as sql:
-        return {one["job"]: one["state"] for one in views.parts_view(sql)["parts"]}
+        return {one["job"]: one["state"] for one in server.parts_view(sql)["parts"]}
 
 
 def words(shop: Database) -> list[str]:
     with shop.transaction() as sql:
-        return [one["what"] for one in views.words(sql)]
+        return [one["what"] for one in server.words(sql)]
 
 
 def test_parts_are_given_in_their_order_each_to_one_cell(shop: Database) -> None:
@@ -128,7 +128,7 @@ def test_what_was_refused_is_for_another_cell(shop: Database) -> None:
         assert parts.claim(sql, "north", "1") == {"part": None, "over": True}
     assert claim(shop, "north", "2") is None
     with shop.transaction() as sql:
-        assert views.parts_view(sql)["parts"][0]["not_for"] == "north: refused: it is too large"
+        assert server.parts_view(sql)["parts"][0]["not_for"] == "north: refused: it is too large"
     assert claim(shop, "south", "3") == "a"
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from docs.reference import ports
 from polishd.config.cell import PORTS
-from polishd.ports.devices import Device
+from polishd.interfaces import Device
 
 ROOT = Path(__file__).parents[3]
 TEXT = ports.PAGE.read_text()

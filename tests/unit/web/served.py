@@ -14,11 +14,11 @@ from typing import Any
 
 from starlette.testclient import TestClient
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import write_demo
-from polishd.daemon.sockets import SOCKET_NAME
-from polishd.door.users import Role, UserFile, users_path
+from polishd.daemon.socket.client import SOCKET_NAME
 from polishd.web.app import application
+from polishd.web.http.users import Role, UserFile, users_path
 
 LIVE = {"state": "polishing", "reason": "", "next": "", "told": {}, "approval": "ab" * 32, "signals": {}, "health": {}}
 

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.journal import Journal
-from polishd.door import limits
-from polishd.door.users import Role
+from polishd.daemon.journal.journal import Journal
 from polishd.model.events import AlarmAcknowledged, CellHeld
-from polishd.web import disk, orders
-from polishd.web.openapi import document, open_path
-from polishd.web.routes import ROUTES, ApiRoute
+from polishd.web import api, run_data
+from polishd.web.app import ROUTES, ApiRoute, document, open_path
+from polishd.web.http import server
+from polishd.web.http.users import Role
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 
@@ -101,7 +100,7 @@ def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
     web: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a token, from every role; also where too many wrong tokens came from, and after too many requests."""
-    monkeypatch.setattr(limits, "PER_S", 0.0)
+    monkeypatch.setattr(server, "PER_S", 0.0)
     web.daemon.hang = threading.Event()
     resume = ("POST", "/api/orders/resume", Role.OPERATE)
     threads = [threading.Thread(target=web.ask, args=resume, daemon=True) for _ in range(50)]
@@ -125,7 +124,7 @@ def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
 
 
 def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orders, "TOLD_S", 0.01)
+    monkeypatch.setattr(api, "TOLD_S", 0.01)
     web.daemon.hang = threading.Event()
     said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
     web.daemon.hang.set()
@@ -134,7 +133,7 @@ def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytes
 
 def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that somebody has seen stays seen, also where that stands on another page of the journal."""
-    monkeypatch.setattr(disk, "MOST_ROWS", 3)
+    monkeypatch.setattr(run_data, "MOST_ROWS", 3)
     with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
         for number in range(8):
             journal.record_event(CellHeld(error=f"fault {number}", kind="LinkError"))
@@ -157,13 +156,13 @@ async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobo
         answer.wait(SOON_S)
         return {"ok": True}
 
-    monkeypatch.setattr(orders.client, "request", request)
-    monkeypatch.setattr(orders, "TOLD_S", 0.01)
-    ours = orders.CommandForwarder(tmp_path)
+    monkeypatch.setattr(api.client, "request", request)
+    monkeypatch.setattr(api, "TOLD_S", 0.01)
+    ours = api.CommandForwarder(tmp_path)
     for by in ("anna (web)", "ben (web)", "anna (web)"):
         assert await ours.give("hold", {"by": by}, joined=True) is None
     answer.set()
-    monkeypatch.setattr(orders, "TOLD_S", SOON_S)
+    monkeypatch.setattr(api, "TOLD_S", SOON_S)
     assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
     assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
 

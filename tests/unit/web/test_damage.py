@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from polishd.daemon.array_store import ArrayStore
-from polishd.daemon.history import read_events
-from polishd.daemon.journal import ARRAYS_NAME, JOURNAL_NAME, Journal
-from polishd.model.cycle import CyclePhase
+from polishd.daemon.journal.history import read_events
+from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME, Journal
+from polishd.daemon.journal.store import ArrayStore
 from polishd.model.errors import JournalDamage
 from polishd.model.events import AlarmAcknowledged, CellHeld
+from polishd.model.states import CyclePhase
 from tests.unit.web.served import Served, served
 
 READS = ("jobs", "jobs/1/cycles", "jobs/1/cycles/0/certificate", "history", "journal", "alarms", "queue", "state")
@@ -83,7 +83,7 @@ def test_the_command_line_names_it_as_well(web: Served) -> None:
 
 def test_an_error_that_is_no_damage_stays_a_fault(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fault of our own is not laid to the disk."""
-    from polishd.web import disk
+    from polishd.web import run_data
 
-    monkeypatch.setattr(disk, "_pass", lambda row: dict(row)["missing"])
+    monkeypatch.setattr(run_data, "_pass", lambda row: dict(row)["missing"])
     assert web.ask("GET", "/api/jobs/1/cycles").status_code == 500

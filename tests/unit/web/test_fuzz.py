@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from polishd.door import limits
-from polishd.door.users import Role
-from polishd.web.routes import ROUTES, ApiRoute
+from polishd.web.app import ROUTES, ApiRoute
+from polishd.web.http import server
+from polishd.web.http.users import Role
 from tests.unit.web.served import Served, served
 
 ANSWERS = {200, 202, 400, 401, 403, 404, 405, 409}
@@ -27,7 +27,7 @@ PIECES = st.integers(0, 1 << 70).map(str) | st.sampled_from(["measured", "..", "
 @pytest.fixture(scope="module")
 def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with pytest.MonkeyPatch.context() as patch, served(tmp_path_factory.mktemp("web")) as found:
-        patch.setattr(limits, "PER_S", 1e9)
+        patch.setattr(server, "PER_S", 1e9)
         yield found
 
 

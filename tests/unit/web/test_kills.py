@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import free_port, write_demo
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import free_port, write_demo
-from polishd.daemon.client import request
-from polishd.daemon.events import EventBus
-from polishd.daemon.service import serving
-from polishd.door.users import Role, UserFile, users_path
+from polishd.daemon.runtime.events import EventBus
+from polishd.daemon.socket.client import request
+from polishd.daemon.socket.server import serving
 from polishd.model.events import CellHeld
+from polishd.web.http.users import Role, UserFile, users_path
 from tests.patience import SOON_S
 from tests.unit.web.served import LIVE
 
@@ -67,7 +67,7 @@ class Cell:
 async def web_of(cell: Cell) -> AsyncIterator[asyncio.subprocess.Process]:
     """``polishd web`` as a process that listens; killed at the end, if it is not dead by then."""
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "polishd.cli", "web", str(cell.config.path)), stdout=asyncio.subprocess.PIPE
+        *(sys.executable, "-m", "polishd.cli.app", "web", str(cell.config.path)), stdout=asyncio.subprocess.PIPE
     )
     try:
         assert process.stdout is not None

@@ -10,15 +10,14 @@ from typing import Any
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import CellConfig, load_config
-from polishd.console.demo_files import write_demo
-from polishd.daemon.journal import JOURNAL_NAME, Journal
-from polishd.daemon.states import DaemonState
-from polishd.door.users import Role
-from polishd.model.cycle import Outcome
+from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
 from polishd.model.errors import ConfigError
 from polishd.model.events import CellHeld
+from polishd.model.states import DaemonState, Outcome
 from polishd.web import app
+from polishd.web.http.users import Role
 from polishd.web.metrics import OUTCOMES, STATES, Metrics, MetricsSnapshot
 from tests.unit.web.served import LIVE, Served, served
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
-from polishd.console.demo_files import write_demo
-from polishd.door.users import Role, UserFile, users_path
 from polishd.web.api import MOST_OF_USER
+from polishd.web.http.users import Role, UserFile, users_path
 from tests.patience import SOON_S
 from tests.unit.web.served import answering
 
@@ -32,7 +32,7 @@ def serving(cell: Path) -> Iterator[tuple[str, int]]:
 @contextmanager
 def serving_verb(*words: str) -> Iterator[tuple[str, int]]:
     """The same of any verb that serves."""
-    command = [sys.executable, "-m", "polishd.cli", *words]
+    command = [sys.executable, "-m", "polishd.cli.app", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None

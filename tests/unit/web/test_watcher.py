@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from polishd.daemon import client
-from polishd.daemon.endings import record_exit
-from polishd.door.finite import finite
+from polishd.daemon.runtime.events import record_exit
+from polishd.daemon.socket import client
 from polishd.model.errors import LinkError
+from polishd.util.serialization import finite
 from polishd.web import watcher as module
 from polishd.web.watcher import Watcher, polling_daemon
 from tests.patience import SOON_S

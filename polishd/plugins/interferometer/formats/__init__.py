@@ -1,1 +1,1 @@
-"""Map formats, one module each but for Zygo's; every one ends in its ``SurfaceReader``."""
+"""Map formats, one file each; each ends in its ``SurfaceReader``."""

@@ -13,10 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import MapError, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, require_optics, require_size
+from polishd.plugins.interferometer.formats.common import (
+    Pitch,
+    block,
+    checked,
+    content_of,
+    require_optics,
+    require_size,
+)
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.numbers import block
-from polishd.plugins.interferometer.formats.scales import Pitch, checked
 
 FORMAT = Format("codev", 1)
 MISSING = 32767

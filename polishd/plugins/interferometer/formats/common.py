@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import math
 import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polishd.api import MapError, SurfaceMap
-from polishd.model.surface import FloatArray
-from polishd.process.plausible import EARLIEST
+from polishd.model.surface import DateFrom, FloatArray
+from polishd.process.metrology.conditioning import EARLIEST
 
 MOST_BYTES = 2**30
 """No map of a camera is larger."""
@@ -156,3 +157,220 @@ def extra(path: Path, module: str, name: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise MapError(f"{path}: needs the extra: pip install 'polishd[{name}]' ({error})") from error
+
+
+# Units of heights and pitches, and what is said of a map whose file leaves them open.
+
+NM_PER = {
+    name: nm
+    for names, nm in (
+        ("m meter metre", 1e9),
+        ("cm", 1e7),
+        ("mm millimeter millimetre", 1e6),
+        ("um micrometer micrometre micron", 1e3),
+        ("nm nanometer nanometre", 1.0),
+        ("angstrom", 0.1),
+        ("pm", 1e-3),
+        ("in inch", 2.54e7),
+    )
+    for name in names.split()
+}
+SQUARE_WITHIN = 1e-3
+"""Relative difference of the pitches in x and y that still counts as square pixels."""
+MOST_NM = 1e9
+"""A metre: what is higher is no height, but in another unit, or a marker of missing data that nobody declared."""
+MARKERS = {9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 2147483647.0, 2147483648.0}
+"""Numbers that programs write for missing data, in the unit of their file."""
+
+
+NOTHING: Mapping[str, str] = {}
+
+
+class Pitch(NamedTuple):
+    """A pitch, or None; and by what the file leaves to the profile, what to warn of."""
+
+    mm: float | None
+    doubts: Mapping[str, str] = NOTHING
+    both_mm: tuple[float, float] | None = None
+    """Width and height of a pixel that is not square."""
+
+
+class HeightUnit(NamedTuple):
+    """How many nm a unit of height is; and by what the file leaves to the profile, what to warn of."""
+
+    nm: float
+    doubts: Mapping[str, str] = NOTHING
+
+
+SAID = HeightUnit(1.0)
+"""Of heights whose unit the format or the file says."""
+IN_UNITS = "pitches_in_its_unit"
+"""In a map's ``factors``: its pitches in x and y in the lateral unit that the file does not say."""
+NO_PITCH = Pitch(None, {"pitch": "the file gives no lateral scale"})
+
+
+def nm_per(unit: str) -> float | None:
+    """How many nm the unit is, by its usual names; None where it is none of length or not known."""
+    name = unit.strip().strip("[]()").replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
+    if name in {"\N{LATIN CAPITAL LETTER A WITH RING ABOVE}", "A", "\N{ANGSTROM SIGN}"}:
+        return NM_PER["angstrom"]
+    known = NM_PER.get(name)  # as it is first: Mm is no mm
+    if known is None and len(name) > 2:
+        known = NM_PER.get(name.lower()) or NM_PER.get(name.lower().removesuffix("s"))
+    return known
+
+
+def height_unit(unit: str) -> HeightUnit:
+    """The unit of heights. One that is not known, or none: 1.0, a warning, and "unit" is left to the profile."""
+    factor = nm_per(unit)
+    if factor is not None:
+        return HeightUnit(factor)
+    found = f"the unit of heights, {unit.strip()!r}, is not known" if unit.strip() else "the heights have no unit"
+    return HeightUnit(1.0, {"unit": f"{found}: shown as if nm"})
+
+
+def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
+    """The one pitch of square pixels. BadMap where either is no length.
+
+    Pixels that are not square keep both: "square pixels" is unsaid until the map is resampled, as conditioning does.
+    """
+    for axis, value in (("x", x_mm), ("y", y_mm)):
+        if not (math.isfinite(value) and value > 0):
+            raise MapError(f"{path}: the pitch in {axis} is {value:g} mm, no length")
+    if abs(x_mm - y_mm) > SQUARE_WITHIN * max(x_mm, y_mm):
+        warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square; a cell resamples the map"
+        return Pitch(None, {"square pixels": warning}, (x_mm, y_mm))
+    return Pitch(x_mm / 2 + y_mm / 2)
+
+
+def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
+    """The heights, where ``require_data`` takes them and none is beyond belief; BadMap otherwise.
+
+    Beyond belief are heights above ``MOST_NM``, and an extreme that stands there more than once and is one of
+    ``MARKERS`` in the file's unit of ``nm``.
+    """
+    require_data(path, height_nm)
+    for worst in (float(np.nanmin(height_nm)), float(np.nanmax(height_nm))):
+        marks = abs(round(worst / nm, 6)) in MARKERS and np.count_nonzero(height_nm == worst) > 1
+        if marks or abs(worst) > MOST_NM:
+            found = f"has heights of {worst / nm:.7g} x {nm:g} nm"
+            raise MapError(f"{path}: {found}: a marker of missing data that the file does not declare?")
+    return height_nm
+
+
+# Dates in words, and those that a library has read: what is no instant dates no map.
+
+TIMES = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+DAYS = ("%m/%d/%Y", "%d/%m/%Y", "%Y/%m/%d", "%d.%m.%Y", "%d %b %Y", "%d-%b-%Y", "%b %d %Y", "%b %d, %Y")
+FORMATS = ("%a %b %d %H:%M:%S %Y", *DAYS, *(f"{day} {time}" for day in DAYS for time in TIMES))
+"""Both orders of month and day: what only one of them fits is meant."""
+NOT_DATED = "its date, {}, {}: the map counts as not dated"
+
+
+class Date(NamedTuple):
+    """A date, who says it, and what to warn of."""
+
+    at: datetime | None = None
+    by: DateFrom = "header"
+    warnings: tuple[str, ...] = ()
+
+
+def date_of(text: str, *, utc: bool = False) -> Date:
+    """What a header says, with a zone; nothing where it says nothing.
+
+    One that has no time of day, or can be read in two ways, is "guessed"; one that cannot be read is none. ``utc``: a
+    date that names no zone is UTC by the format.
+    """
+    words = " ".join(text.split())
+    if not words:
+        return Date()
+    found = {at for form in (None, *FORMATS) if (at := _parsed(words, form))}
+    if not found:
+        return Date(warnings=(NOT_DATED.format(repr(words[:40]), "is not understood"),))
+    at = min(found).replace(tzinfo=UTC) if utc and min(found).tzinfo is None else _zoned(min(found))
+    if len(found) == 1 and ":" in words:
+        return Date(at)
+    why = "gives no time of day" if len(found) == 1 else "may have the month or the day first"
+    return Date(at, "guessed", (NOT_DATED.format(repr(words[:40]), why),))
+
+
+def instant(at: datetime, now: datetime) -> Date:
+    """A date that a library has read, which fills in what is not there: today's, midnight and the future are nobody's.
+
+    ``now``: with the local zone.
+    """
+    known = _zoned(at)
+    if at.date() in {now.date(), now.astimezone(UTC).date()}:
+        why = "is today's, as if filled in"
+    elif known > now:
+        why = "is in the future, as if filled in"
+    elif (at.hour, at.minute, at.second) == (0, 0, 0):
+        why = "gives no time of day"
+    else:
+        return Date(known)
+    return Date(known, "guessed", (NOT_DATED.format(known.isoformat(), why),))
+
+
+def _parsed(words: str, form: str | None) -> datetime | None:
+    """As it stands; ``form`` None: ISO 8601."""
+    try:
+        return datetime.fromisoformat(words) if form is None else datetime.strptime(words, form)  # noqa: DTZ007
+    except ValueError:
+        return None
+
+
+def _zoned(at: datetime) -> datetime:
+    try:
+        return at if at.tzinfo else at.astimezone()
+    except (OverflowError, ValueError, OSError):  # at the ends of what a date can hold: none of a map
+        return at.replace(tzinfo=UTC)
+
+
+# Numbers in a text, piece by piece: no more is held than the array that they fill.
+
+PIECE = 2**16
+LONGEST = 4096
+"""No number, and no line of a point, is longer."""
+OF_NUMBERS = b"0123456789+-.eE \t\r\n"
+
+
+def pieces(path: Path, content: bytes, span: tuple[int, int], ends: tuple[bytes, ...]) -> Iterator[bytes]:
+    """Parts of ``content[span]`` of about ``PIECE`` bytes, each ended by one of ``ends``; BadMap where none comes."""
+    start, stop = span
+    while start < stop:
+        near = min(start + PIECE, stop)
+        found = [content.find(end, near, near + LONGEST) for end in ends]
+        cuts = [cut + 1 for cut in found if cut >= 0]
+        if not cuts and near + LONGEST < stop:
+            raise MapError(f"{path}: holds {LONGEST} bytes in a row that are no number: not this format, or broken")
+        cut = min(cuts) if cuts and near < stop else stop
+        yield content[start:cut]
+        start = cut
+
+
+def floats(path: Path, text: bytes, but: bytes = b"") -> FloatArray:
+    """The numbers of a piece, (n,); BadMap for anything else. ``but``: further bytes that may stand there ("nan")."""
+    foreign = text.translate(None, OF_NUMBERS + but)
+    if foreign:
+        raise MapError(f"{path}: {foreign[:20]!r} stands among its numbers")
+    try:
+        return np.array(text.split(), dtype=np.float64)
+    except ValueError as error:
+        raise MapError(f"{path}: {error}") from error
+
+
+def block(path: Path, content: bytes, span: tuple[int, int], shape: tuple[int, int]) -> FloatArray:
+    """The ``shape`` numbers of a span of the text, however they are wrapped; BadMap for more, fewer or infinite."""
+    values = np.empty(shape[0] * shape[1])
+    filled = 0
+    for piece in pieces(path, content, span, (b"\n", b" ", b"\t")):
+        found = floats(path, piece)
+        if filled + found.size <= values.size:
+            values[filled : filled + found.size] = found
+        filled += found.size
+    if filled != values.size:
+        state = "torn, or still being written" if filled < values.size else "more than its header asks for"
+        raise MapError(f"{path}: has {filled} values of {shape[0]} rows x {shape[1]} columns: {state}")
+    if not np.isfinite(values).all():
+        raise MapError(f"{path}: {np.count_nonzero(~np.isfinite(values))} values are no numbers")
+    return values.reshape(shape)

@@ -16,11 +16,23 @@ import numpy as np
 
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, named, parsing, require_end
-from polishd.plugins.interferometer.formats.dates import date_of
+from polishd.plugins.interferometer.formats.common import (
+    MOST_SAMPLES,
+    NO_PITCH,
+    Pitch,
+    checked,
+    content_of,
+    date_of,
+    extra,
+    height_unit,
+    named,
+    nm_per,
+    parsing,
+    pitch,
+    require_end,
+)
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
 from polishd.plugins.interferometer.formats.hdf5 import FREE_BYTES, MOST_RATIO
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("fits", 2, (b"SIMPLE  =",))
 BITPIX = (8, 16, 32, 64, -32, -64)

@@ -14,11 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from polishd.api import MapError, SurfaceMap
-from polishd.plugins.interferometer.formats import apart, hdf5
-from polishd.plugins.interferometer.formats.common import named, require_optics
-from polishd.plugins.interferometer.formats.dates import date_of
+from polishd.plugins.interferometer.formats import hdf5, sandbox
+from polishd.plugins.interferometer.formats.common import (
+    NO_PITCH,
+    Pitch,
+    checked,
+    date_of,
+    named,
+    nm_per,
+    pitch,
+    require_optics,
+)
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, nm_per, pitch
 
 FORMAT = Format("4d", 3)
 GENRAW = "/measurement0/genraw"
@@ -153,4 +160,4 @@ def _listed(source: hdf5.Hdf5Contents, node: Any) -> Any:
     return np.array(words or [np.nan], dtype=np.float64)
 
 
-FOURD = FORMAT.reader(partial(apart.read, __name__), ".h5", sniff=partial(hdf5.holds, suffix=".h5"))
+FOURD = FORMAT.reader(partial(sandbox.read, __name__), ".h5", sniff=partial(hdf5.holds, suffix=".h5"))

@@ -20,11 +20,12 @@ import numpy as np
 
 from polishd.api import MapError
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.apart import raise_memory_limit
 from polishd.plugins.interferometer.formats.common import content_of, require_end, require_size, sha256_of
+from polishd.plugins.interferometer.formats.sandbox import raise_memory_limit
 
 if TYPE_CHECKING:
     import h5py
+
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 NAMES = {".datx": (b"MetaData\0", b"Measurement\0"), ".h5": (b"measurement0\0",)}

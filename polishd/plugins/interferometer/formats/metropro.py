@@ -15,10 +15,9 @@ import numpy as np
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
 from polishd.plugins.interferometer.formats.common import MOST_BYTES, MOST_SAMPLES, named, require_stated
-from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.kept_history import brief_of, found_in_brief
-from polishd.plugins.interferometer.formats.zygo import MISSING, RESOLUTION, ZygoHeader
-from polishd.process.instrument import SHORT, system_number
+from polishd.plugins.interferometer.formats.format import Format, brief_of, found_in_brief
+from polishd.plugins.interferometer.formats.zygo_text import MISSING, RESOLUTION, ZygoHeader
+from polishd.process.metrology.instrument import SHORT, system_number
 
 FORMAT = Format("metropro", 2, (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71"))
 HEADER_BYTES = (834, 4096)

@@ -13,9 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from polishd.api import MapError, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, parsing, require_end, scaled
+from polishd.plugins.interferometer.formats.common import (
+    NO_PITCH,
+    checked,
+    content_of,
+    parsing,
+    pitch,
+    require_end,
+    scaled,
+)
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 from polishd.plugins.interferometer.formats.x3p import TURNED
 
 FORMAT = Format("sdf", 2, (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-"))

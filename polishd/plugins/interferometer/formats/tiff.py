@@ -15,9 +15,20 @@ import numpy as np
 
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import MOST_SAMPLES, content_of, extra, parsing, require_end
+from polishd.plugins.interferometer.formats.common import (
+    MOST_SAMPLES,
+    NO_PITCH,
+    Pitch,
+    checked,
+    content_of,
+    extra,
+    height_unit,
+    nm_per,
+    parsing,
+    pitch,
+    require_end,
+)
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, Pitch, checked, height_unit, nm_per, pitch
 
 FORMAT = Format("tiff", 1, (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"))
 DEFLATE_AT_MOST = 1100

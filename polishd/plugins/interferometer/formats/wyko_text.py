@@ -17,10 +17,17 @@ import numpy as np
 
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, require_size
+from polishd.plugins.interferometer.formats.common import (
+    LONGEST,
+    NO_PITCH,
+    checked,
+    content_of,
+    floats,
+    pieces,
+    pitch,
+    require_size,
+)
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.numbers import LONGEST, floats, pieces
-from polishd.plugins.interferometer.formats.scales import NO_PITCH, checked, pitch
 
 MAGIC = b"Wyko ASCII Data File Format"
 FORMAT = Format("wyko_ascii", 1, (MAGIC,))

@@ -14,11 +14,18 @@ import numpy as np
 
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import FloatArray
-from polishd.plugins.interferometer.formats.common import content_of, members_of, parsing, require_stated, scaled
-from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.gridded import ORIENTATION, gridded
-from polishd.plugins.interferometer.formats.kept_history import found_in, line_of
-from polishd.plugins.interferometer.formats.scales import Pitch, checked, pitch
+from polishd.plugins.interferometer.formats.common import (
+    Pitch,
+    checked,
+    content_of,
+    members_of,
+    parsing,
+    pitch,
+    require_stated,
+    scaled,
+)
+from polishd.plugins.interferometer.formats.format import Format, found_in, line_of
+from polishd.plugins.interferometer.formats.points import ORIENTATION, gridded
 
 FORMAT = Format("x3p", 1)
 MOST_XML_BYTES = 2**26

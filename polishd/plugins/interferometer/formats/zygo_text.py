@@ -1,25 +1,101 @@
-"""Zygo's two text formats: a header of 14 lines (13 in some XYZ files), and data, each ended by a line of ``#``.
-
-Zygo's ASCII files are read here: intensities, then the phase in the integer code of ``.dat``.
-
-Line 4 is the phase frame (x, y, columns, rows), 6 and 7 serial number and part, 8 source, IntfScaleFactor, wavelength
-(m), aperture, obliquity, magnification, CameraRes (m a pixel), time; 9 the camera and system; 11 starts with PhaseRes
-and has the data's sign as its eighth number.
-"""
+"""What Zygo's files say of their counts, in MetroPro's binary ones as in texts."""
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from polishd.api import MapError, SurfaceMap
-from polishd.plugins.interferometer.formats.common import content_of, named, require_data
+from polishd.model.surface import FloatArray
+from polishd.plugins.interferometer.formats.common import (
+    Pitch,
+    block,
+    checked,
+    content_of,
+    floats,
+    named,
+    pieces,
+    require_data,
+    require_optics,
+    require_size,
+    time_of,
+)
 from polishd.plugins.interferometer.formats.format import Format
-from polishd.plugins.interferometer.formats.numbers import block
-from polishd.plugins.interferometer.formats.zygo import MISSING, ZygoHeader
+
+RESOLUTION = {0: 4096, 1: 32768, 2: 131072}
+"""Counts a wave by PhaseRes."""
+MISSING = 2147483640
+NOT_CALIBRATED = "CameraRes is 0: the instrument was not calibrated, the map has no lateral scale"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZygoHeader:
+    """The fields of a header that decide correctness, as they stand in the file."""
+
+    origin: tuple[int, int]
+    columns: int
+    rows: int
+    timestamp: float
+    scale: float
+    wavelength_m: float
+    obliquity: float
+    camera_res_m: float
+    resolution: int
+    sign: int
+    instrument: str
+    part: str
+    serial: str
+    start: int
+    """Where the header ends, or the phase begins."""
+    fiducials: tuple[float, ...] = ()
+    """x, y, x, y ... of up to seven marks, on the camera."""
+
+    @property
+    def nm_per_count(self) -> float:
+        """Height of one count, sign included."""
+        size = self.scale * self.wavelength_m * self.obliquity / RESOLUTION[self.resolution] * 1e9
+        return -size if self.sign else size
+
+    @property
+    def factors(self) -> dict[str, Any]:
+        """What was applied, once."""
+        return {
+            "scale": self.scale,
+            "wavelength_nm": self.wavelength_m * 1e9,
+            "obliquity": self.obliquity,
+            "counts_per_wave": RESOLUTION[self.resolution],
+            "negated": bool(self.sign),
+            "nm_per_count": self.nm_per_count,
+            "origin_px": self.origin,
+        }
+
+    def about(self, path: Path) -> dict[str, Any]:
+        """Pitch, part, instrument and time. BadMap for a pitch that no camera has."""
+        metres = self.camera_res_m
+        if metres != 0 and not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
+            raise MapError(f"{path}: CameraRes is {metres:g} m a pixel")
+        return {
+            "lateral": Pitch(metres * 1e3) if metres else Pitch(None, {"pitch": NOT_CALIBRATED}),
+            "part_id": self.serial or self.part,
+            "instrument": self.instrument,
+            "taken_at": time_of(self.timestamp),
+        }
+
+    def check(self, path: Path, most: float) -> None:
+        """BadMap where a factor or a side is out of range, or the file can hold no more than ``most`` samples."""
+        require_size(path, self.rows, self.columns, most)
+        if self.resolution not in RESOLUTION:
+            raise MapError(f"{path}: PhaseRes is {self.resolution}, not 0, 1 or 2: the height's scale is not known")
+        optics = {"IntfScaleFactor": self.scale, "Wavelength (m)": self.wavelength_m, "Obliquity": self.obliquity}
+        require_optics(path, optics)
+
+
+# Zygo's two text formats: a header of 14 lines (13 in some XYZ files), and data, each ended by a line of ``#``.
 
 HASH = re.compile(rb"^[ \t]*#[ \t\r]*$", re.MULTILINE)
 MOST_HEADER = 16_384
@@ -116,3 +192,74 @@ def _phase(path: Path, content: bytes, start: int) -> tuple[int, int]:
 
 
 ZYGO_ASCII = ASCII.reader(read, ".asc")
+
+
+# Zygo XYZ data files: the header of Zygo's ASCII files, then a line ``column row height_um`` for each pixel.
+
+ZYGO_XYZ_FORMAT = TextFormat("zygo_xyz", 1, (b"Zygo XYZ Data File",))
+NO_DATA = b"No Data"
+NM_PER_UM = 1e3
+SIGNED = "its header says an inverted sign, and the heights are taken as they stand: the program that wrote them did it"
+
+
+def read_zygo_xyz(path: Path) -> SurfaceMap:
+    """Read a map: each pixel must be listed exactly once. BadMap for whatever is torn, broken or absurd."""
+    content, header = ZYGO_XYZ_FORMAT.opened(path, smallest=6)
+    height_nm = checked(path, _heights_um(path, content, header) * NM_PER_UM, NM_PER_UM)
+    factors = {"nm_per_unit": NM_PER_UM, "origin_px": header.origin}
+    odd = (SIGNED,) if header.sign else ()
+    return ZYGO_XYZ_FORMAT.surface(path, content, height_nm, factors=factors, warnings=odd, **header.about(path))
+
+
+def _end(path: Path, content: bytes, start: int) -> int:
+    """Where the lines end: at a line of ``#`` with nothing after it, or at the end of a whole line."""
+    mark = HASH.search(content, start)
+    if mark is not None:
+        require_end(path, content, mark.end(), "points")
+        return mark.start()
+    if not content.endswith(b"\n"):
+        raise MapError(f"{path}: ends inside a line: torn, or still being written")
+    return len(content)
+
+
+def _heights_um(path: Path, content: bytes, header: ZygoHeader) -> FloatArray:
+    grid = np.full(header.rows * header.columns, np.nan)
+    seen = np.zeros(grid.size, dtype=np.bool_)
+    corner: tuple[int, int] | None = None
+    count = 0
+    for piece in pieces(path, content, (header.start, _end(path, content, header.start)), (b"\n",)):
+        points = _points(path, piece)
+        if corner is None and len(points):
+            corner = _corner(path, points[0], header)
+        column, row = points[:, 0] - (corner or (0, 0))[0], points[:, 1] - (corner or (0, 0))[1]
+        inside = (column >= 0) & (column < header.columns) & (row >= 0) & (row < header.rows)
+        if not (inside & (column == np.trunc(column)) & (row == np.trunc(row))).all():
+            raise MapError(f"{path}: a point lies outside its {header.rows} rows x {header.columns} columns")
+        index = (row * header.columns + column).astype(np.intp)
+        grid[index] = points[:, 2]
+        seen[index] = True
+        count += len(points)
+    if count != grid.size or not seen.all():
+        raise MapError(
+            f"{path}: lists {count} points, {np.count_nonzero(seen)} of {grid.size} pixels: torn, or doubled"
+        )
+    return grid.reshape(header.rows, header.columns)
+
+
+def _points(path: Path, piece: bytes) -> FloatArray:
+    """(n, 3) of a piece's lines, NaN where there is no data; every line must be one point."""
+    text = piece.replace(NO_DATA, b"nan")
+    if b"nan" in piece or any(len(line.split()) not in (0, 3) for line in text.split(b"\n")):
+        raise MapError(f"{path}: a line is not 'column row height'")
+    return floats(path, text, but=b"na").reshape(-1, 3)
+
+
+def _corner(path: Path, first: FloatArray, header: ZygoHeader) -> tuple[int, int]:
+    """What columns and rows count from, by the first point, which is a corner of the frame."""
+    for x, y in (header.origin, (0, 0)):
+        if first[0] in (x, x + header.columns - 1) and first[1] in (y, y + header.rows - 1):
+            return x, y
+    raise MapError(f"{path}: its first point ({first[0]:g}, {first[1]:g}) is no corner of its phase frame")
+
+
+ZYGO_XYZ = ZYGO_XYZ_FORMAT.reader(read_zygo_xyz, ".xyz")

@@ -4,9 +4,10 @@ A profile says in templates which statement moves, which waits, and which change
 else is refused. Time sits in the dwells: ``encoding`` is always ``"dwell"``.
 """
 
+from __future__ import annotations
+
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
 from polishd.plugins.rnc_robot.languages.reader import read
-from polishd.plugins.rnc_robot.languages.rewriter import rewrite
-from polishd.plugins.rnc_robot.languages.splitter import split
+from polishd.plugins.rnc_robot.languages.rewriter import rewrite, split
 
 __all__ = ["LanguageProfile", "parse", "read", "rewrite", "split"]

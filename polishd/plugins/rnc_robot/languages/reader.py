@@ -10,10 +10,9 @@ import numpy as np
 from polishd.api import Program, ProgramError
 from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.languages.columns import NONE, numbers, table
-from polishd.plugins.rnc_robot.languages.orientation import tool_axis
+from polishd.plugins.rnc_robot.languages.columns import NONE, numbers, table, tool_axis
+from polishd.plugins.rnc_robot.languages.parser import POSTED, Scan, scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
-from polishd.plugins.rnc_robot.languages.scan import POSTED, Scan, scan
 
 _UNITS = {1.0: "s", 0.001: "ms"}
 FEW = 4

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from io import BytesIO
+from itertools import takewhile
 
 import numpy as np
 
 from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.languages.parser import MatchedStatement, Scan, scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.reader import require_points
-from polishd.plugins.rnc_robot.languages.scan import scan
 
 
 def rewrite(profile: LanguageProfile, program: Program, time_s: FloatArray) -> bytes:
@@ -69,3 +73,159 @@ def styled(steps: int, decimals: int, old: bytes) -> bytes:
         whole = whole.rjust(len(old_whole), b"0")
     sign = b"+" if old.startswith(b"+") else b""
     return sign + whole + (b"." + fraction if fraction or point else b"")
+
+
+# Splits a program where the controller limits its lines; each part is a complete program.
+
+MOTIONS = ("move", "approach", "dwell", "dwell_in_position")
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """A part: what is repeated of the program before it, and its own stretch of the body."""
+
+    repeated: list[MatchedStatement]
+    own: list[MatchedStatement]
+
+
+def split(profile: LanguageProfile, text: bytes, name: str = "the program") -> list[bytes]:
+    """The program in parts that the controller takes; the same bytes in a list of one where it fits.
+
+    Each part begins with what stood before the first motion and with the last move of the part before, so that it
+    starts where that ended; it keeps the positions that it uses. From the second on, the routine is named ``NAME_2``,
+    ... and numbered lines count from 1 again. ProgramError where there is no dwell to part the program after.
+    """
+    found = scan(profile, text, name, keep=True)
+    body = _body_of(found)
+    if not profile.line_limit or len(_lines(body)) <= profile.line_limit:
+        return [text]
+    if found.moving is None:
+        raise ProgramError(f"{name}: too long, and the profile names no begin of a routine. To do: split it by hand.")
+    return [_part(found, body, cut, number) for number, cut in enumerate(_cuts(found, body), start=1)]
+
+
+def _cuts(found: Scan, body: Sequence[MatchedStatement]) -> Iterable[_Cut]:
+    """Cut after the last dwell that fits, part by part."""
+    first = next(index for index, statement in enumerate(body) if statement.kind in MOTIONS)
+    preamble, at = list(body[:first]), first
+    repeated: list[MatchedStatement] = []
+    while at < len(body):
+        room = found.profile.line_limit - len(_lines([*preamble, *repeated]))
+        end, taken, best = at, 0, at
+        while end < len(body):
+            taken += end == at or body[end].line != body[end - 1].line
+            if taken > room:
+                break
+            end += 1
+            if end == len(body) or (body[end - 1].kind.startswith("dwell") and body[end].line != body[end - 1].line):
+                best = end
+        if best == at:
+            raise found.refuse(
+                body[at], f"no dwell to part the program after within {room} lines from here", "split it by hand"
+            )
+        yield _Cut([*preamble, *repeated], list(body[at:best]))
+        repeated = _held(found, body[first:best], body[best:])
+        at = best
+
+
+def _held(found: Scan, before: Sequence[MatchedStatement], after: Sequence[MatchedStatement]) -> list[MatchedStatement]:
+    """What a part needs of those before: positions declared on the way, the feed that holds, and the last move."""
+    moves = [statement for statement in before if statement.kind == "move"]
+    used = _used([*moves[-1:], *after])
+    declared = [
+        statement
+        for statement in before
+        if statement.kind == "position" and found.folded(statement.text("target") or "") in used
+    ]
+    feeds = [statement for statement in before if statement.kind == "neutral" and statement.text("feed")]
+    return [*declared, *feeds[-1:], *moves[-1:]]
+
+
+def _part(found: Scan, body: Sequence[MatchedStatement], cut: _Cut, number: int) -> bytes:
+    """Head, what is repeated, the part's own stretch, and tail."""
+    data = found.source.data
+    begin = found.moving
+    if begin is None or not begin.text("program"):
+        raise ProgramError(f"{found.source.name}: the routine has no name to count its parts by. To do: name it.")
+    body_start = _line_start(data, body[0].match.start())
+    body_end = _line_end(data, body[-1].match.end())
+    kept = _used([*cut.repeated, *cut.own])
+    renamed = begin.match.end("program")
+    head = _positions(found, 0, renamed, kept) + (b"_%d" % number if number > 1 else b"")
+    head += _positions(found, renamed, body_start, kept)
+    start, end = _line_start(data, cut.own[0].match.start()), _line_end(data, cut.own[-1].match.end())
+    numbers = iter(range(1, len(body) + 1)) if number > 1 else None
+    repeated = [
+        _renumbered(data, [statement], _line_start(data, statement.match.start()), statement.match.end(), numbers)
+        for statement in cut.repeated
+    ]
+    stop = b"\r\n" if b"\r\n" in data else b"\n"
+    own = _renumbered(data, cut.own, start, end, numbers)
+    tail = _positions(found, body_end, len(data), kept)
+    return b"".join([head, *(piece + stop for piece in repeated), own, tail])
+
+
+def _renumbered(
+    data: bytes, own: Sequence[MatchedStatement], start: int, end: int, numbers: Iterator[int] | None
+) -> bytes:
+    """A stretch of the program; line numbers, where it has them, from ``numbers``, in the width that they had."""
+    if numbers is None:
+        return data[start:end]
+    pieces, at = [], start
+    for statement in own:
+        if not statement.text("n"):
+            continue
+        low, high = statement.match.span("n")
+        pieces += [data[at:low], str(next(numbers)).rjust(high - low).encode()]
+        at = high
+    return b"".join([*pieces, data[at:end]])
+
+
+def _positions(found: Scan, start: int, end: int, kept: set[str]) -> bytes:
+    """A stretch of the program without the declared positions that a part does not use."""
+    data = found.source.data
+    pieces, at = [], start
+    for statement in found.kept or ():
+        low, high = statement.match.span()
+        declares = statement.kind in {"position", "neutral"} and statement.text("target") is not None
+        if declares and start <= low and high <= end and found.folded(statement.text("target") or "") not in kept:
+            pieces.append(data[at : max(_line_start(data, low), at)])
+            at = min(_line_end(data, high), end)
+    return b"".join([*pieces, data[at:end]])
+
+
+def _used(stretch: Iterable[MatchedStatement]) -> set[str]:
+    """Names of the positions that motions go to, or may go to: without a target, all their words."""
+    names: set[str] = set()
+    for statement in stretch:
+        if statement.kind not in {"move", "approach"}:
+            continue
+        fields = ("target", "via") if statement.text("target") else ("via", "items")
+        for name in fields:
+            words = re.findall(r"\w+", statement.text(name) or "")
+            names.update(words, (word.lower() for word in words))
+    return names
+
+
+def _body_of(found: Scan) -> list[MatchedStatement]:
+    """The statements of the routine that moves (of the whole file, where the language has no routines)."""
+    kept = found.kept or []
+    if found.moving is None:
+        return kept
+    return list(takewhile(lambda statement: statement.kind != "end", kept[kept.index(found.moving) + 1 :]))
+
+
+def _lines(stretch: Iterable[MatchedStatement]) -> set[int]:
+    return {statement.line for statement in stretch}
+
+
+def _line_start(data: bytes, at: int) -> int:
+    """Where the line begins, or ``at`` where something else stands before it on the line."""
+    start = data.rfind(b"\n", 0, at) + 1
+    return at if data[start:at].strip() else start
+
+
+def _line_end(data: bytes, at: int) -> int:
+    """Where the next line begins, or the end."""
+    end = data.find(b"\n", at)
+    return len(data) if end < 0 else end + 1

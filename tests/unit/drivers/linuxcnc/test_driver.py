@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, ExecutedBlock, LinkError, ProtocolError, RobotTimes
-from polishd.drivers.linuxcnc.connection import RshConnection
 from polishd.drivers.linuxcnc.driver import LinuxCnc
+from polishd.drivers.linuxcnc.protocol import RshConnection
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.wires import Once, TcpWire

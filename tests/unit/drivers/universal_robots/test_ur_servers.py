@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from polishd.api import DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.universal_robots import dashboard
-from polishd.drivers.universal_robots.primary import ControllerMessage, MessageReader
-from polishd.sim_backends.universal_robots import primary as simulated
+from polishd.drivers.universal_robots import driver
+from polishd.drivers.universal_robots.driver import ControllerMessage, MessageReader
+from polishd.sim_backends.universal_robots import device as simulated
 from tests.fakes.wires import Peer, TcpWire
 
 STATE = simulated.message(16, b"\0" * 40)
@@ -35,13 +35,13 @@ class Says(Peer):
 async def asked(greeting: bytes, answer: bytes, within_s: float = 5.0) -> str:
     wire = await TcpWire(Says(greeting, answer)).start()
     try:
-        return await dashboard.ask(Tcp("127.0.0.1", wire.port), "running", within_s)
+        return await driver.ask(Tcp("127.0.0.1", wire.port), "running", within_s)
     finally:
         await wire.close()
 
 
 async def test_a_question_has_its_answer() -> None:
-    assert await asked(dashboard.GREETING + b"\n", b"Program running: true\n") == "Program running: true"
+    assert await asked(driver.GREETING + b"\n", b"Program running: true\n") == "Program running: true"
 
 
 async def test_another_server_is_no_dashboard() -> None:
@@ -51,7 +51,7 @@ async def test_another_server_is_no_dashboard() -> None:
 
 async def test_a_dashboard_that_says_nothing_is_a_dead_link() -> None:
     with pytest.raises(LinkError):
-        await asked(dashboard.GREETING + b"\n", b"half an answer", within_s=0.3)
+        await asked(driver.GREETING + b"\n", b"half an answer", within_s=0.3)
     with pytest.raises(LinkError):
         await asked(b"", b"", within_s=0.3)
 
@@ -66,22 +66,22 @@ async def test_a_dashboard_that_says_nothing_is_a_dead_link() -> None:
     ],
 )
 def test_what_an_old_controller_does_not_know_is_empty(answer: str, value: str) -> None:
-    assert dashboard.read(answer, "any", "there") == value
+    assert driver.read(answer, "any", "there") == value
 
 
 @pytest.mark.parametrize("answer", ["Failed to execute: stop", "Error while loading program: x.urp"])
 def test_an_order_that_fails_is_refused(answer: str) -> None:
     with pytest.raises(DeviceRefused, match=answer):
-        dashboard.read(answer, "any", "there")
+        driver.read(answer, "any", "there")
 
 
 def test_true_is_true() -> None:
-    assert dashboard.yes("Program running: true")
-    assert dashboard.yes("True")
-    assert not dashboard.yes("Program running: false")
+    assert driver.yes("Program running: true")
+    assert driver.yes("True")
+    assert not driver.yes("Program running: false")
     for neither in ("", "Program running: tru", "maybe"):
         with pytest.raises(ProtocolError, match="neither true nor false"):
-            dashboard.yes(neither)
+            driver.yes(neither)
 
 
 def test_complaints_are_found_among_states_however_they_are_dribbled() -> None:

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from polishd.api import ConfigError, Program
+from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.config.cell import load_config
-from polishd.console.demo_files import with_values
-from polishd.hooks.loader import load_plugins
 from polishd.model.errors import PluginError
+from polishd.plugin_loader import load_plugins
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, FOLDER, LANGUAGES, GcodeDialect, dialect
-from polishd.plugins.rnc_robot.nc.tables import tables
+from polishd.plugins.rnc_robot.gcode.dialect import tables
 
 NC = tuple(name for name in DIALECTS if isinstance(dialect(name), GcodeDialect))
 HEAD = "G21 G90 G94\nG0 X0. Y0. Z0.\n"

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
-from polishd.plugins.rnc_robot.nc import checks
+from polishd.plugins.rnc_robot.gcode import checks
 
 HEAD = "G21 G90 G94\nG0 X0. Y0. Z0.\n"
 Shop = Callable[..., GcodeDialect]

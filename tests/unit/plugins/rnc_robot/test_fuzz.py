@@ -13,7 +13,7 @@ from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import DIALECTS
 from polishd.plugins.rnc_robot.dialect import dialect as load
-from polishd.plugins.rnc_robot.nc import compiled, stream
+from polishd.plugins.rnc_robot.gcode import jit, rewrite
 from tests.corpus.changes import quanta_s, strayed
 from tests.corpus.fuzz import GRAMMARS, LANGUAGES, program
 from tests.corpus.table import reason
@@ -28,8 +28,8 @@ PIECE = 97
 
 def run_with(patch: pytest.MonkeyPatch, size: int, piece: int) -> None:
     """NC text is read by compiled code from ``size`` bytes on, in pieces of so many bytes."""
-    patch.setattr(compiled, "LARGE_BYTES", size)
-    patch.setattr(stream, "PIECE_BYTES", piece)
+    patch.setattr(jit, "LARGE_BYTES", size)
+    patch.setattr(rewrite, "PIECE_BYTES", piece)
 
 
 def outcome(name: str, text: bytes) -> Program | str:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from polishd.api import ProgramError
 from polishd.drivers.linuxcnc.interpreter import exact_python
-from polishd.plugins.rnc_robot import canonical
+from polishd.plugins.rnc_robot import interpreter_check
 from polishd.plugins.rnc_robot import verify as verifier
 from polishd.plugins.rnc_robot.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
@@ -128,7 +128,7 @@ def test_an_f_that_holds_carries_no_time_of_later_moves() -> None:
 
 
 def test_a_program_read_in_pieces_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.plugins.rnc_robot.nc.stream.PIECE_BYTES", 32)
+    monkeypatch.setattr("polishd.plugins.rnc_robot.gcode.rewrite.PIECE_BYTES", 32)
     found = compared(DWELL, DWELL.replace("P.5", "P.75").replace("P2", "P12"))
     assert (found.identical_motion, found.changed_points, found.largest_change_s) == (True, 2, 10.0)
     assert not compared(DWELL, DWELL.replace("G0 Z5\nM2", "G0 Z6\nM2")).identical_motion
@@ -231,7 +231,7 @@ def test_robot_languages_are_not_for_linuxcnc() -> None:
 )
 def test_linuxcnc_sees_times_that_we_read_wrong(lie: dict[str, object], says: str) -> None:
     program = read(RS274, DWELL.encode(), "t")
-    said = canonical.interpreted(program, dataclasses.replace(program, **lie), RS274)  # type: ignore[arg-type]
+    said = interpreter_check.interpreted(program, dataclasses.replace(program, **lie), RS274)  # type: ignore[arg-type]
     assert says in (said.difference or "")
 
 
@@ -240,16 +240,18 @@ def test_linuxcnc_sees_times_that_we_read_wrong(lie: dict[str, object], says: st
 @pytest.mark.parametrize("text", [DWELL, FEED, INVERSE], ids=["dwell", "feed", "inverse"])
 def test_without_the_module_rs274_itself_is_asked(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("polishd.drivers.linuxcnc.interpreter.exact_python", lambda: None)
-    monkeypatch.setattr(canonical, "exact_python", lambda: None)
+    monkeypatch.setattr(interpreter_check, "exact_python", lambda: None)
     strays = text.replace("G0 X0", "G4 P.5\nG0 X0")
     program = read(RS274, strays.encode(), "t")
-    said = canonical.interpreted(program, program, RS274)
+    said = interpreter_check.interpreted(program, program, RS274)
     assert said.difference is None
     assert said.times == (6 if text == DWELL else 0), "four decimals say nothing about the time of a short move"
     wrong = dataclasses.replace(program, time_s=program.time_s + 2e-4)
-    assert (canonical.interpreted(program, wrong, RS274).difference is None) == (text != DWELL)
+    assert (interpreter_check.interpreted(program, wrong, RS274).difference is None) == (text != DWELL)
     moved = read(RS274, strays.replace("Z0\n", "Z1\n").encode(), "t")
-    assert "STRAIGHT_TRAVERSE(0.0000, 0.0000, 0.0000" in (canonical.interpreted(program, moved, RS274).difference or "")
+    assert "STRAIGHT_TRAVERSE(0.0000, 0.0000, 0.0000" in (
+        interpreter_check.interpreted(program, moved, RS274).difference or ""
+    )
 
 
 @pytest.mark.skipif(exact_python() is None, reason="LinuxCNC's module gcode is not installed")

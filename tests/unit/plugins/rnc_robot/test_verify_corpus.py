@@ -9,8 +9,7 @@ from polishd.api import ProgramError
 from polishd.model.program import Encoding
 from polishd.plugins.rnc_robot.dialect import DIALECTS, AnyDialect, dialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
-from polishd.plugins.rnc_robot.motion import motion
-from polishd.plugins.rnc_robot.verify import verify
+from polishd.plugins.rnc_robot.verify import motion, verify
 from tests.corpus.table import cases
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from polishd.plugins.rnc_robot.languages import read
-from polishd.plugins.rnc_robot.languages.orientation import Convention, is_rotation, tool_axis
+from polishd.plugins.rnc_robot.languages.columns import Convention, is_rotation, tool_axis
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS, profile
 
 H = 0.7071067811865476

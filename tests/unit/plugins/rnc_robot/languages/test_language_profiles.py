@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from polishd.api import ConfigError, Program, ProgramError
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.languages import LanguageProfile, parse, read, rewrite, split
-from polishd.plugins.rnc_robot.languages.profile import Dwell
-from polishd.plugins.rnc_robot.languages.template import Writing, compiled
+from polishd.plugins.rnc_robot.languages.profile import Dwell, Writing, compiled
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, around, profile
 
 ROOT = Path(__file__).parents[5]

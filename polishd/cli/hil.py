@@ -1,0 +1,115 @@
+"""``polishd hil``: says what will move, asks, and runs the ports' suites on the devices of a real cell."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TextIO
+from xml.etree import ElementTree as ET
+
+import typer
+
+from polishd.daemon.runtime.exit_record import locked
+from polishd.model.errors import ConfigError, DeviceFault, PolishdError
+from polishd.rendering.terminal import emit, record_table, stderr, stdout
+
+INI = "[pytest]\nasyncio_default_fixture_loop_scope = function\nfilterwarnings = default\n"
+KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
+"""Exit codes of pytest."""
+
+
+def hil_verb(
+    cell: Path,
+    level: str,
+    max_force_n: float | None,
+    simulate: str,
+    motion: Path | None,
+    *,
+    record: Path | None,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """DeviceFault where a demand is not kept; ConfigError where nothing was tried.
+
+    With ``as_json`` what people read goes to stderr.
+    """
+    if importlib.util.find_spec("pytest") is None or importlib.util.find_spec("pytest_asyncio") is None:
+        raise ConfigError("polishd hil needs pytest: pip install 'polishd[testing]'; nothing was opened")
+    from polishd.testing.hil_bench import SUITES, HilRequest, Level, foreseen
+
+    names = tuple(filter(None, simulate.split(",")))
+    of = Level.of(level)
+    asked = HilRequest(cell=cell, level=of, max_force_n=max_force_n, simulate=names, motion=motion, record=record)
+    seen = foreseen(asked)
+    title, columns = f"{seen.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
+    does = list(seen.does())
+    (stderr if as_json else stdout).print(record_table(title, columns, does))
+    with locked(seen.config.state_dir):
+        _ask(yes=yes)
+    options = ["--cell", str(cell.resolve()), "--hil-level", level, "--hil-simulate", simulate]
+    options += [] if max_force_n is None else ["--hil-max-force", str(max_force_n)]
+    options += [] if motion is None else ["--hil-motion", str(motion.resolve())]
+    options += [] if record is None else ["--hil-record", str(record.resolve())]
+    code, found = _run([f"{suite}.py" for suite in SUITES], options, out=sys.stderr if as_json else None)
+    if as_json:
+        devices = [dict(zip(("device", "what", "does"), row, strict=True)) for row in does]
+        emit({"cell": seen.config.cell.name, "level": level, "devices": devices, **found}, as_json=True, table=str)
+    _judge(code)
+
+
+def _ask(*, yes: bool) -> None:
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError("nobody is there to ask; --yes goes on without asking. Nothing was opened")
+    if not typer.confirm("Keep clear, and a hand on the emergency stop. Go on?", err=True):
+        raise typer.Exit(1)
+
+
+def _run(suites: list[str], options: list[str], out: TextIO | None) -> tuple[int, dict[str, Any]]:
+    """The exit code of pytest and what it found: whatever project the person stands in has no say in its process."""
+    folder = Path(str(files("polishd.testing") / "suites"))
+    with tempfile.TemporaryDirectory(prefix="polishd-hil-") as scratch:
+        ini = Path(scratch) / "pytest.ini"
+        ini.write_text(INI)
+        how = ["-c", str(ini), "--rootdir", str(folder), "--import-mode=importlib", "-p", "no:cacheprovider"]
+        show = ["-v", "--no-header", "--tb=short", "-rs"]
+        report = Path(scratch) / "report.xml"
+        command = [sys.executable, "-P", "-m", "pytest", *how, *show, f"--junitxml={report}", *options, *suites]
+        with subprocess.Popen(command, cwd=folder, stdout=out) as process:
+            while True:
+                try:
+                    return process.wait(), _found(report)
+                except KeyboardInterrupt:
+                    continue  # it has heard it, too, and makes the device safe that it has open
+
+
+def _found(report: Path) -> dict[str, Any]:
+    """How many demands are kept, not kept, and not tried; which are not kept, and why."""
+    tests = list(ET.parse(report).iter("testcase")) if report.exists() else []  # noqa: S314 - our own
+    broken = {
+        test.attrib["name"]: wrong.attrib.get("message", "")
+        for test in tests
+        for wrong in test
+        if wrong.tag in ("failure", "error")
+    }
+    skipped = sum(test.find("skipped") is not None for test in tests)
+    problems = [{"demand": name, "why": why} for name, why in broken.items()]
+    return {"kept": len(tests) - len(broken) - skipped, "broken": len(broken), "skipped": skipped, "problems": problems}
+
+
+def _judge(code: int) -> None:
+    """What an exit code of pytest means here."""
+    if code == KEPT:
+        return
+    if code == BROKEN:
+        raise DeviceFault("a device does not do what its port demands: see above; docs/drivers.md has the ports")
+    if code == INTERRUPTED:
+        raise typer.Exit(130)
+    if code == REFUSED:
+        raise ConfigError("nothing was opened: see above")
+    raise PolishdError(f"the suites could not be run: pytest ended with {code}, see above")

@@ -1,0 +1,76 @@
+"""``polishd job``: the queue of a cell. A running daemon is asked; where none runs, the journal is written here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.daemon.queue.queue import Queue
+from polishd.daemon.queue.requests import QueueRequests
+from polishd.daemon.socket import client
+from polishd.model.errors import NoDaemon, PolishdError
+from polishd.plugin_loader import load_cell
+from polishd.rendering.terminal import emit, record_table
+from polishd.util.command_line import at_the_terminal
+from polishd.util.threads import run_loop
+
+COLUMNS = ("job", "part", "state", "added", "why")
+
+
+def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
+    """Judge them all, then add them."""
+    from polishd.daemon.checks import check_jobs
+
+    config, hooks = load_cell(cell)
+    jobs = check_jobs(config, hooks, files)
+    texts = [{"path": str(job.file.path), "content": job.file.text} for job in jobs]
+    _ask(config, "job_add", files=texts, by=at_the_terminal())
+    list_verb(cell, as_json=as_json)
+
+
+def list_verb(cell: Path, *, as_json: bool) -> None:
+    """Show the queue."""
+    config = load_config(cell)
+    _show(config, _ask(config, "job_list"), as_json=as_json)
+
+
+def move_verb(cell: Path, job: str, where: str, other: str, *, as_json: bool) -> None:
+    """Change the order."""
+    config = load_config(cell)
+    _show(config, _ask(config, "job_move", job=job, where=where, other=other, by=at_the_terminal()), as_json=as_json)
+
+
+def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
+    """Take one out."""
+    config = load_config(cell)
+    _show(config, _ask(config, "job_remove", job=job, reason=reason, by=at_the_terminal()), as_json=as_json)
+
+
+def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
+    try:
+        answer = client.request(config.state_dir, verb, args=arguments)
+    except NoDaemon:
+        with Queue.at_rest(config.state_dir) as queue:
+            return run_loop(_answered(QueueRequests(config, queue), verb, arguments))
+    if not answer["ok"]:
+        refusal = PolishdError(answer["error"])
+        refusal.exit_code = answer.get("exit_code", refusal.exit_code)
+        raise refusal
+    return answer
+
+
+async def _answered(desk: QueueRequests, verb: str, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    return await desk.handlers[verb](**arguments)
+
+
+def _show(config: CellConfig, answer: Mapping[str, Any], *, as_json: bool) -> None:
+    found = {"jobs": answer["jobs"]}
+    rows = [(job["name"], job["part_id"], job["state"], _day(job["added_s"]), job["reason"]) for job in found["jobs"]]
+    emit(found, as_json=as_json, table=lambda: record_table(f"{config.cell.name}: queue", COLUMNS, rows))
+
+
+def _day(at_s: float) -> str:
+    return f"{datetime.fromtimestamp(at_s).astimezone():%Y-%m-%d %H:%M}"

@@ -1,0 +1,166 @@
+"""What ``polishd shop`` does: at the shop's computer by its database, at a cell's by the link."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from polishd.config.server_sections import load_shop
+from polishd.plugin_loader import load_cell
+from polishd.rendering.terminal import emit, figure_table, record_table, say
+from polishd.shop import parts, server
+from polishd.shop.database import Database, DatabaseTransaction
+from polishd.shop.link import ShopLink
+from polishd.shop.parts import digests, read_part
+from polishd.shop.server import cells_of, people_of, serve
+from polishd.util.command_line import at_the_terminal
+from polishd.web.http.users import Role, UserFile
+
+NICE = 5
+"""The link gives way to the daemon, whose loop holds contact."""
+
+
+def serve_verb(
+    path: Path,
+    *,
+    add_cell: str | None,
+    remove_cell: str | None,
+    add_user: str | None,
+    role: str,
+    remove_user: str | None,
+) -> None:
+    """Make or end a token, or serve."""
+    shop = load_shop(path)
+    cells, people = cells_of(shop), people_of(shop)
+    if add_cell is not None:
+        _told(cells, add_cell, Role.WATCH, "is a cell of this shop")
+    elif add_user is not None:
+        _told(people, add_user, Role(role), f"may {role}")
+    elif remove_cell is not None:
+        cells.remove(remove_cell)
+        say(f"{remove_cell} is no cell of this shop any more; what it has, it keeps", err=True)
+    elif remove_user is not None:
+        people.remove(remove_user)
+        say(f"{remove_user} is out", err=True)
+    else:
+        if not cells:
+            say("no cell can report yet: polishd shop serve SHOP.toml --add-cell NAME", err=True)
+        serve(shop)
+
+
+def link_verb(path: Path) -> None:
+    """Until Ctrl-C or SIGTERM."""
+    config, hooks = load_cell(path)
+    if config.shop is None:
+        raise config.error("shop", "is missing: this cell belongs to no shop; add [shop]: docs/shop.md")
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    os.nice(NICE)
+    ShopLink(config, hooks, config.shop).run(stop)
+
+
+def add_verb(path: Path, files: Sequence[Path], by: str, *, as_json: bool) -> None:
+    """Judge them as far as that goes without a cell, and add them."""
+    new = [read_part(file) for file in files]
+    _in(path, lambda sql: parts.add(sql, new, by or at_the_terminal(), [digests(part) for part in new]))
+    list_verb(path, as_json=as_json)
+
+
+def list_verb(path: Path, *, as_json: bool) -> None:
+    """Parts, and the last words."""
+    found = _in(path, lambda sql: {**server.parts_view(sql), "words": server.words(sql)})
+    columns = ("job", "part", "state", "cell", "added", "verdict", "why")
+    rows = [
+        (one["job"], one["part_id"], one["state"], one["cell"] or "", _when(one["added"]), one["verdict"], _why(one))
+        for one in found["parts"]
+    ]
+    emit(found, as_json=as_json, table=lambda: record_table("parts of the shop", columns, rows))
+
+
+def status_verb(path: Path, *, as_json: bool) -> None:
+    """Cells, and how many parts are where."""
+    cells = cells_of(load_shop(path))
+    found = _in(path, lambda sql: server.status_view(sql, cells))
+    columns = ("cell", "heard, s ago", "state", "job", "why", "its parts", "passes")
+    rows = [
+        (one["cell"], _heard(one), one.get("state", ""), one.get("job") or "", one.get("reason") or "", one["claims"],
+         one["passes"])
+        for one in found["cells"]
+    ]  # fmt: skip
+    title = "; ".join(f"{count} {state}" for state, count in found["parts"].items()) or "no parts"
+    emit(found, as_json=as_json, table=lambda: record_table(title, columns, rows))
+
+
+def history_verb(path: Path, *, as_json: bool) -> None:
+    """Jobs of all cells."""
+    found = _in(path, server.history)
+    columns = ("job", "part", "cell", "began, UTC", "passes", "RMS nm", "outcome")
+    rows = [
+        (one["name"], one["part_id"], one["cell"], _when(one["started"]), str(one["passes"]), _rms(one["rms_nm"]),
+         one["outcome"].replace("_", " "))
+        for one in found["jobs"]
+    ]  # fmt: skip
+    emit(found, as_json=as_json, table=lambda: figure_table(f"{len(rows)} jobs of the shop", columns, rows))
+
+
+def lessons_verb(path: Path, *, as_json: bool) -> None:
+    """Of each recipe and cell the last."""
+    found = _in(path, server.lessons)
+    columns = ("recipe", "tool", "cell", "job", "pass", "taught, UTC", "rate", "+-")
+    rows = [
+        (one["recipe"][:8], one["tool"] or "-", one["cell"], one["job"], str(one["of_cycle"] + 1), _when(one["at_s"]),
+         f"{one['rate']:.3f}", f"{one['sigma']:.3f}")
+        for one in found["lessons"]
+    ]  # fmt: skip
+    emit(found, as_json=as_json, table=lambda: figure_table("what the cells have learned", columns, rows))
+
+
+def release_verb(path: Path, job: str, by: str, why: str, *, gone: bool, as_json: bool) -> None:
+    """By a person, whose name stands in the shop's journal."""
+    said = _in(path, lambda sql: parts.release(sql, job, by, why, gone=gone))
+    emit({"job": job, "said": said}, as_json=as_json, lines=[said])
+
+
+def remove_verb(path: Path, job: str, by: str, why: str, *, as_json: bool) -> None:
+    """By a person, too."""
+    _in(path, lambda sql: parts.remove(sql, job, by, why))
+    emit({"job": job, "removed": True}, as_json=as_json, lines=[f"{job} is out of the shop"])
+
+
+def _in(path: Path, work: Callable[[DatabaseTransaction], Any]) -> Any:
+    """One whole transaction, beside a server that may be running."""
+    with Database.open(load_shop(path).state_dir) as database, database.transaction() as sql:
+        return work(sql)
+
+
+def _told(users: UserFile, name: str, role: Role, what: str) -> None:
+    token = users.add(name, role)
+    say(f"{name} {what}; the token, which is not shown again:", err=True)
+    say(token)
+
+
+def _why(one: Mapping[str, Any]) -> str:
+    asked = (
+        f"{one['cell']} is asked to give it back, by {one['back']}" if one["back"] and one["state"] == "claimed" else ""
+    )
+    return "; ".join(filter(None, (one["reason"], asked, one["not_for"])))
+
+
+def _heard(cell: Mapping[str, Any]) -> str:
+    if cell["heard_s"] is None:
+        return "never: polishd shop link CELL.toml runs there?"
+    return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"
+
+
+def _when(at_s: float) -> str:
+    return f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%d %H:%M}"
+
+
+def _rms(figures: Sequence[float]) -> str:
+    return f"{figures[0]:.2f} -> {figures[-1]:.2f}" if len(figures) > 1 else "".join(f"{one:.2f}" for one in figures)

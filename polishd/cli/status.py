@@ -1,0 +1,125 @@
+"""``polishd status``, and orders to the daemon that runs: what people wait for at the terminal.
+
+They need the name of a cell and where its socket is, and import nothing that they do not need: no numpy, no models.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from polishd.config.cell_summary import CellSummary, cell_summary
+from polishd.daemon.runtime.exit_record import EndCause, for_cell, last_ending
+from polishd.daemon.socket import client
+from polishd.model.errors import NoDaemon
+from polishd.model.states import CellSafety
+from polishd.model.tolerance import judged_of, worst
+from polishd.rendering.terminal import emit, key_table, say
+from polishd.util.command_line import at_the_terminal
+
+# The last lines of ``polishd run``, for whoever finds the cell: is it safe, who did not confirm, what to do next.
+
+
+def last_words(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
+    """Names and texts, of a summary, a state event or what ``status`` found; commands name that cell."""
+    standing = CellSafety.of(facts)
+    rows = [*standing.rows(), ("run folder", facts.get("run_dir", "")), ("next", standing.next)]
+    return [(name, for_cell(text, cell)) for name, text in rows if text]
+
+
+def tell(facts: Mapping[str, Any], cell: Path, prefix: str = "") -> None:
+    """Print them on stderr; stdout stays free for programs."""
+    for name, text in last_words(facts, cell):
+        say(f"{prefix}{name}: {text}", err=True)
+
+
+def status_verb(cell: Path, *, as_json: bool) -> None:
+    """Ask the running daemon; where none runs, what the last one left word of."""
+    place = cell_summary(cell)
+    try:
+        answer = client.request(place.state_dir, "status")
+    except NoDaemon as absent:
+        last = {"ok": False, "error": str(absent), **last_ending(place.state_dir)}
+        if as_json:
+            say(json.dumps(last))
+        else:
+            _tell_last(last, place.name, cell)
+        raise typer.Exit(absent.exit_code) from None
+    words = {
+        key: value
+        for key, value in answer.items()
+        if key not in {"ok", "cycles", "devices", "signals", "health", "map_refused"}
+    }
+    rows = [(key, for_cell(str(value), cell)) for key, value in words.items() if value]
+    rows += [("map refused", _refused(answer["map_refused"]))] if answer.get("map_refused") else []
+    rows += [(name, _device(facts)) for name, facts in answer.get("devices", {}).items()]
+    rows += [(f"measurement {i}", _measured(cycle)) for i, cycle in enumerate(answer.get("cycles", []))]
+    rows += [
+        (name, f"{facts['text']}{': ' * bool(facts['wrong'])}{facts['wrong']}")
+        for name, facts in answer.get("signals", {}).items()
+    ]
+    rows += [(name, _figure(facts)) for name, facts in answer.get("health", {}).items()]
+    emit(answer, as_json=as_json, table=lambda: key_table(place.name, rows))
+
+
+def _refused(facts: Mapping[str, Any]) -> str:
+    kept = f"; the file is in {facts['kept']}" if facts["kept"] else ""
+    return f"{facts['file']}: {facts['kind']}: {facts['reason']}{kept}. To do: {facts['todo']}"
+
+
+def _measured(cycle: Mapping[str, Any]) -> str:
+    farthest = worst(judged_of(cycle))
+    judged = f"; {'in tolerance' if farthest.holds else 'not in tolerance'}: {farthest}" if farthest else ""
+    return f"RMS {cycle['rms_nm']:.2f} nm{judged}"
+
+
+def _figure(facts: Mapping[str, Any]) -> str:
+    bound = "least" if facts["least"] else "most"
+    return f"{facts['value']:.4g} (at {bound} {facts['limit']:.4g}{'' if facts['fits'] else ': ' + facts['advice']})"
+
+
+def _device(facts: Mapping[str, Any]) -> str:
+    who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
+    heard_s = facts.get("heard_s_ago")
+    heard = "" if heard_s is None else f", heard {heard_s:.1f} s ago"
+    return who + heard + ("" if facts["used"] else " (not used by this job)")
+
+
+def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
+    """Plain lines, as ``run`` ended with: a table would break commands and paths."""
+    rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
+    rows += [("cause", str(EndCause(**cause))) for cause in last.get("causes", [])]
+    for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
+        say(f"{key}: {text}")
+
+
+def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
+    """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
+    place = cell_summary(cell)
+    said = {"reason": reason} if reason else {}
+    _told(place, verb, client.request(place.state_dir, verb, args={**said, "by": at_the_terminal()}), cell, as_json)
+
+
+def approve_verb(cell: Path, *, as_json: bool) -> None:
+    """Say that the plan that waits now may run."""
+    place = cell_summary(cell)
+    waits = {"program_sha256": client.request(place.state_dir, "live").get("approval", "")}
+    _told(
+        place,
+        "approve",
+        client.request(place.state_dir, "approve", args={**waits, "by": at_the_terminal()}),
+        cell,
+        as_json,
+    )
+
+
+def _told(place: CellSummary, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
+    if not answer["ok"]:
+        say(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
+        raise typer.Exit(answer.get("exit_code", 1))
+    rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
+    emit(answer, as_json=as_json, table=lambda: key_table(f"{place.name}: {verb}", rows))

@@ -1,0 +1,50 @@
+"""The verbs of studies: ``polishd study STUDY.toml`` and ``polishd study show DIR``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Argument
+from typer.core import TyperGroup
+
+from polishd.studies.options import StudyOptions
+from polishd.util.command_line import Json, spread
+
+
+class _FileOrVerb(TyperGroup):
+    """What is no verb is a study's file, which is run."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """``run`` is not written."""
+        if args and args[0] not in {*self.commands, *self.get_help_option_names(ctx)}:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=_FileOrVerb,
+    help="A simulation without a cell: corrections, spots, passes of equal dwell, whole jobs in a closed loop.",
+)
+
+
+@app.command()
+@spread
+def run(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
+    """Run a study: `polishd study STUDY.toml` is the same."""
+    from polishd.studies.run import study_verb
+
+    study_verb(file, asked, as_json=as_json)
+
+
+@app.command()
+def show(
+    folder: Annotated[Path, Argument(metavar="DIR", help="The --out of a study, which may still run.")],
+    *,
+    as_json: Json = False,
+) -> None:
+    """What many cases have come to: medians, paired differences, sensitivity, where they fail; pictures in DIR."""
+    from polishd.studies.run import show_verb
+
+    show_verb(folder, as_json=as_json)

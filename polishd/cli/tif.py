@@ -1,0 +1,200 @@
+"""The TIF and the compliance of a cell, as tables and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from rich.table import Table
+
+from polishd.config.cell import CellConfig, load_config
+from polishd.model.surface import FloatArray
+from polishd.pipeline import steps
+from polishd.pipeline.build_recipe import make_recipe
+from polishd.plugin_loader import load_cell
+from polishd.process.removal.contact import hertz_depth_mm
+from polishd.process.removal.measured_tif import SpotFigures, map_nm_s, measured_figures, spot_figures
+from polishd.process.robot.compliance import ComplianceField, compliance_field, depth_ratio, path_compliance
+from polishd.rendering.plots import BLUE, NO_DATA, ORANGE, SEQUENTIAL, figure, png, polishd_style, save_picture
+from polishd.rendering.terminal import emit, key_table
+
+# Pictures of the physics: a removal spot with its profiles, the compliance over the workspace and along a program.
+
+PANEL_IN = 2.9
+
+
+def spot_picture(figures: SpotFigures, spot: tuple[FloatArray, FloatArray], title: str) -> bytes:
+    """PNG: the spot in the tool's frame, and its two profiles; ``spot`` is (m,) mm and (m, m) nm/s, row 0 the top."""
+    with polishd_style():
+        page = figure(7.6, 3.4)
+        left, right = page.subplots(1, 2)
+        x, rate = spot
+        half = (x[1] - x[0]) / 2
+        extent = (x[0] - half, x[-1] + half, x[0] - half, x[-1] + half)
+        shown = left.imshow(rate, extent=extent, cmap=SEQUENTIAL)
+        left.set(title=title, xlabel="x, mm", ylabel="y (where the spindle leans), mm")
+        page.colorbar(shown, ax=left, shrink=0.85, label="nm/s")
+        right.plot(figures.x_mm, figures.profile_x_nm_s, color=BLUE, label="along x")
+        right.plot(figures.y_mm, figures.profile_y_nm_s, color=ORANGE, label="along y")
+        right.set(title="profiles through the centre", xlabel="mm", ylabel="nm/s", ylim=(0, None))
+        right.legend()
+        return png(page)
+
+
+def compliance_picture(field: ComplianceField, program: tuple[FloatArray, FloatArray] | None) -> bytes:
+    """PNG: a panel for each plane of the workspace; below, compliance and gamma along a program (both (n,))."""
+    with polishd_style():
+        count = len(field.z_mm)
+        page = figure(max(PANEL_IN * count, 6.0), 3.1 * (1 if program is None else 2))
+        parts = page.subfigures(1 if program is None else 2, 1, squeeze=False)[:, 0]
+        _planes(parts[0], field)
+        if program is not None:
+            _along(parts[1].subplots(), *program)
+        return png(page)
+
+
+def _planes(part: Any, field: ComplianceField) -> None:
+    panels = part.subplots(1, len(field.z_mm), squeeze=False)[0]
+    low, high = float(np.nanmin(field.compliance_um_per_n)), float(np.nanmax(field.compliance_um_per_n))
+    extent = (field.x_mm[0], field.x_mm[-1], field.y_mm[0], field.y_mm[-1])
+    shown = None
+    for axes, plane, z in zip(panels, field.compliance_um_per_n, field.z_mm, strict=True):
+        axes.set_facecolor(NO_DATA)
+        shown = axes.imshow(plane, extent=extent, origin="lower", cmap=SEQUENTIAL, vmin=low, vmax=high)
+        axes.set(title=f"z = {z:.0f} mm", xlabel="x, mm")
+    panels[0].set_ylabel("y, mm")
+    part.colorbar(shown, ax=list(panels), shrink=0.85, label="um/N")
+
+
+def _along(axes: Axes, compliance_um_per_n: FloatArray, gamma: FloatArray) -> None:
+    axes.plot(compliance_um_per_n, color=BLUE)
+    axes.set(title="along the program", xlabel="timed point")
+    axes.set_ylabel("um/N", color=BLUE)
+    other = axes.twinx()
+    other.plot(gamma, color=ORANGE)
+    other.set_ylabel("gamma", color=ORANGE)
+
+
+# ``polishd tif`` and ``polishd compliance``: what the cell's process and robot do, before anything is polished.
+
+PICTURE_SAMPLES = 120
+"""Samples across the picture of a spot."""
+
+
+def tif_verb(cell: Path, ratio: float, out: Path | None, *, as_json: bool) -> None:
+    """The TIF that the cell's process makes at a depth ratio; a measured one where the cell works with it."""
+    config = load_config(cell)
+    process, tif = config.tool_process(), config.measured_tif()
+    if tif is not None and config.process.removal_model == "measured_tif":
+        figures = measured_figures(tif, process)
+        side = (np.arange(tif.rate_nm_s.shape[1]) - (tif.rate_nm_s.shape[1] - 1) / 2) * tif.pitch_mm
+        ratio, spot = tif.depth_ratio, (side, tif.rate_nm_s)
+    else:
+        figures = spot_figures(process, ratio)
+        spot = map_nm_s(process, ratio, 2 * figures.contact_radius_mm / PICTURE_SAMPLES)
+    if out is not None:
+        save_picture(out, spot_picture(figures, spot, f"TIF at gamma {ratio:g}"))
+    plain = ("depth_mm", "contact_radius_mm", "peak_pressure_mpa", "peak_nm_s", "volume_mm3_min")
+    answer = {
+        "depth_ratio": ratio,
+        **{name: getattr(figures, name) for name in plain},
+        "dissipative_fraction": figures.dissipative_fraction,
+        "m_shaped": figures.m_shaped,
+        "profile_x": {"x_mm": figures.x_mm, "rate_nm_s": figures.profile_x_nm_s},
+        "profile_y": {"y_mm": figures.y_mm, "rate_nm_s": figures.profile_y_nm_s},
+    }
+    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio), lines=_written(out))
+
+
+def _written(out: Path | None) -> list[str]:
+    return [] if out is None else [f"written to {out}"]
+
+
+def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Table:
+    shape = "M-shaped" if figures.m_shaped else "one maximum"
+    rows = [
+        ("removal model", config.process.removal_model),
+        ("gamma", f"{ratio:g}"),
+        ("depth", f"{figures.depth_mm:.5f} mm"),
+        ("contact radius", f"{figures.contact_radius_mm:.4f} mm"),
+        ("peak pressure", f"{figures.peak_pressure_mpa:.4f} MPa"),
+        ("peak", f"{figures.peak_nm_s:.4g} nm/s"),
+        ("volume", f"{figures.volume_mm3_min:.4g} mm3/min"),
+        ("dissipative fraction", f"{figures.dissipative_fraction:.3g} (shift of the pressure / contact radius)"),
+        ("x profile", f"{shape}; the axis meets the part {figures.pole_mm:.3g} mm from the centre"),
+    ]
+    return key_table(f"{config.cell.name}: TIF", rows)
+
+
+def compliance_verb(cell: Path, program: Path | None, out: Path | None, *, as_json: bool) -> None:
+    """The compliance over the workspace and, where a program is given, along it."""
+    config, hooks = load_cell(cell)
+    field = compliance_field(
+        config.robot_model(), config.tool_process(), config.placement(), config.compliance_options()
+    )
+    answer: dict[str, Any] = {
+        "workspace": {
+            **_ranges(field.compliance_um_per_n, field.gamma),
+            "places": field.places,
+            "out_of_reach": field.out_of_reach,
+            "undefined": field.undefined,
+        }
+    }
+    rows = _workspace_rows(answer["workspace"])
+    along = None
+    if program is not None:
+        recipe = make_recipe(config, hooks)
+        read = steps.executed_surface(recipe, steps.read_program(recipe, program))
+        found = path_compliance(
+            read, recipe.process, recipe.robot, recipe.placement, options=recipe.options, optic=recipe.optic
+        )
+        gamma = depth_ratio(found.compliance_mm_per_n, recipe.process, hertz_depth_mm(recipe.process))
+        along = (found.compliance_mm_per_n * 1e3, gamma)
+        answer["program"] = {
+            "name": read.name,
+            "points": len(gamma),
+            **_ranges(*along),
+            "jumps": found.jumps,
+            "fallbacks": found.fallbacks,
+        }
+        rows += [*_program_rows(answer["program"]), *(("note", note) for note in found.notes)]
+    if out is not None:
+        save_picture(out, compliance_picture(field, along))
+    title = f"{config.cell.name}: compliance ({config.compliance.projection})"
+    emit(answer, as_json=as_json, table=lambda: key_table(title, rows), lines=_written(out))
+
+
+def _ranges(compliance_um_per_n: FloatArray, gamma: FloatArray) -> dict[str, dict[str, float | None]]:
+    return {"compliance_um_per_n": _range(compliance_um_per_n), "gamma": _range(gamma)}
+
+
+def _range(values: FloatArray) -> dict[str, float | None]:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return dict.fromkeys(("min", "max", "mean"))
+    return {"min": float(known.min()), "max": float(known.max()), "mean": float(known.mean())}
+
+
+def _workspace_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows = [
+        ("over the workspace", f"{_words(found['compliance_um_per_n'])} um/N"),
+        ("gamma there", _words(found["gamma"])),
+        ("places", f"{found['places']}, {found['out_of_reach']} of them out of reach"),
+    ]
+    if found["undefined"]:
+        rows.append(("undefined", f"{found['undefined']} places: eq. 41 as printed has complex eigenvalues there"))
+    return rows
+
+
+def _program_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    compliance = f"{_words(found['compliance_um_per_n'])} um/N at {found['points']} timed points"
+    return [(f"along {found['name']}", compliance), ("gamma there", _words(found["gamma"]))]
+
+
+def _words(known: Mapping[str, float | None]) -> str:
+    if known["mean"] is None:
+        return "none"
+    return f"{known['min']:.3f} to {known['max']:.3f}, mean {known['mean']:.3f}"

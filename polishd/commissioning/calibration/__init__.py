@@ -1,0 +1,1 @@
+"""`polishd calibrate`: fits of robot, tool and instrument from measurements."""

@@ -1,0 +1,391 @@
+"""``polishd calibrate cell``: a first touch on a witness part, planned to teach the most in the least contact time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from polishd.config.cell import CellConfig
+from polishd.model.dwell import AS_PROGRAMMED
+from polishd.model.errors import ComputeError, ConfigError
+from polishd.model.program import Program
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.pipeline import precheck, steps
+from polishd.pipeline.build_recipe import make_recipe
+from polishd.pipeline.recipe import Recipe
+from polishd.plugin_loader import load_cell
+from polishd.plugins.removal_along_path import path_of
+from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot_of, modelled_spot_of
+from polishd.plugins.rnc_robot.dialect import dialect
+from polishd.plugins.rnc_robot.formats import path_program, read
+from polishd.process.frames import directions_to_base, points_to_base
+from polishd.process.identification.experiment_design import FIELD_WANTED, WANTED, after, design
+from polishd.process.identification.forward_model import ForwardModel, forward
+from polishd.process.identification.identify import confounding_of, in_the_middle
+from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge, unlearned, usual_parameters
+from polishd.process.metrology.conditioning import process_grid
+from polishd.process.removal.tif import HertzSpot
+from polishd.process.robot import motion
+from polishd.process.robot.compliance import reachable
+from polishd.process.toolpath.apertures import largest_turn_deg, tool_axes
+from polishd.process.toolpath.paths import BETWEEN, Joined, Track, join_tracks
+from polishd.programs.make import contact_radius_mm, dialect_of, in_program_frame
+from polishd.programs.show import program_picture
+from polishd.rendering.terminal import emit, record_table, stderr
+from polishd.util.files import require_new, unwritable, write_atomic
+
+# A first touch: tracks all over a witness part, with their times and their program.
+
+SPOTS = MappingProxyType({"hertz_preston": modelled_spot_of, "measured_tif": measured_spot_of})
+"""Of polishd's own removal models, which identification can read."""
+NOISE_NM = 0.5
+"""Of a map where the instrument's profile does not say."""
+MODEL = 0.002
+"""Of the removal (docs/identification.md)."""
+LENGTH = 4.0
+"""Of a track, in radii of the contact."""
+APART = 1.0
+"""Of neighbouring places, in lengths of a track, at least."""
+ACROSS = 5
+"""Places across the part, at most."""
+LEANS_DEG = (0.0, -45.0, 45.0, 180.0)
+"""Of the spindle, from where it leans by itself, where the robot can: an offset of the spot turns with it, a seat's
+error does not."""
+ALONG_DEG = (0.0, 90.0)
+STEP_NM, MOST_NM = 100.0, 300.0
+"""By how much a track grows deeper at a time, and most that is removed anywhere; at most half of
+``limits.max_removal_nm``. Where a machine stops at a corner it stays for some hundredths of a second, which no block
+tells of: half a nanometre."""
+BETWEEN_SHARE = 0.6
+"""Of the machine's largest feed, from track to track."""
+LANDING_MM = 6.0
+SAMPLES = 0.5
+"""Of the contact's radius: the pitch at which a removal is looked at."""
+NAME = "touch.rnc"
+
+
+@dataclass(frozen=True, slots=True)
+class FirstTouchPlan:
+    """A planned first touch."""
+
+    text: bytes
+    program: Program
+    before: PriorKnowledge
+    after: PriorKnowledge
+    seconds: float
+    """In contact."""
+    tracks: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    """What a touch is planned for."""
+
+    config: CellConfig
+    recipe: Recipe
+    radius_mm: float
+    """Of the contact."""
+
+    @property
+    def noise_nm(self) -> float:
+        """Of a removal: that of two maps, and what the model of a track is off by."""
+        instrument = self.recipe.instrument
+        one = None if instrument is None else instrument.repeatability_nm
+        return float(np.hypot(2**0.5 * (one or NOISE_NM), MODEL * MOST_NM))
+
+    def joined(self, tracks: Sequence[Track]) -> tuple[Joined, FloatArray]:
+        """The path over them, and its tool axes. ComputeError where the wrist cannot follow."""
+        config, optic = self.config, self.config.optic()
+        path = join_tracks(optic, tracks, config.outline().radius_mm + LANDING_MM, self.radius_mm / 2)
+        dip, lean, at = config.process.dip_deg, config.compliance_options(), config.placement()
+        axes = path.axes(optic, tool_axes(path.points_mm, optic, dip, lean, at))
+        largest_turn_deg(axes)
+        return path, axes
+
+    def reaches(self, tracks: Sequence[Track]) -> list[bool]:
+        """Of each track whether the robot can lean so along it."""
+        path, axes = self.joined(tracks)
+        at = self.recipe.placement
+        tips, ways = points_to_base(at, path.points_mm), directions_to_base(at, axes)
+        can = reachable(self.recipe.robot, tips, ways)
+        return [bool(can[1:][path.track == c].all()) for c in range(len(tracks))]
+
+    def program(self, tracks: Sequence[Track], speed_mm_s: FloatArray) -> tuple[bytes, Program, Joined]:
+        """Its text, with (C + 1,) mm/s of each track and, last, between them; as it is read back."""
+        path, axes = self.joined(tracks)
+        points, own = in_program_frame(self.config, path.points_mm, axes)
+        feed = 60 * speed_mm_s[path.track]  # BETWEEN is the last one
+        text = path_program(points, own, feed, "first touch", to=dialect_of(self.config))
+        program = read(dialect(dialect_of(self.config)), text, NAME)
+        if program.n != len(path.track):
+            raise ComputeError(f"the touch's program has {program.n} timed moves, its path {len(path.track)}")
+        return text, program, path
+
+    def forward(self, program: Program, seconds: FloatArray) -> ForwardModel:
+        """The forward model that identification would have of such a pass."""
+        recipe = self.recipe
+        grid = process_grid(recipe.outline, max(recipe.grid_mm, SAMPLES * self.radius_mm))
+        mask = recipe.outline.contains(*grid.axes_mm, recipe.part.edge_mm)
+        request = steps.request_of(recipe, program, grid, steps.initial_estimates(recipe))
+        spot, reference = SPOTS[recipe.model.name](request)
+        path = path_of(request, spot, reference)
+        return forward(
+            blocks_along(path, seconds),
+            grid,
+            mask,
+            spot,
+            recipe.process,
+            parameters=usual_parameters(turns=not isinstance(spot, HertzSpot)),
+            projection=BELIEVED,
+            radius_mm=path.radius_mm,
+        )
+
+
+def as_touched(recipe: Recipe) -> Recipe:
+    """The recipe of a pass that is polished as programmed, to teach."""
+    return replace(recipe, dwell=recipe.dwell.model_copy(update={"choose": AS_PROGRAMMED, "cross_check": ""}))
+
+
+def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> FirstTouchPlan:
+    """Tracks, their times and their program, and what is expected to be known after it. ComputeError, ConfigError."""
+    cell = _Cell(config, recipe, contact_radius_mm(config))
+    pool = _pool(cell)
+    slow = config.machine.min_feed_mm_s
+    _, program, path = cell.program(pool, np.full(len(pool) + 1, slow))
+    spread = _shares(path, program)
+    model, owner = cell.forward(program, spread), path.track[spread > 0]
+    deepest = np.array([_deepest(model, owner == c) for c in range(len(pool))])
+    most_nm = min(MOST_NM, config.limits.max_removal_nm / 2)
+    longest = np.array([track.length_mm for track in pool]) / slow
+    known = unlearned(model.parameters)
+    lasts_s = design(
+        model,
+        owner,
+        _without_wear(known),
+        noise_nm=cell.noise_nm,
+        wanted=wanted,
+        step_s=min(STEP_NM, most_nm) / deepest,
+        most_s=longest,
+        most_nm=most_nm,
+        within_s=within_s,  # of which the ways between take some
+    )
+    order = _in_order(pool, lasts_s)
+    if not order:
+        raise ComputeError("no track is worth its time: the time is too short, or what is wanted is known already")
+    order.append(order[0])  # half of it at the begin, half at the end: it tells of wear
+    seconds = lasts_s[order]
+    seconds[[0, -1]] /= 2
+    speed = np.array([pool[c].length_mm for c in order]) / seconds
+    speed = np.append(speed, BETWEEN_SHARE * config.machine.max_feed_mm_s)
+    text, program, _ = cell.program([pool[c] for c in order], speed)
+    lasts = motion.delivered_time_s(program, program.time_s, steps.envelope_of(recipe, program))
+    if lasts.sum() > within_s:
+        whole, between = lasts.sum() / 60, (lasts.sum() - seconds.sum()) / 60
+        raise ComputeError(
+            f"the touch takes {whole:.1f} min, {between:.1f} of them from track to track, and {within_s / 60:.1f} are "
+            "allowed; allow more (--minutes), or want less (--want)"
+        )
+    learned = after(cell.forward(program, lasts), known, cell.noise_nm)
+    return FirstTouchPlan(text, program, known, learned, float(lasts.sum()), len(order))
+
+
+def _pool(cell: _Cell) -> list[Track]:
+    """Tracks along x and y at places all over the clear aperture, at each lean."""
+    outline, length = cell.config.outline(), LENGTH * cell.radius_mm
+    margin = cell.config.part.edge_mm + length / 2 + cell.radius_mm
+    reach = outline.radius_mm - margin
+    pitch = max(2 * reach / (ACROSS - 1), APART * length)
+    lattice = pitch * np.arange(-(ACROSS // 2), ACROSS // 2 + 1)
+    x, y = (axis.ravel() for axis in np.meshgrid(lattice, lattice))
+    inside = outline.contains(x, y, margin) if reach > 0 else np.zeros(x.shape, dtype=np.bool_)
+    if np.count_nonzero(inside) <= 1:
+        raise ConfigError(
+            f"{cell.config.path}: part: {outline} has no room for tracks of {length:.1f} mm apart from one another; "
+            "take a larger witness part (part.aperture_mm), or a smaller spot"
+        )
+    places = list(zip(x[inside].tolist(), y[inside].tolist(), strict=True))
+    every = [Track(place, along, length, turn) for turn in LEANS_DEG for place in places for along in ALONG_DEG]
+    can = cell.reaches(every)
+    return [track for track, reached in zip(every, can, strict=True) if reached]
+
+
+def _without_wear(known: PriorKnowledge) -> PriorKnowledge:
+    """For the choice of tracks: none of them knows when it will be polished."""
+    still = np.array([name != "wear" for name in known.names])
+    return replace(known, covariance=np.where(np.outer(still, still), known.covariance, 1e-12 * np.eye(len(still))))
+
+
+def _shares(path: Joined, program: Program) -> FloatArray:
+    """(n,) of a second on each track, what each of its moves has; 0 between them."""
+    on = path.track != BETWEEN
+    whole = np.bincount(path.track[on], weights=program.length_mm[on])
+    return np.where(on, program.length_mm / whole[path.track], 0.0)
+
+
+def _deepest(model: ForwardModel, own: BoolArray) -> float:
+    """Deepest removal of a second on a track, nm."""
+    return float((model.matrix(np.zeros(len(model.parameters))) @ (model.weight_s * own)).max())
+
+
+def _in_order(pool: Sequence[Track], seconds: FloatArray) -> list[int]:
+    """Those with a time, one lean after the other, each track the nearest to the one before."""
+    left = [int(c) for c in np.flatnonzero(seconds)]
+    order: list[int] = []
+    while left:
+        at = pool[order[-1] if order else left[0]]
+
+        def away(c: int, at: Track = at) -> tuple[float, float]:
+            return pool[c].turn_deg, float(np.hypot(*np.subtract(pool[c].middle_mm, at.middle_mm)))
+
+        order.append(min(left, key=away))
+        left.remove(order[-1])
+    return order
+
+
+NOT_IN_MINUTES = {"wear": "a tool wears in hours: passes tell", "exponent": "it is not told from rate and compliance"}
+JOB, FRAGMENT, PICTURE, FIGURES = "job.toml", "fragment.toml", "touch.png", "touch.json"
+JOB_TEXT = """\
+# A first touch, made by polishd calibrate cell: {use}.
+[job]
+id = "first-touch-{part}"
+max_cycles = 1
+
+[part]
+id = "{part}"                        # what the maps of the witness part must name
+
+[program]
+path = "{program}"
+covers = "zone"
+
+[dwell]
+choose = "as_programmed"
+cross_check = ""
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class TouchOptions:
+    """What is asked of it."""
+
+    part: str
+    within_min: float
+    wanted: Mapping[str, float]
+
+
+def touch_verb(cell: Path, out: Path, options: TouchOptions, *, as_json: bool) -> None:
+    """Plan it, and write program, job, picture and figures into ``out``. ConfigError, ComputeError, ProgramError."""
+    config, hooks = load_cell(cell)
+    require_new(out)
+    recipe = _recipe(config, make_recipe(config, hooks))
+    wanted = _wanted(options.wanted)
+    with stderr.status("choosing tracks"):
+        touch = plan_touch(config, recipe, wanted, options.within_min * 60)
+    if refused := precheck.precheck_plan(recipe, touch.program, hooks.check_plan):
+        raise ComputeError("plan or run would refuse the touch:\n" + "\n".join(f"  {line}" for line in refused))
+    rows = _rows(touch, wanted)
+    complete = all(row["wanted"] is None or row["after"] <= row["wanted"] for row in rows)
+    answer = {
+        "part": options.part,
+        "contact_min": touch.seconds / 60,
+        "tracks": touch.tracks,
+        "complete": complete,
+        "parameters": rows,
+        "out": str(out),
+    }
+    _write(config, out, touch, answer, options.part)
+    emit(answer, as_json=as_json, table=lambda: _table(touch, rows), lines=_lines(config, out, complete=complete))
+
+
+def _recipe(config: CellConfig, recipe: Recipe) -> Recipe:
+    """As the touch is run; ConfigError where what it teaches cannot be learned."""
+    if config.process.removal_model not in SPOTS:
+        known = " or ".join(SPOTS)
+        raise config.error("process.removal_model", f"a touch is planned for {known}; set one of them")
+    if config.process.learns != "machine":
+        raise config.error("process.learns", 'is not "machine": a touch would teach the rate alone; set it')
+    return as_touched(recipe)
+
+
+def _wanted(own: Mapping[str, float]) -> dict[str, float]:
+    names = {p.name for p in usual_parameters() if p.name not in {*ABERRATIONS, *NOT_IN_MINUTES}}
+    for name, sigma in own.items():
+        if name in NOT_IN_MINUTES:
+            raise ConfigError(f"--want {name}: no touch tells that: {NOT_IN_MINUTES[name]}; leave it out")
+        if name not in names:
+            raise ConfigError(f"--want {name}: no such parameter; there are {', '.join(sorted(names))}")
+        if not sigma > 0:
+            raise ConfigError(f"--want {name}={sigma:g}: must be above 0")
+    return {**WANTED, **own}
+
+
+def _rows(touch: FirstTouchPlan, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
+    parameters = touch.before.parameters
+    prior, learned = (in_the_middle(known, touch.seconds / 7200) for known in (touch.before, touch.after))
+    said = confounding_of(parameters, prior, learned)
+    errors = zip(parameters, np.sqrt(np.diag(prior)), np.sqrt(np.diag(learned)), strict=True)
+    return [
+        {
+            "name": p.name,
+            "unit": p.unit,
+            "before": float(before),
+            "after": float(after),
+            "wanted": wanted.get(p.name, FIELD_WANTED if p.name.startswith("field_") else None),
+            "confounded_with": list(said[p.name].confounded_with),
+        }
+        for p, before, after in errors
+        if p.name not in ABERRATIONS
+    ]
+
+
+def _table(touch: FirstTouchPlan, rows: Sequence[Mapping[str, Any]]) -> Table:
+    title = f"first touch: {touch.tracks} tracks, {touch.seconds / 60:.1f} min in contact"
+    cells = [
+        (
+            str(row["name"]),
+            f"{row['before']:.2g}",
+            f"{row['after']:.2g}",
+            "" if row["wanted"] is None else f"{row['wanted']:.2g}",
+            str(row["unit"]),
+            ", ".join(row["confounded_with"]),
+        )
+        for row in rows
+    ]
+    columns = ("parameter", "error before", "expected after", "wanted", "unit", "not told from")
+    return record_table(title, columns, cells)
+
+
+def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
+    short = "not all that is wanted will be known: no more contact was worth its time, or allowed (--minutes)"
+    place = "put a witness part of the same shape, glass and slurry in"
+    queue = f"polishd job add {config.path} {out / JOB} in a cell with a queue"
+    include = f'include = ["{config.relative(out / FRAGMENT)}"]'
+    single = f"{include} in the first line of a copy of {config.path.name}, and polishd run of that"
+    return [
+        *([] if complete else [short]),
+        f"written to {out}: {NAME}, {JOB}, {FRAGMENT}, {PICTURE}, {FIGURES}",
+        f"next: {place}; {queue}, or {single}; what it teaches is remembered, and the next job begins with it",
+    ]
+
+
+def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping[str, Any], part: str) -> None:
+    single = JOB_TEXT.format(use="a fragment that a cell includes", part=part, program=config.relative(out / NAME))
+    made = {
+        NAME: touch.text,
+        JOB: JOB_TEXT.format(use="a job for polishd job add", part=part, program=NAME).encode(),
+        FRAGMENT: single.encode(),
+        PICTURE: program_picture(touch.program),
+        FIGURES: (json.dumps(answer, indent=1) + "\n").encode(),
+    }
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, content in made.items():
+            write_atomic(out / name, content)
+    except OSError as error:
+        raise unwritable(out, error) from error

@@ -1,0 +1,211 @@
+"""``polishd calibrate instrument``: the instrument's own error, from maps of a part that was turned."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import typer
+
+from polishd.commissioning.calibration.options import InstrumentOptions
+from polishd.config.cell import CellConfig
+from polishd.config.instrument_profile import InstrumentProfile, load_profile, write_system
+from polishd.daemon.assembly import build_cell
+from polishd.daemon.runtime.exit_record import locked
+from polishd.maps.absolute_test import poses_of, tell_apart
+from polishd.maps.convert import require_target, store
+from polishd.maps.map_files import MapSource
+from polishd.maps.options import AbsoluteOptions
+from polishd.model.errors import ConfigError
+from polishd.model.instrument import SystemErrorRecord
+from polishd.model.surface import SurfaceMap
+from polishd.plugin_loader import Hooks, load_cell
+from polishd.process.metrology.absolute_next_poses import PoseOptions, next_poses
+from polishd.process.metrology.absolute_poses import LEVEL, PartPose, name_of, terms
+from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.system_map import AbsoluteTestResult
+from polishd.rendering.terminal import emit, stderr
+
+ORDER = 4
+"""Radial order up to which poses are advised for: power, astigmatism, coma, trefoil, spherical, tetrafoil ..."""
+STEP_DEG = 45
+"""Of the angles that a person or a rotary port is asked for."""
+SHIFT = 0.1
+"""Of the part's radius: the shift that tells what is round, to twice the noise of a map."""
+ENOUGH = 0.25
+"""Of the tolerance: how sure each term is to be."""
+POWER = (2, 0)
+NOISE_NM = 0.3
+"""Of a map, where the profile does not say."""
+
+Take = Callable[[Sequence[PartPose]], Sequence[SurfaceMap]]
+"""Maps of the part at each pose, in their order, as they come into the cell's folder."""
+
+
+def instrument_verb(
+    config: CellConfig, files: Sequence[Path], asked: InstrumentOptions, take: Take, *, as_json: bool
+) -> None:
+    """Which poses are wanted; or, of maps at given poses, the system map, written into the profile.
+
+    Args:
+        config: the cell whose instrument it is.
+        files: maps; none: they are taken as they come.
+        asked: the poses, and what is known of them; without poses it is only said which are wanted.
+        take: takes maps as they come.
+        as_json: for programs.
+
+    Raises:
+        ConfigError: the cell names no commissioned profile, or what is to be written cannot be.
+        BadMap, SurfaceError, DeviceError: of the maps.
+    """
+    profile = _profile(config)
+    if asked.angles is None and asked.at is None:
+        _advise(config, profile, as_json=as_json)
+        return
+    source = MapSource.of(config.path, profile.path, partly=False, system=False)
+    options = _options(config, profile, asked)
+    if asked.at is not None and not files:
+        raise typer.BadParameter("--at lists files: name them, or say --angles and take maps as they come")
+    if (asked.power is None) != (asked.power_sigma is None):
+        raise typer.BadParameter("--power and --power-sigma go together: a reference says how well it is known")
+    poses = poses_of(options, files)
+    target = asked.out or profile.path.parent / f"system-{datetime.now(UTC):%Y%m%d-%H%M%S}.x3p"
+    require_target(target, files, source, force=False)
+    if files:
+        surfaces = [source.read(path) for path in files]
+    else:
+        surfaces = [as_profiled(one, profile.instrument) for one in take(poses)]
+    apart = tell_apart(surfaces, poses, options, source)
+    instrument = apart.instrument
+    if asked.power is not None and asked.power_sigma is not None:
+        instrument = _with_power(instrument, AbsoluteTestResult.of(apart.found), asked.power, asked.power_sigma)
+    more = ["nothing was written: --dry-run"]
+    if not asked.dry_run:
+        stored = store(instrument, target, source)
+        apart.answer["instrument"] |= stored
+        _record(profile, target, stored["sha256"])
+        more = [f"{profile.path}: [system] names it; it goes off each map from now on"]
+    apart.show(as_json=as_json, more=more)
+
+
+def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[list[PartPose], dict[str, str]]:
+    """The least poses that tell the instrument's low terms, the first one as it lies; and what none tells."""
+    first = PartPose(0.0)
+    shift = SHIFT * radius_mm
+    turns = [PartPose(float(angle)) for angle in range(STEP_DEG, 360, STEP_DEG)]
+    candidates = (*turns, PartPose(0.0, shift, 0.0), PartPose(0.0, 0.0, shift))
+    wanted = dict.fromkeys(terms(ORDER)[LEVEL:], sigma_nm)
+    found = next_poses(wanted, [first], PoseOptions(candidates, radius_mm, noise_nm))
+    needs = {name_of(*term): what for term, what in found.demanded.items()}
+    return [first, *found.poses], needs
+
+
+def _profile(config: CellConfig) -> InstrumentProfile:
+    """Commissioned: before that nobody knows which way a part in its maps is turned."""
+    if config.profile_path is None:
+        raise config.error("instrument.profile", "is missing: write one (docs/instruments.md), and commission it first")
+    profile = load_profile(config.profile_path)
+    if profile.unproved:
+        raise ConfigError(profile.unproved)
+    return profile
+
+
+def _options(config: CellConfig, profile: InstrumentProfile, asked: InstrumentOptions) -> AbsoluteOptions:
+    return AbsoluteOptions(
+        profile=profile.path,
+        cell=config.path,
+        angles=asked.angles,
+        shifts=asked.shifts,
+        at=asked.at,
+        noise=asked.noise,
+        angle_error=asked.angle_error,
+        shift_error=asked.shift_error,
+    )
+
+
+def _with_power(instrument: SurfaceMap, told: AbsoluteTestResult, power_nm: float, sigma_nm: float) -> SurfaceMap:
+    """The system map with the power that a reference has told, which no pose does."""
+    height = instrument.height_nm + power_nm * told.shape(POWER, instrument.valid)
+    step = instrument.history
+    if step is None:
+        return instrument.with_height(height)
+    facts = told.with_reference(POWER, sigma_nm).facts()
+    left = [name for name in step.options["without"] if name != name_of(*POWER)]
+    reference = f"power {power_nm:g} nm, known to {sigma_nm:g} nm"
+    options = {**step.options, "told": facts, "without": left, "reference": reference}
+    return replace(instrument, height_nm=height, history=replace(step, options=options))
+
+
+def _record(profile: InstrumentProfile, target: Path, sha256: str) -> None:
+    named = Path(os.path.relpath(target.absolute(), profile.path.parent.absolute())).as_posix()
+    at = datetime.now(UTC).replace(microsecond=0)
+    write_system(profile.path, SystemErrorRecord(named, at, sha256, profile.sha256))
+
+
+def _advise(config: CellConfig, profile: InstrumentProfile, *, as_json: bool) -> None:
+    noise = profile.instrument.repeatability_nm or NOISE_NM
+    limit = min((line.limit for line in config.lines if line.bounded), default=10 * noise)
+    sigma = max(2 * noise, ENOUGH * limit)
+    poses, needs = wanted_poses(config.outline().radius_mm, noise, sigma)
+    angles = ",".join(f"{pose.angle_deg:g}" for pose in poses)
+    shifts = ":".join(f"{pose.x_mm:g},{pose.y_mm:g}" for pose in poses)
+    command = f"polishd calibrate instrument {config.path.name} --angles {angles}"
+    command += f" --shifts {shifts}" if any(pose.x_mm or pose.y_mm for pose in poses) else ""
+    answer = {
+        "poses": [{"angle_deg": pose.angle_deg, "shift_mm": [pose.x_mm, pose.y_mm]} for pose in poses],
+        "sigma_nm": sigma,
+        "demanded": needs,
+        "next": command,
+    }
+    lines = [
+        f"poses wanted: {'; '.join(map(str, poses))}",
+        f"they tell all terms up to order {ORDER} to {sigma:.2g} nm, at {noise:g} nm of noise a map, but these:",
+        *(f"  {name} needs {what}" for name, what in needs.items()),
+        f"next: {command}",
+        "a person is then asked to turn the part, and maps are taken as they come; or name the maps behind the cell",
+    ]
+    emit(answer, as_json=as_json, lines=lines)
+
+
+# Maps of a part that a person turns by hand: taken as they come into the cell's folder, one a pose.
+
+Ask = Callable[[PartPose, int, int], None]
+"""Have somebody lay the part so; returns when it lies: the pose, its number from 1, and how many there are."""
+
+
+def calibrate_verb(cell: Path, files: Sequence[Path], asked: InstrumentOptions, *, as_json: bool) -> None:
+    """As ``instrument_verb``, with a person who turns the part where no files are named."""
+    config, hooks = load_cell(cell)
+    instrument_verb(config, files, asked, lambda poses: asyncio.run(taken(config, hooks, poses)), as_json=as_json)
+
+
+async def taken(
+    config: CellConfig, hooks: Hooks, poses: Sequence[PartPose], ask: Ask | None = None
+) -> list[SurfaceMap]:
+    """A map at each pose. Nothing moves: of the cell's devices only the instrument is opened.
+
+    Raises:
+        ConfigError: a daemon runs the cell, which takes the maps itself; or its file is wrong.
+        SurfaceError, DeviceError: as of the instrument.
+    """
+    cell = build_cell(config, hooks)
+    found: list[SurfaceMap] = []
+    with locked(config.state_dir):
+        try:
+            await cell.open_one(cell.used["metrology"])
+            for number, pose in enumerate(poses, 1):
+                await asyncio.to_thread(ask or _by_a_person, pose, number, len(poses))
+                stderr.print(f"measure now: waiting for map {number} of {len(poses)}", markup=False)
+                found.append(await cell.metrology.next_map(found[-1].sha256 if found else None))
+        finally:
+            await cell.close()
+    return found
+
+
+def _by_a_person(pose: PartPose, number: int, count: int) -> None:
+    said = f"map {number} of {count}: lay the part at {pose}, counter-clockwise, right and up as the tool sees it"
+    typer.prompt(f"{said}; Enter when it lies so", default="", show_default=False, err=True)

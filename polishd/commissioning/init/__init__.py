@@ -1,0 +1,1 @@
+"""`polishd init`: questions, answers and the files of a new cell."""

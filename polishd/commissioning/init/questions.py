@@ -1,0 +1,252 @@
+"""The answers, asked one by one: each question has a default, and one line of why it is asked."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from polishd.commissioning.init.answers import ARMS, Answers, answers_of
+from polishd.commissioning.init.connected import Connected, missing_of
+from polishd.commissioning.init.draft import ASSUMED, PART, draft_cell
+from polishd.config.cell_sections import JobSection, PartSection
+from polishd.config.process_sections import MeasuredSection, ProcessSection, SerialSection
+from polishd.config.toml_loader import in_words, meanings
+from polishd.maps.map_files import MapSource
+from polishd.model.errors import ConfigError, SurfaceError
+from polishd.plugin_loader import Hooks
+from polishd.util.serialization import toml
+
+ANSWERS = "answers.toml"
+SKIP = ""
+"""The default of what may be left out."""
+PATHS = ("instrument.sample", "part.polygon_file", "kinematics.table", "actuator.eds", "spindle.eds", "spot.file",
+         "spot.before", "spot.after")  # fmt: skip
+"""Answers that name files that are there: typed from where one stands, kept from the answers' folder."""
+SHAPES = {"round": "aperture_mm", "rectangle": "rectangle_mm", "hexagon": "hexagon_mm", "polygon": "polygon_file"}
+USUAL: Mapping[str, Any] = {
+    "aperture_mm": 100.0,
+    "rectangle_mm": [40.0, 24.0],
+    "hexagon_mm": 30.0,
+    "polygon_file": "corners.csv",
+}
+SURFACES = ("flat", "sphere", "asphere")
+SPOTS = ("none", "maps", "file")
+ADDRESSES = {
+    "robot_link": "tcp://robot-controller:28500",
+    "universal_robots": "tcp://robot-controller:30004",
+    "linuxcnc": "tcp://robot-controller:5007",
+    "handover": "opc.tcp://robot-controller:4840",
+}
+"""Where controllers listen unless somebody set them up otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One thing to be answered."""
+
+    key: str
+    """Dotted, of the answers; one that begins with a ``?`` only chooses what is asked next."""
+    why: str
+    default: Any = SKIP
+    choices: tuple[str, ...] = ()
+    text: bool = False
+    """Taken as it is written; else what TOML reads as a value is one."""
+    needed: bool = False
+    """It cannot be left out."""
+
+
+Ask = Callable[[Question, str], str]
+"""Puts a question, with what was wrong with the last answer; the answer as it was typed."""
+
+
+def ask_questions(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) -> Answers:
+    """All answers; each is judged as those of a file, and asked again where it is wrong."""
+    given: dict[str, Any] = {}
+    for question in questions(given, connected, hooks, folder):
+        problem = ""
+        while True:
+            value = _value(question, ask(question, problem), folder)
+            if value != SKIP:
+                _put(given, question.key, value)
+            problem = _problem(given, question, value, folder, hooks)
+            if not problem:
+                break
+            _put(given, question.key, None)
+    return answers_of(answers_text(_looked_at(given)), folder / ANSWERS)
+
+
+def _looked_at(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Without what `polishd init` assumes by itself: whoever only pressed Return is still to look at it."""
+    kept: dict[str, Any] = {}
+    for name, section in given.items():
+        own = ASSUMED.get(f"{name}.type", (None,))[0]
+        if (
+            isinstance(section, str) or section.get("type", own) != own
+        ):  # what is usual for one type is said for another
+            kept[name] = section
+        else:
+            kept[name] = {key: value for key, value in section.items() if _unusual(f"{name}.{key}", value)}
+    return kept
+
+
+def _unusual(key: str, value: Any) -> bool:
+    return key not in ASSUMED or ASSUMED[key][0] != value
+
+
+def questions(
+    given: Mapping[str, Any], connected: Connected, hooks: Hooks, folder: Path = Path()
+) -> Iterator[Question]:
+    """What is asked next follows from what was ``given`` so far, which the asker fills in between.
+
+    ``folder``: where files that answers name are looked for.
+    """
+    yield from _of_robot(given)
+    first = connected.serial[0].path if connected.serial else ""
+    serial = f"serial:{first}?baud=115200" if first else ASSUMED["actuator.address"][0]
+    can = f"socketcand://127.0.0.1:29536/{connected.can[0]}" if connected.can else ASSUMED["spindle.address"][0]
+    addresses = {**ADDRESSES, "spindle_can": can, "cia402_spindle": can, "cia402_actuator": can}
+    for port in ("robot", "actuator", "spindle"):
+        yield from _of_device(port, given, hooks, lambda kind: addresses.get(kind, serial))
+    sample = str(connected.maps[0].sample) if connected.maps else SKIP
+    maps = str(connected.maps[0].folder.absolute()) if connected.maps else ASSUMED["metrology.folder"][0]
+    yield Question("instrument.sample", "A map of the instrument: its profile is begun from it.", sample, text=True)
+    yield from _of_sample(given, folder)
+    yield Question("metrology.folder", "Where the instrument leaves its maps.", maps, text=True)
+    yield from _of_part(given)
+    yield from _of_process(given)
+    yield _of("job.tolerance_nm", JobSection, ASSUMED["job.tolerance_nm"][0])
+
+
+def _of_sample(given: Mapping[str, Any], folder: Path) -> Iterator[Question]:
+    """What its file does not say, and no map can be used without."""
+    name = given.get("instrument", {}).get("sample")
+    if not name:
+        return
+    try:
+        surface = MapSource.of().read(Path(os.path.normpath(folder.absolute() / name)))  # the folder is not there yet
+    except SurfaceError:  # told where the answers are judged
+        return
+    match missing_of(surface):
+        case "sample_units":
+            why = f"{Path(name).name} does not say its units: of its places and its heights."
+            yield Question("instrument.sample_units", why, "mm,nm", text=True, needed=True)
+        case "sample_pitch_mm":
+            why = f"{Path(name).name} has no lateral scale: width of a pixel on the part, mm."
+            yield Question("instrument.sample_pitch_mm", why, needed=True)
+
+
+def _of(key: str, model: type[BaseModel], default: Any = SKIP, *, text: bool = False) -> Question:
+    return Question(key, in_words(meanings(model)[key.rpartition(".")[2]]), default, text=text)
+
+
+def _of_robot(given: Mapping[str, Any]) -> Iterator[Question]:
+    kinds = ("hybrid", *ARMS, "serial", "measured")
+    yield Question("?robot", "Its geometry; serial: an arm whose rows you fill in; measured: a table.", "hybrid", kinds)
+    if given["?robot"] == "measured":
+        yield _of("kinematics.table", MeasuredSection, "compliance.csv", text=True)
+    elif given["?robot"] != "hybrid":
+        yield _of("kinematics.tool_length_mm", SerialSection, 150.0)
+
+
+def _of_device(port: str, given: Mapping[str, Any], hooks: Hooks, address: Callable[[str], str]) -> Iterator[Question]:
+    """Its type, and what that type must be told."""
+    types = {name: kind for name, kind in hooks.device_types().items() if kind.port == port}
+    usual = ASSUMED[f"{port}.type"]
+    yield Question(f"{port}.type", usual[1].capitalize() + ".", usual[0], tuple(sorted(types)))
+    kind = types[given[port]["type"]]
+    told = meanings(kind.options)
+    for name, field in kind.options.model_fields.items():
+        if field.is_required():
+            default = address(kind.name) if name == "address" else SKIP
+            why = in_words(told.get(name, ""))
+            yield Question(f"{port}.{name}", why, default, text=field.annotation is str, needed=True)
+
+
+def _of_part(given: Mapping[str, Any]) -> Iterator[Question]:
+    sample = "sample" in given.get("instrument", {})
+    yield _of("part.id", PartSection, SKIP if sample else PART, text=True)
+    yield Question("?shape", "Its outline.", "round", tuple(SHAPES))
+    name = SHAPES[given["?shape"]]
+    size = SKIP if sample and name == "aperture_mm" else USUAL[name]
+    yield _of(f"part.{name}", PartSection, size, text=name == "polygon_file")
+    if name == "aperture_mm":
+        yield _of("part.hole_mm", PartSection)
+    yield Question("?surface", "What is polished.", "flat", SURFACES)
+    if given["?surface"] != "flat":
+        yield _of("part.curvature_radius_mm", PartSection, 800.0)
+    if given["?surface"] == "asphere":
+        yield _of("part.conic", PartSection, -1.0)
+        yield _of("part.even", PartSection)
+    yield _of("part.origin_mm", PartSection)
+
+
+def _of_process(given: Mapping[str, Any]) -> Iterator[Question]:
+    for name in ("tool_radius_mm", "tool_modulus_mpa", "force_n", "rpm", "dip_deg"):
+        yield _of(f"process.{name}", ProcessSection, ASSUMED[f"process.{name}"][0])
+    yield Question("?spot", "Whether a removal spot was measured: two maps, or a file of its rate.", "none", SPOTS)
+    if given["?spot"] == "maps":
+        yield Question("spot.before", "Map before the spot.", "before.dat", text=True)
+        yield Question("spot.after", "Map after it.", "after.dat", text=True)
+        yield Question("spot.seconds", "Time on the spot, s.", 60.0)
+    elif given["?spot"] == "file":
+        yield Question("spot.file", ".npz of polishd calibrate tif, or rows of nm/s.", "spot.npz", text=True)
+        if not given["spot"]["file"].endswith(".npz"):
+            yield Question("spot.pitch_mm", "Its pitch, mm.", 0.1)
+    else:
+        yield _of("process.preston", ProcessSection, ASSUMED["process.preston"][0], text=True)
+
+
+def _value(question: Question, typed: str, folder: Path) -> Any:
+    typed = typed.strip()
+    if question.key in PATHS and typed:
+        return Path(os.path.relpath(Path(typed).expanduser().absolute(), folder.absolute())).as_posix()
+    if question.text or question.choices or not typed:
+        return typed
+    try:
+        return tomllib.loads(f"value = {typed}")["value"]
+    except tomllib.TOMLDecodeError:
+        return typed
+
+
+def _put(given: dict[str, Any], key: str, value: Any) -> None:
+    """Lay a value into its section; None takes it out."""
+    if key.startswith("?"):
+        given[key] = value
+        if key == "?robot" and value is not None:
+            given["kinematics"] = {"arm": value} if value in ARMS else {"type": value}
+        return
+    section, _, name = key.partition(".")
+    table = given.setdefault(section, {})
+    table.pop(name, None)
+    if value is not None:
+        table[name] = value
+
+
+def _problem(given: Mapping[str, Any], question: Question, value: Any, folder: Path, hooks: Hooks) -> str:
+    """What is wrong with this answer; empty where nothing is. What others lack is not its fault."""
+    if value == SKIP:
+        return "cannot be left out" if question.needed else ""
+    if question.choices:
+        return "" if value in question.choices else f"{value!r} is none of {', '.join(question.choices)}"
+    try:
+        draft_cell(answers_of(answers_text(given), folder / ANSWERS), folder, hooks).judged()
+    except ConfigError as error:
+        here = [line for line in str(error).splitlines() if f" {question.key}: " in line]
+        return "\n".join(line.partition(f" {question.key}: ")[2] for line in here)
+    return ""
+
+
+def answers_text(given: Mapping[str, Any]) -> str:
+    """As a file of answers."""
+    lines = ["# Answers of polishd init; the same again: polishd init DIR --from this file (docs/first_hour.md)"]
+    for name, section in given.items():
+        if name.startswith("?") or not section:
+            continue
+        lines += ["", f"[{name}]", *(f"{key} = {toml(value)}" for key, value in section.items())]
+    return "\n".join(lines) + "\n"

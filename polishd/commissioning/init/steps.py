@@ -1,0 +1,174 @@
+"""What there is still to do about a cell, in order, by facts on disk: files, profiles, fragments, plans, runs."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from polishd.commissioning.init.draft import LOOK
+from polishd.config.cell import CellConfig, load_config
+from polishd.config.instrument_profile import load_profile
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.states import EXIT_CODES
+from polishd.plugin_loader import load_cell
+from polishd.rendering.terminal import emit, stderr
+from polishd.util.files import toml_text
+
+CHECK = "check"
+PLANNED = "planned"
+MAP = "MAP"
+NO_SPOT = "removal is computed, not measured: polish a spot on a witness part, and measure it before and after"
+FAILED = "failed"
+"""Outcome of a run that an error ended: it proves nothing of the devices."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetupStep:
+    """One thing to do."""
+
+    what: str
+    done: bool | None
+    """None: it leaves nothing on disk by which to tell."""
+    found: str
+    """What is there, or what is missing."""
+    command: str
+    """What does it."""
+
+
+def steps(cell: Path) -> list[SetupStep]:
+    """All, in the order in which they are done; a cell that cannot be read has only its first."""
+    try:
+        config = load_config(cell)
+    except ConfigError as error:
+        return [SetupStep("write the cell", False, str(error), f"$EDITOR {_quoted(cell)}")]
+    return list(_steps(config, cell))
+
+
+def lines(found: Sequence[SetupStep]) -> list[str]:
+    """For people: two lines a step, whole: what is on them can be copied. A step that is done has no command."""
+    marks = {True: "[x]", False: "[ ]", None: "[?]"}
+    told = []
+    for step in found:
+        told.append(f"{marks[step.done]} {step.what}: {step.found}")
+        told += [] if step.done else [f"    {step.command}"]
+    return told
+
+
+def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
+    cell = _quoted(file)
+    runs = _summaries(config.state_dir / "runs", *([config.run_dir] if config.run_dir else []))
+    look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(LOOK)]
+    lines = ", ".join(map(str, look))
+    found = f"{len(look)} values, below the lines {lines}" if look else "nothing is marked as assumed"
+    yield SetupStep("look at what was assumed", not look, found, f"$EDITOR {cell}")
+    made = config.program_path.is_file()
+    path = _quoted(file.parent / config.program.path)
+    command = f"polishd program make raster --out {path} --cell {cell}"
+    yield SetupStep("have a program", made, path if made else f"{path}: is missing", command)
+    yield SetupStep(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
+    ran = any(of["outcome"] != FAILED for of in runs.values())
+    answered = "a run has been there" if ran else "leaves nothing on disk: ask the devices"
+    yield SetupStep("probe", True if ran else None, answered, f"polishd probe {cell}")
+    yield _commission(config, file.parent)
+    yield from _calibrate(config, cell)
+    plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
+    out = _quoted(file.parent / "plan")
+    planned = ", ".join(map(_quoted, plans)) or "no plan of this job lies beside the cell"
+    yield SetupStep("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
+    rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
+    rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
+    said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
+    again = f"polishd run {_quoted(rehearsal / f'{config.path.stem}-rehearsal.toml')}"
+    simulate = f"polishd sim {_quoted(rehearsal / 'sim.toml')}" if rehearsal.is_dir() else f"polishd sim --from {cell}"
+    yield SetupStep("rehearse", _succeeded(rehearsed), said, f"{simulate}, and in another terminal: {again}")
+    yield SetupStep("run", _succeeded(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
+
+
+def _commission(config: CellConfig, folder: Path) -> SetupStep:
+    if config.profile_path is None or config.instrument.profile is None:
+        return SetupStep("commission", False, "the cell names no instrument's profile", "docs/instruments.md")
+    command = f"polishd map commission {_quoted(folder / config.instrument.profile)} {MAP}"
+    try:
+        profile = load_profile(config.profile_path)
+    except PolishdError as error:
+        return SetupStep("commission", False, str(error), command)
+    found = profile.unproved or f"{profile.instrument.name}: proved"
+    if profile.unproved and not profile.bumps:
+        found = f"{config.instrument.profile}: describe the artefact's bumps, [artefact], and measure it"
+    return SetupStep("commission", not profile.unproved, found, command)
+
+
+def _calibrate(config: CellConfig, cell: str) -> Iterator[SetupStep]:
+    """Removal and stiffness, each by its measurements."""
+    spot = config.process.tif is not None or "process.preston" in config.included
+    tif = config.process.tif or config.included.get("process.preston", "")
+    command = f"polishd calibrate tif BEFORE AFTER --seconds S --cell {cell} --out tif.toml"
+    yield SetupStep("calibrate tif", spot, tif if spot else NO_SPOT, command)
+    stiff = {file for key, file in config.included.items() if key.startswith("kinematics.")}
+    stiff |= {str(getattr(config.kinematics, "table", ""))} - {""}
+    command = f"polishd calibrate stiffness TESTS.csv --cell {cell} --out stiffness.toml"
+    yield SetupStep("calibrate stiffness", bool(stiff), ", ".join(sorted(stiff)) or "stiffness is assumed", command)
+
+
+def _beside(config: CellConfig) -> list[Path]:
+    return [path for path in config.base_dir.iterdir() if path.is_dir()]
+
+
+def _is_plan(summary: Mapping[str, Any], job: str) -> bool:
+    return summary["outcome"] == PLANNED and summary.get("job") == job
+
+
+def _summaries(*folders: Path) -> dict[Path, Mapping[str, Any]]:
+    """The summaries of run folders and of folders of them; one that is broken is none."""
+    found: dict[Path, Mapping[str, Any]] = {}
+    for path in (path for folder in folders for depth in ("", "*/") for path in folder.glob(f"{depth}summary.json")):
+        try:
+            summary = json.loads(path.read_bytes())
+        except (OSError, ValueError):
+            continue
+        if isinstance(summary, dict) and isinstance(summary.get("outcome"), str):
+            found[path] = summary
+    return found
+
+
+def _succeeded(found: Mapping[Path, Mapping[str, Any]]) -> bool:
+    """Return whether the latest of these runs ended as it should, with exit code 0."""
+    if not found:
+        return False
+    latest = found[max(found, key=lambda path: (path.stat().st_mtime_ns, path))]["outcome"]
+    return latest in {outcome.value for outcome, code in EXIT_CODES.items() if code == 0}
+
+
+def _outcomes(found: Mapping[Path, Mapping[str, Any]]) -> str:
+    return ", ".join(f"{path.parent.name}: {found[path]['outcome']}" for path in sorted(found))
+
+
+def _quoted(path: Path) -> str:
+    return shlex.quote(str(path))
+
+
+# ``polishd status --setup``: how far a cell is from its first pass. Opens no device, asks no daemon.
+
+
+def setup_verb(cell: Path, *, as_json: bool) -> None:
+    """Each step with what there is of it on disk, and the command that does it; the cell is checked meanwhile."""
+    with stderr.status("checking the cell"):
+        found = [_checked(cell, step) if step.what == CHECK else step for step in steps(cell)]
+    done = sum(step.done is True for step in found)
+    answer = {"cell": str(cell), "done": done, "steps": [asdict(step) for step in found]}
+    emit(answer, as_json=as_json, lines=[f"{cell}: {done} of {len(found)} steps are done", *lines(found)])
+
+
+def _checked(cell: Path, step: SetupStep) -> SetupStep:
+    """What `polishd check` says of the files as they are now."""
+    from polishd.daemon.checks import check_cell
+
+    try:
+        facts = check_cell(*load_cell(cell))
+    except PolishdError as error:
+        return replace(step, done=False, found=str(error))
+    return replace(step, done=True, found=f"passes: reach {facts['reach']}, gamma {facts['gamma']}")

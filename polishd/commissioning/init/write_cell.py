@@ -1,0 +1,295 @@
+"""``polishd init``: a new cell from answers."""
+
+from __future__ import annotations
+
+import io
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from polishd.commissioning.calibration.fits import SpotPlace, tif_of_maps
+from polishd.commissioning.init.answers import Answers, SpotKeys, read_answers
+from polishd.commissioning.init.connected import look, profile_text, read_sample
+from polishd.commissioning.init.draft import PROFILE, CellDraft, cell_text, draft_cell
+from polishd.commissioning.init.questions import ANSWERS, Question, ask_questions
+from polishd.commissioning.init.seat import find_seat, reached
+from polishd.commissioning.init.steps import SetupStep, lines, steps
+from polishd.config.cell import CellConfig
+from polishd.config.fields import OUTLINES
+from polishd.config.table_files import read_tif, tif_bytes
+from polishd.maps.map_files import MapSource
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.process import MeasuredTif, Vector
+from polishd.plugin_loader import load_own, plugins_of
+from polishd.process.removal.measured_tif import preston_from_tif
+from polishd.process.toolpath.paths import quiet_step_mm
+from polishd.programs.make import contact_radius_mm, make_program
+from polishd.programs.options import MakeOptions
+from polishd.rendering.terminal import emit, key_table, stderr, stdout
+from polishd.util.files import make_folder, write_atomic
+from polishd.util.serialization import toml
+
+# A removal spot that was measured, for a new cell: two maps, an ``.npz``, or an array.
+
+SPOT = "spot.npz"
+
+
+def add_spot(draft: CellDraft, given: SpotKeys, config: CellConfig) -> None:
+    """The measured TIF beside the cell, which names it and the Preston constant that goes with it."""
+    tif = _tif(given, draft.answers.folder)
+    preston = preston_from_tif(config.tool_process(), tif.depth_ratio, tif)
+    draft.raw["process"] |= {"removal_model": "measured_tif", "tif": SPOT, "preston": f"{preston:.5g} cm2/N"}
+    draft.files[SPOT] = tif_bytes(tif)
+    draft.assumed.pop("process.preston", None)
+
+
+def _tif(given: SpotKeys, folder: Path) -> MeasuredTif:
+    if given.file is None:
+        maps = (folder / str(given.before), folder / str(given.after))
+        place = SpotPlace(given.depth_ratio, given.azimuth_deg, None)
+        return tif_of_maps(MapSource.of(), maps, given.seconds or 0.0, place)[0]
+    path = folder / Path(given.file).expanduser()
+    if path.suffix == ".npz":
+        return read_tif(path)
+    rate = _array(path)
+    return MeasuredTif(rate, given.pitch_mm or 0.0, given.azimuth_deg, given.depth_ratio)
+
+
+def _array(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """(ny, nx) nm/s; ConfigError where the file holds no such array."""
+    try:
+        content = path.read_bytes()
+        if path.suffix == ".npy":
+            rate = np.load(io.BytesIO(content), allow_pickle=False)
+        else:
+            rate = np.loadtxt(io.StringIO(content.decode()), delimiter="," if b"," in content else None, ndmin=2)
+    except (OSError, ValueError, EOFError) as error:
+        raise ConfigError(f"{path}: is no array of a spot ({error}); give rows of nm/s, row 0 the top") from error
+    found = np.asarray(rate, dtype=np.float64) if rate.dtype.kind in "fiu" else np.zeros(0)
+    if found.ndim != 2 or not np.isfinite(found).all() or not found.sum() > 0:
+        raise ConfigError(f"{path}: must be a table of finite rates, nm/s, that remove something; mend it")
+    return found
+
+
+# The verb ``polishd init``: answers, a cell in a folder, and what is still to be done.
+
+CELL = "cell.toml"
+LOOKED = "Looked at what is connected, and opened nothing:"
+LEFT_OUT = "-"
+"""Typed where an answer is left out."""
+PITCH_MM = 1.0
+"""Most distance of a made program's lines, and the length of its moves."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewCell:
+    """What `polishd init` makes; nothing of it is written yet."""
+
+    folder: Path
+    files: Mapping[str, bytes]
+    """By name in the folder."""
+    assumed: Mapping[str, str]
+    """By dotted key of the cell's file: why it has to be looked at."""
+    blank: tuple[str, ...]
+    """Dotted keys that have to be filled in before anything else."""
+    program: str
+    """What was made, or why none was."""
+
+
+def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool, as_json: bool) -> None:
+    """Make a cell of answers, asked for where no file has them, and write it; what was assumed, and what is to be done.
+
+    Raises:
+        ConfigError: answers that are wrong, and maps that they name, with file, line and key; files that are there
+            already, without ``force``.
+    """
+    with stderr.status("looking at what is connected"):
+        connected = look(Path())
+    if not as_json:
+        for line in (LOOKED, *connected.lines()):
+            stderr.print(line, markup=False, highlight=False, soft_wrap=True)
+    if answers is None:
+        _require_new(folder, [ANSWERS], force=force)  # before anybody answers
+        stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
+        given = ask_questions(folder, connected, load_own(), _prompt)
+        if not dry_run:
+            _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
+    else:
+        given = read_answers(answers)
+    with stderr.status("making the cell"):
+        made = new_cell(given, folder)
+    if not dry_run:
+        write_cell(made, force=force)
+    cell = folder / CELL
+    todo = [] if dry_run else steps(cell)
+    answer = {
+        "cell": str(cell),
+        "connected": asdict(connected),
+        "written": [] if dry_run else sorted(made.files),
+        "texts": {name: text.decode() for name, text in made.files.items() if name.endswith(".toml")},
+        "look": dict(made.assumed),
+        "fill_in": list(made.blank),
+        "program": made.program,
+        "todo": [asdict(step) for step in todo],
+    }
+    emit(answer, as_json=as_json, table=lambda: _table(made, cell, dry_run=dry_run))
+    if not as_json:
+        _tell(made, cell, todo, dry_run=dry_run)
+
+
+def _prompt(question: Question, problem: str) -> str:
+    if problem:
+        stderr.print(problem, style="red", markup=False, highlight=False, soft_wrap=True)
+    among = f" ({', '.join(question.choices)})" if question.choices else ""
+    default = question.default if isinstance(question.default, str) else toml(question.default)
+    stderr.print(question.why, style="dim", markup=False, highlight=False, soft_wrap=True)
+    said: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
+    return "" if said == LEFT_OUT else said
+
+
+def new_cell(answers: Answers, folder: Path) -> NewCell:
+    """The files of a cell of these answers; errors: the verb's. Nothing is written."""
+    own = answers.own.instrument
+    with _blamed(answers, "instrument.sample"):
+        path = None if own.sample is None else answers.folder / Path(own.sample).expanduser()
+        shown = None if path is None else read_sample(path, own.sample_units, own.sample_pitch_mm)
+    draft = draft_cell(answers, folder, load_own(), shown)
+    config = draft.judged()
+    if answers.own.spot is not None:
+        with _blamed(answers, "spot"):
+            add_spot(draft, answers.own.spot, config)
+    if draft.raw["instrument"]["profile"] == PROFILE and "profile" not in answers.cell.get("instrument", {}):
+        draft.files[PROFILE] = profile_text(shown).encode()
+    if _makes_program(draft):
+        config = _within_reach(draft, config)
+    draft.rebase()
+    text = cell_text(draft)
+    said = _add_program(draft, config)
+    files = {CELL: text.encode(), **draft.files}
+    return NewCell(draft.folder, files, draft.assumed, draft.blank, said)
+
+
+@contextmanager
+def _blamed(answers: Answers, key: str) -> Iterator[None]:
+    """What is wrong with a file that an answer names is told with the answer's place."""
+    try:
+        yield
+    except PolishdError as error:
+        raise answers.own.error(key, str(error)) from error
+
+
+def _makes_program(draft: CellDraft) -> bool:
+    """Whether a program over the part is wanted of `polishd init`, and enough is known of the robot to make one."""
+    wanted = draft.answers.own.program.make != "none" and "path" not in draft.answers.cell.get("program", {})
+    return wanted and not draft.blank
+
+
+def _within_reach(draft: CellDraft, config: CellConfig) -> CellConfig:
+    """The cell with its part where the robot reaches all of it: where that was assumed, at the nearest such place.
+
+    ConfigError where there is none. A place that was answered stays as it is.
+    """
+    if "part.origin_mm" not in draft.assumed:
+        return config
+    place = _reached_at(draft, config)
+    if place != config.part.origin_mm:
+        draft.raw["part"]["origin_mm"] = list(place)
+        draft.assumed["part.origin_mm"] += ", moved to where the robot reaches all of it"
+    return draft.judged()
+
+
+def _reached_at(draft: CellDraft, config: CellConfig) -> Vector:
+    """The nearest place of the part where the robot reaches all of it; ConfigError where there is none."""
+    seat = find_seat(config)
+    if seat is not None and seat.share == 1.0:
+        return seat.origin_mm
+    name = next(key for key in OUTLINES if key in draft.raw["part"])
+    fits = "nor a tenth of it"
+    if seat is not None:
+        fits = f"one of {seat.share:.0%} of that size fits at part.origin_mm = {toml(list(seat.origin_mm))}"
+    raise draft.answers.own.error(
+        f"part.{name}",
+        f"the robot reaches {config.outline()}, off singular poses, at no place near "
+        f"{toml(list(config.part.origin_mm))} (base frame, mm) with the part turned by part.rotation_rpy_deg = "
+        f"{toml(list(config.part.rotation_rpy_deg))} and process.dip_deg = {config.process.dip_deg:g}; {fits}. Nothing "
+        "was written. Give a robot with more reach ([kinematics] arm, or your robot's own numbers), another dip, or a "
+        'smaller part; [program] make = "none" writes the cell without a program',
+    )
+
+
+def _add_program(draft: CellDraft, config: CellConfig) -> str:
+    """The program over the part, where the answers name none; what was made, or why not.
+
+    ConfigError where the robot does not reach the part at the place that was answered: with one where it does.
+    """
+    shape = draft.answers.own.program.make
+    if "path" in draft.answers.cell.get("program", {}):
+        return "yours"
+    if shape == "none":
+        return "none was wanted"
+    if draft.blank:
+        return "none: the arm is not known yet"
+    by_tool = {"removal_model": "hertz_preston", "tif": None}  # of a measured spot only the place counts here
+    config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
+    try:
+        pitch_mm = quiet_step_mm(contact_radius_mm(config), PITCH_MM)
+        options = MakeOptions(shape, Path(config.program.path), pitch_mm=pitch_mm, step_mm=PITCH_MM)
+        made = make_program(options, config, plugins_of(config))
+    except PolishdError as error:
+        if "part.origin_mm" in draft.assumed or reached(config):  # of another cause
+            return f"none: {error}"
+        place = toml(list(_reached_at(draft, config)))
+        problem = f"the robot does not reach all of {config.outline()} there; it does at part.origin_mm = {place}"
+        raise draft.answers.own.error(
+            "part.origin_mm", f"{problem}. Nothing was written. Move the part there, or mend [kinematics]"
+        ) from error
+    draft.files[config.program.path] = made.text
+    return f"{shape}, {made.answer['points']} points, lines {pitch_mm:.3g} mm apart"
+
+
+def write_cell(made: NewCell, *, force: bool) -> None:
+    """Write all files, each whole; ConfigError where one is there already, unless ``force``, and where it cannot be."""
+    _require_new(made.folder, made.files, force=force)
+    _write(made.folder, made.files)
+
+
+def _require_new(folder: Path, names: Iterable[str], *, force: bool) -> None:
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        raise ConfigError(
+            f"{folder}: {', '.join(there)}: there already, and nothing was written; name another folder, or "
+            "overwrite with --force"
+        )
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    try:
+        make_folder(folder)
+        for name, content in files.items():
+            write_atomic(folder / name, content)
+    except OSError as error:
+        raise ConfigError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+
+
+def _table(made: NewCell, cell: Path, *, dry_run: bool) -> Table:
+    rows = [(f"[{key.replace('.', '] ', 1)}", why) for key, why in made.assumed.items()]
+    rows += [(f"[{key.replace('.', '] ', 1)}", "TO BE FILLED IN") for key in made.blank]
+    rows += [("program", made.program)]
+    written = "nothing was written" if dry_run else f"written: {', '.join(sorted(made.files))}"
+    return key_table(f"{cell}: {written}; assumed, look at each:", rows)
+
+
+def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) -> None:
+    """The cell itself where nothing was written; else what is to be done, whole lines: commands can be copied."""
+    if dry_run:
+        stdout.print(made.files[CELL].decode(), markup=False, highlight=False, soft_wrap=True)
+        return
+    for line in lines(todo):
+        stdout.print(line, markup=False, highlight=False, soft_wrap=True)
+    stdout.print(f"how far that is: polishd status --setup {shlex.quote(str(cell))}", markup=False, soft_wrap=True)

@@ -1,0 +1,228 @@
+"""What is gathered of a cell before anything is written: SIM.toml's values with their origins, the cell's changes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import tomlkit
+
+from polishd.commissioning.rehearsal.simulated_cell import free_port
+from polishd.config.cell import FILES, CellConfig, device_options, overlay
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
+from polishd.model.devices import port_of
+from polishd.model.errors import ConfigError
+from polishd.plugin_loader import Hooks
+from polishd.util.files import require_writable
+from polishd.util.serialization import toml
+
+LOOPBACK = "127.0.0.1"
+SIM_STATE = "sim"
+"""The simulator's state folder, beside SIM.toml."""
+
+
+@dataclass(slots=True)
+class RehearsalDraft:
+    """A rehearsal that is being made of a cell."""
+
+    config: CellConfig
+    hooks: Hooks
+    sim: dict[str, dict[str, tuple[Any, str]]] = field(default_factory=dict)
+    """SIM.toml: by section and key a value, and where it comes from."""
+    laid: dict[str, Any] = field(default_factory=dict)
+    """What the rehearsal's cell has else than the cell, by dotted key; None: the key is taken out."""
+    notes: list[str] = field(default_factory=list)
+    """What the simulator cannot be, and what stands in for it."""
+    files: dict[str, bytes] = field(default_factory=dict)
+    """What both refer to, by name in the folder."""
+
+    def put(self, section: str, key: str, value: Any, origin: str) -> None:
+        """A value of SIM.toml; one that is None is left out."""
+        table = self.sim.setdefault(section, {})
+        if value is not None:
+            table[key] = (value, origin)
+
+    def take(self, section: str, keys: Sequence[str], given: str, values: Any) -> None:
+        """Values of SIM.toml that the cell's section ``given`` has under the same names."""
+        for key in keys:
+            self.put(section, key, getattr(values, key), self.origin(f"{given}.{key}"))
+
+    def origin(self, key: str) -> str:
+        """Where the cell has a value: its key, and the fragment, or that it is a default."""
+        inner: Any = self.config.raw
+        for name in key.split("."):
+            inner = inner.get(name) if isinstance(inner, Mapping) else None
+        if inner is None:
+            return f"{key}, its default"
+        return f"{key} of {self.config.included[key]}" if key in self.config.included else key
+
+    def options(self, device: str) -> dict[str, Any]:
+        """A device's options with their defaults, as its type judges them; ConfigError as of the cell."""
+        _, options = device_options(self.config, device, self.hooks.device_types())
+        return dict(options)
+
+    def replace_device(self, device: str, section: Mapping[str, Any], why: str) -> None:
+        """Another type of device stands in for one that the simulator has not; keys of the port stay."""
+        raw = self.config.devices[device]
+        kept = {key: getattr(raw, key) for key in type(raw).model_fields if key != "type"}
+        self.laid[device] = {**kept, **section}
+        self.notes.append(f"{device}: {why}; {section['type']} stands in for it")
+
+    def instead(self, key: str, value: Any, why: str) -> None:
+        """The rehearsal's cell has another value than the cell, and says so; None: none."""
+        self.laid[key] = value
+        said = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
+        self.notes.append(f"{key}: {why}; it {said}")
+
+    def plugin(self, name: str) -> None:
+        """A stand-in needs this plugin."""
+        loaded = self.laid.get("plugins.load", list(self.config.plugins.load))
+        if name not in loaded:
+            self.laid["plugins.load"] = [*loaded, name]
+
+    def copy(self, name: str, path: Path) -> str:
+        """A file goes into the folder; its name there."""
+        self.files[name] = path.read_bytes()
+        return name
+
+
+# A simulated device's address: of the same kind as the cell's, on this computer.
+
+
+def wire(
+    draft: RehearsalDraft, device: str, port_name: str, address: str
+) -> Tcp | SerialLine | SlcanAddress | SocketcandAddress:
+    """Lay the simulated device's address over the cell's; the cell's own, read. ConfigError where it is none."""
+    real = parse_address(address, draft.config.base_dir)
+    query = urlsplit(address).query
+    if isinstance(real, SerialLine | SlcanAddress):
+        scheme = address.partition(":")[0]
+        draft.laid[f"{device}.address"] = f"{scheme}:{SIM_STATE}/{port_name}" + (f"?{query}" if query else "")
+        return real
+    port = free_port()
+    draft.put(port_name, "port", port, "free on this computer")
+    at = f"{LOOPBACK}:{port}"
+    draft.laid[f"{device}.address"] = f"tcp://{at}" if isinstance(real, Tcp) else f"socketcand://{at}/{real.channel}"
+    return real
+
+
+# The two files as text: SIM.toml with the origin behind each value, and the cell's own file with few of its values.
+
+COLUMN = 45
+"""In which comments begin, where a value leaves room."""
+
+
+def sim_text(draft: RehearsalDraft) -> str:
+    """SIM.toml."""
+    lines = [
+        f"# Made by polishd sim --from {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
+        "# Behind each value: the key of the cell that it comes from. All keys: docs/reference/simulator.md",
+        *(f"# {note}" for note in draft.notes),
+    ]
+    for section, values in draft.sim.items():
+        lines += ["", f"[{section}]"]
+        lines += [f"{f'{key} = {toml(value)}':<{COLUMN}} # {origin}" for key, (value, origin) in values.items()]
+    return "\n".join(lines) + "\n"
+
+
+def cell_text(draft: RehearsalDraft) -> str:
+    """The rehearsal's cell: the cell with its fragments laid over it, its files by absolute paths, and its changes."""
+    config = draft.config
+    document = tomlkit.parse(config.source.text)
+    if document.pop("include", None):  # what fragments say would replace what is changed here
+        overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
+    for key, value in {**_files(draft), **draft.laid}.items():
+        _set(document, key.split("."), value)
+    head = (
+        f"# Made by polishd sim --from {config.path}: the same cell, with simulated devices and folders of its own.\n"
+    )
+    return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
+
+
+def _files(draft: RehearsalDraft) -> dict[str, Any]:
+    """Keys of the cell that name files, with absolute paths: the rehearsal's cell lies in another folder."""
+    found: dict[str, Any] = {}
+    for key in FILES:
+        section, name = key.split(".")
+        given = draft.config.raw.get(section, {}).get(name)
+        if isinstance(given, str):
+            found[key] = str(draft.config.resolve(given).absolute())
+        elif given:
+            found[key] = [str(draft.config.resolve(one).absolute()) for one in given]
+    return found
+
+
+def _set(table: MutableMapping[str, Any], path: list[str], value: Any) -> None:
+    """Set, or with None take out, what a dotted key names; tables on the way are made."""
+    *way, last = path
+    for name in way:
+        if name not in table:
+            if value is None:
+                return
+            table[name] = tomlkit.table()
+        table = table[name]
+    if value is None:
+        table.pop(last, None)
+    elif isinstance(value, Mapping):
+        made = tomlkit.table()
+        for key, one in value.items():
+            made[key] = one
+        table[last] = made
+    else:
+        table[last] = value
+
+
+# Where a rehearsal is written: nowhere near what the real cell writes.
+
+FOLDER_KEYS = ("folder", "claimed", "refused", "program_dir")
+"""Options of devices that name folders which somebody writes into."""
+
+
+def usual_folder(config: CellConfig) -> Path:
+    """Beside the state folder."""
+    return config.state_dir.parent / f"{config.path.stem}-rehearsal"
+
+
+def require_apart(draft: RehearsalDraft, out: Path) -> None:
+    """ConfigError where the folder holds, or lies in, what the real cell writes; or where something is in it."""
+    mine = out.resolve()
+    for what, folder in _of_the_cell(draft):
+        theirs = folder.resolve()
+        if mine == theirs or mine in theirs.parents or theirs in mine.parents:
+            raise ConfigError(
+                f"{out}: is, holds or lies in {what} of the real cell ({folder}), which a rehearsal never writes "
+                "into; name another folder with --out"
+            )
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(
+            f"{out}: is there already; start that rehearsal with polishd sim {out / 'sim.toml'}, or name a new folder "
+            "with --out"
+        )
+    require_writable(out)
+
+
+def _of_the_cell(draft: RehearsalDraft) -> Iterator[tuple[str, Path]]:
+    config = draft.config
+    yield "the state folder", config.state_dir
+    if config.run_dir is not None:
+        yield "the run folder", config.run_dir
+    for device in config.devices:
+        options = draft.options(device)
+        for key in FOLDER_KEYS:
+            if options.get(key) is not None:
+                yield f"{device}.{key}", _folder(config, device, key, options)
+        kind, _, rest = str(options.get("delivery", "")).partition(":")
+        if kind == "folder" and rest:
+            yield f"{device}.delivery", config.resolve(rest)
+
+
+def _folder(config: CellConfig, device: str, key: str, options: dict[str, Any]) -> Path:
+    """What such a key names; folders of maps taken or refused lie in that of the maps."""
+    named = str(options[key])
+    if port_of(device) == "metrology" and key != "folder":
+        return config.resolve(str(options["folder"])) / named
+    return config.resolve(named)

@@ -1,0 +1,194 @@
+"""What the tables of a device profile must say together: each fault with the key that it stands at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from polishd.config.device_profile import KINDS, LEAST, MOST, DeviceProfile, Faults, slots_of, write_of
+from polishd.config.toml_loader import Location, did_you_mean, join_words, loads_toml
+from polishd.model.errors import ConfigError
+from polishd.util.files import toml_text
+
+Fault = tuple[Location, str]
+
+DEVICES = ("actuator", "spindle", "force_sensor")
+LINKS = ("modbus", "lines")
+NEEDS = {
+    "actuator": (("force",), ("force", "retract"), ("retracted", "contact")),
+    "spindle": (("speed",), ("forward", "stop"), ("stopped", "running")),
+    "force_sensor": (("force",), ("tare",), ()),
+}
+"""By kind: values, orders and states without which it cannot be used."""
+ORDERS = {
+    "actuator": {"force", "engage", "retract", "rest", "clear", "watchdog", "beat"},
+    "spindle": {"forward", "reverse", "stop", "clear", "watchdog", "beat"},
+    "force_sensor": {"tare", "clear"},
+}
+STATES = {
+    "actuator": {"retracted", "extending", "contact", "retracting", "fault"},
+    "spindle": {"stopped", "running", "fault"},
+    "force_sensor": {"fault"},
+}
+MEASURES = {"force": "force", "position": "length", "speed": "speed"}
+"""What the values that polishd knows by name must measure."""
+ASKED = {"force": "force", "engage": "force", "forward": "speed", "reverse": "speed", "watchdog": "time"}
+"""What ``asked`` is in each order."""
+
+
+def faults_of(profile: DeviceProfile) -> list[Fault]:
+    """Key and problem of each, in the order in which they are best mended."""
+    shape = list(_shape(profile))
+    return shape or [
+        *_needs(profile),
+        *_foreign(profile),
+        *_units(profile),
+        *_sizes(profile),
+        *_orders(profile),
+        *_names(profile),
+    ]
+
+
+def _shape(profile: DeviceProfile) -> Iterator[Fault]:
+    for names in (DEVICES, LINKS):
+        given = [name for name in names if getattr(profile, name) is not None]
+        if len(given) != 1:
+            has = f"has {' and '.join(f'[{name}]' for name in given)}" if given else "has none of them"
+            yield (given[-1] if given else names[0],), f"a profile has one of {_tables(names)}; this one {has}"
+    for name in ("asks", "values") if profile.modbus else ("registers",):
+        if getattr(profile, name):
+            yield (name,), f"goes with [{'lines' if profile.modbus else 'modbus'}] only; remove it"
+    own = "registers" if profile.modbus else "asks"
+    if not getattr(profile, own):
+        yield (own,), f"is missing; add [{own}.NAME] for each value that the device gives"
+
+
+def _needs(profile: DeviceProfile) -> Iterator[Fault]:
+    values, orders, states = NEEDS[profile.kind]
+    for name in values:
+        if name not in profile.quantities:
+            what = f"[registers.{name}]" if profile.modbus else f"an answer with a group (?P<{name}>...)"
+            where = "registers" if profile.modbus else "asks"
+            yield (where,), f"no value is called {name!r}, and every {_said(profile)} has one; add {what}"
+    for name in orders:
+        if not getattr(profile.orders, name):
+            yield ("orders", name), f"is missing, and every {_said(profile)} needs it; add it: {name} = [...]"
+    for state in states:
+        if state not in {rule.state for rule in profile.states}:
+            yield ("states",), f'nothing says when it is "{state}"; add [[states]] with state = "{state}"'
+
+
+def _foreign(profile: DeviceProfile) -> Iterator[Fault]:
+    """Orders and states of another kind of device."""
+    orders, states = ORDERS[profile.kind], STATES[profile.kind]
+    for name in type(profile.orders).model_fields:
+        if getattr(profile.orders, name) and name not in orders:
+            yield ("orders", name), f"no {_said(profile)} is told that; known: {join_words(orders)}"
+    for at, rule in enumerate(profile.states):
+        if rule.state not in states:
+            yield ("states", at, "state"), f'no {_said(profile)} is "{rule.state}"; known: {join_words(states)}'
+
+
+def _units(profile: DeviceProfile) -> Iterator[Fault]:
+    table = "registers" if profile.modbus else "values"
+    meant = MEASURES | {"set_point": "speed" if profile.spindle else "force"}
+    for name, quantity in profile.quantities.items():
+        if name in meant and quantity.unit not in KINDS[meant[name]]:
+            fitting = join_words(KINDS[meant[name]])
+            yield (table, name, "unit"), f"{quantity.unit!r} is no unit of {meant[name]}; use one of {fitting}"
+
+
+def _sizes(profile: DeviceProfile) -> Iterator[Fault]:
+    for name, register in profile.registers.items():
+        if profile.modbus and register.size > profile.modbus.most:
+            most = profile.modbus.most
+            yield (
+                ("registers", name),
+                f"fills {register.size} registers, and modbus.most is {most}; mend one of the two",
+            )
+        if register.address + register.size > 0x10000:
+            yield ("registers", name, "address"), f"{register.size} registers from there end beyond 65535; mend it"
+
+
+def _orders(profile: DeviceProfile) -> Iterator[Fault]:
+    for order in sorted(ORDERS[profile.kind]):
+        for step in getattr(profile.orders, order):
+            try:
+                yield from _step(profile, order, step)
+            except ValueError as error:
+                yield ("orders", order), str(error)
+
+
+def _step(profile: DeviceProfile, order: str, step: str) -> Iterator[Fault]:
+    key = ("orders", order)
+    if not profile.modbus:
+        if "asked" in slots_of(step) and order not in ASKED:
+            yield key, "nothing is asked with this order; leave {asked} out"
+        return
+    write = write_of(step)
+    register = profile.registers.get(write.register)
+    if register is None:
+        near = did_you_mean(write.register, profile.registers)
+        yield key, f"there is no [registers.{write.register}]{near} Known: {join_words(profile.registers)}"
+    elif register.table in {"input", "discrete"} or register.type == "text":
+        yield key, f"{write.register!r} cannot be written: it is a {register.table} register of type {register.type}"
+    elif isinstance(write.value, float):
+        if not LEAST[register.type] <= write.value <= MOST[register.type]:
+            yield key, f"{write.value:g} does not fit {write.register!r}, which is {register.type}; mend one of the two"
+    elif write.value == "asked":
+        if order not in ASKED:
+            yield key, "nothing is asked with this order; write a number"
+        elif register.unit not in KINDS[ASKED[order]]:
+            fitting = join_words(KINDS[ASKED[order]])
+            problem = f"orders.{order} writes a {ASKED[order]} there, and {register.unit!r} is no unit of it"
+            yield ("registers", write.register, "unit"), f"{problem}; use one of {fitting}"
+
+
+def _names(profile: DeviceProfile) -> Iterator[Fault]:
+    known = profile.quantities
+    used: list[tuple[Location, str]] = [(("states", at, "when"), rule.when) for at, rule in enumerate(profile.states)]
+    used += [(("expects", at, "when"), rule.when) for at, rule in enumerate(profile.expects)]
+    used += [(("faults", "value"), profile.faults.value)] if profile.faults else []
+    table = "registers" if profile.modbus else "values"
+    used += [((table, name, "negative"), q.negative.when) for name, q in known.items() if q.negative]
+    for key, name in used:
+        if name not in known:
+            yield key, f"there is no value {name!r}{did_you_mean(name, known)} Known: {join_words(known)}"
+    for name in profile.values:
+        if name not in known:
+            yield ("values", name), f"no answer has a group {name!r}; name it in [asks.NAME] answer, or remove this"
+    if profile.faults:
+        yield from _fault_words(profile, profile.faults)
+
+
+def _fault_words(profile: DeviceProfile, faults: Faults) -> Iterator[Fault]:
+    for table in ("bits", "codes"):
+        for number in getattr(faults, table):
+            if not number.isdecimal():
+                yield ("faults", table, number), f"{number!r} is no number; write the worth of the bit, or the code"
+    if faults.clears and not profile.orders.clear and not profile.actuator:
+        yield ("faults", "clears"), "nothing says how a fault is taken back; add it: orders.clear = [...]"
+
+
+def _said(profile: DeviceProfile) -> str:
+    return profile.kind.replace("_", " ")
+
+
+def _tables(names: tuple[str, ...]) -> str:
+    return ", ".join(f"[{name}]" for name in names)
+
+
+# A device profile's file: read, and judged by what its tables must say together.
+
+
+def load_device_profile(path: Path) -> DeviceProfile:
+    """Read a profile; ConfigError with one line per problem: ``FILE:LINE: table.key: what is wrong; what to do``."""
+    return device_profile_of(toml_text(path), path)
+
+
+def device_profile_of(text: str, path: Path) -> DeviceProfile:
+    """The same of a text that stood in that file."""
+    profile = DeviceProfile.of(*loads_toml(text, path))
+    if found := faults_of(profile):
+        raise ConfigError("\n".join(profile.source.error(key, problem) for key, problem in found))
+    return profile

@@ -1,1 +1,0 @@
-"""``polishd sim --from CELL.toml``: the simulated cell of that very cell, and the cell's file with its addresses."""

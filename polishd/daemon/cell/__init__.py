@@ -1,0 +1,1 @@
+"""The devices of the daemon's cell: polling, readiness, time limits, recording."""

@@ -1,0 +1,239 @@
+"""``check`` and ``probe``: what can be known of a cell before it runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from polishd.config.cell import CellConfig
+from polishd.config.job import JobFile
+from polishd.daemon.assembly import (
+    build_cell,
+    build_notifiers,
+    contact_limits,
+    require_accepted_by_robot,
+    require_time_limits,
+)
+from polishd.daemon.cell.cell import Cell
+from polishd.daemon.cell.readiness import report_once
+from polishd.daemon.cell.recorder import place, recording_to
+from polishd.daemon.contact.contact_record import (
+    StallRemoval,
+    require_stall_depth,
+    stall_removal,
+    timing_uncertainty_s,
+    tolerance_nm,
+)
+from polishd.daemon.contact.safety import ContactLimits, make_safe
+from polishd.daemon.queue.queue import NewJob
+from polishd.daemon.queue.requests import new_job
+from polishd.daemon.runtime.exit_record import locked
+from polishd.daemon.runtime.process import host
+from polishd.interfaces import ForceActuator
+from polishd.model.devices import DeviceIdentity, port_of
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.pipeline import disk_space, part_handling, precheck, steps
+from polishd.pipeline.acceptance import acceptance_words
+from polishd.pipeline.build_recipe import make_recipes, why_not_commissioned
+from polishd.pipeline.precheck import require_fit
+from polishd.pipeline.recipe import Recipe
+from polishd.plugin_loader import Hooks, hooks_of_job
+from polishd.process.removal import contact
+
+Tell = Callable[[str], None]
+"""Given what is looked at next, in a few words."""
+
+
+def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) -> dict[str, Any]:
+    """Read what the config names and compute along each tool's program. Opens nothing; the first fault is raised."""
+    tell("part, tool and instrument")
+    recipes = make_recipes(config, hooks)
+    tell("devices and their time limits")
+    cell = build_cell(config, hooks)
+    chain = require_time_limits(config, cell)
+    notifiers = build_notifiers(config, hooks)
+    along: dict[str, Any] = {}
+    pits: list[tuple[StallRemoval, str]] = []
+    for own, recipe in zip(config.turns, recipes, strict=True):
+        of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
+        found, pit = _along(own, cell, hooks, recipe, tell)
+        along |= {of_tool + key: value for key, value in found.items()}
+        pits.append((pit, pit.warning(tolerance_nm(recipe))))
+    pit, warning = max(pits, key=lambda one: one[0].removal_nm)
+    included = ", ".join(f"{key} from {file}" for key, file in config.included.items())
+    return {
+        "config": str(config.path),
+        **({"included": included} if included else {}),
+        "plugins": ", ".join(plugin.name for plugin in hooks.report.loaded),
+        "devices": _devices(cell),
+        "instrument": _instrument(config, recipes[0]),
+        **along,
+        "accepted": acceptance_words(recipes[0]),
+        "force": _force(cell, contact_limits(config)),
+        "without power": ", ".join(
+            f"{name} {cast(ForceActuator, cell.devices[name]).times.unpowered}" for name in cell.at("actuator")
+        ),
+        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
+        "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
+        "host": host(),
+        "time limits": [*(limit.row() for limit in chain), pit.row()],
+        "pit": pit.facts(),
+        "warnings": [warning] if warning else [],
+    }
+
+
+def _along(
+    config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: Tell
+) -> tuple[dict[str, Any], StallRemoval]:
+    """What can be said of the program that one tool runs along, and the pit where the robot stands on it."""
+    pit = require_stall_depth(config, cell, recipe)
+    tell(f"reading {config.program_path.name}")
+    program = steps.read_program(recipe, config.program_path)
+    require_accepted_by_robot(config, hooks, program)
+    precheck.check_pass(config, recipe, program)
+    tell(f"reach and removal at {program.n} points")
+    answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
+    compliance, gamma = answer.compliance_um_per_n, answer.gamma
+    removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))
+    facts = {
+        "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
+        "covers": require_fit(config, recipe, program),
+        "seat": _seat(recipe, hooks),
+        "pass": precheck.pass_words(recipe, program, answer),
+        "disk": disk_space.pass_words(
+            config.state_dir, config.run_dir or config.state_dir, program.lines, config.job.max_cycles
+        ),
+        "reach": f"all {program.n} points",
+        "compliance_um_per_n": f"{compliance.min():.3f} to {compliance.max():.3f}",
+        "gamma": f"{gamma.min():.3f} to {gamma.max():.3f}",
+        "tolerance": precheck.tolerance_words(recipe, answer),
+        "correction": recipe.correction,
+        "removal of the program as it is": f"{removal_nm:.1f} nm at most",
+        **(
+            {}
+            if "force_sensor" in cell.used
+            else {"if the actuator misreads its force": _lie(config, recipe, removal_nm)}
+        ),
+        **({"feed hold at the controller": pit} if pit else {}),
+        **({"end of a block known to": blurred} if (blurred := timing_uncertainty_s(cell, recipe)) else {}),
+    }
+    return facts, stall_removal(cell.limits, recipe, program, contact_limits(config).no_progress_s)
+
+
+def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:
+    """The jobs of these files, each judged as a whole, as ``polishd check`` does; the first fault of each is raised.
+
+    Jobs that differ by name and part alone are judged once; ``judged``: those of earlier calls, kept by the caller.
+    """
+    jobs, wrong, judged = [], [], set() if judged is None else judged
+    for path in paths:
+        try:
+            file = JobFile.read(path)
+            config = file.laid_over(cell)
+            jobs.append(new_job(cell, file))
+            values = {**config.effective(), "job": {**config.job.model_dump(), "id": ""}}
+            values["part"] = {**config.part.model_dump(), "id": ""}
+            if (same := json.dumps([values, jobs[-1].files], sort_keys=True)) not in judged:
+                check_cell(config, hooks_of_job(cell, hooks, config))
+                judged.add(same)
+        except PolishdError as error:
+            said = str(error)
+            wrong.append((error, said if str(path) in said else f"{path}: {said}"))
+    if wrong:
+        raise type(wrong[0][0])("\n".join(said for _, said in wrong))
+    return jobs
+
+
+def _devices(cell: Cell) -> str:
+    return ", ".join(name if cell.uses(name) else f"{name} (not used by this job)" for name in cell.devices)
+
+
+def _seat(recipe: Recipe, hooks: Hooks) -> str:
+    """How it is proved, and where; PlanRefused where a plugin does not let the tool go there."""
+    asked = recipe.touch_off
+    if asked is None:
+        refused = (
+            "" if recipe.turn is None else "run will refuse, for a wrong tool is found by where it meets the part: "
+        )
+        return f"{refused}nobody proves it: the cell has no [touch_off]"
+    part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
+    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.places_mm + 0.0)
+    return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"
+
+
+def _force(cell: Cell, limits: ContactLimits) -> str:
+    """Who tells it, and how large it may be."""
+    sensor = cell.used.get("force_sensor")
+    most = f"; no reading above {limits.force_max_n:g} N ({limits.force_max_key})"
+    if sensor is None:
+        return f"by the actuator's word alone: the cell has no [force_sensor]{most}"
+    apart = f"at most {limits.apart_n:g} N apart for more than {limits.apart_s:g} s"
+    return f"the actuator's word and {sensor}'s: {apart}{most}"
+
+
+def _lie(config: CellConfig, recipe: Recipe, removal_nm: float) -> str:
+    """What an actuator costs that presses with more than it reads: nothing ends contact then."""
+    process = recipe.process
+    pressed_n = np.array([process.force_n + 1.0, config.process.most_force_n])
+    more = contact.relative_removal(process, pressed_n, np.full(2, np.nan)) - 1.0
+    return (
+        f"an actuator that presses {pressed_n[0]:g} N and reads {process.force_n:g} N removes {more[0]:.0%} more, "
+        f"{more[0] * removal_nm:.1f} nm at the worst place of the program as it is; one that presses "
+        f"{pressed_n[1]:g} N removes {more[1] * removal_nm:.1f} nm more, and only the next map shows it. "
+        "Recommended: an independent [force_sensor] (docs/monitors.md)"
+    )
+
+
+def _instrument(config: CellConfig, recipe: Recipe) -> str:
+    instrument = recipe.instrument
+    if instrument is None or instrument.commissioned is None:
+        return f"run will refuse: {why_not_commissioned(config)}"
+    record = instrument.commissioned
+    system = "" if recipe.system is None else f"; its system map is off each map: {recipe.system.surface.sha256[:12]}"
+    return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}{system}"
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeResult:
+    """Who answered, what is wrong with the others, by the devices' names, and each watched signal as it was told."""
+
+    identities: Mapping[str, DeviceIdentity]
+    problems: Mapping[str, str]
+    signals: Mapping[str, str]
+
+
+async def probe_cell(
+    config: CellConfig, hooks: Hooks, only: Sequence[str] = (), record: Path | None = None
+) -> ProbeResult:
+    """Connect to each device, whatever is wrong with another; identify it, and leave all safe.
+
+    With ``only``, these are asked who they are and nothing else: no robot is stopped over a tool that nobody lifts.
+    With ``record`` what passes on their links goes to that file.
+    """
+    cell = build_cell(config, hooks)
+    require_time_limits(config, cell)
+    if unknown := [name for name in only if name not in cell.devices]:
+        raise ConfigError(f"--only {unknown[0]}: the cell has {', '.join(cell.devices)}")
+    found, problems = {}, {}
+    with locked(config.state_dir), recording_to(place(record, config), config) if record else nullcontext():
+        try:
+            for name in only or cell.devices:
+                try:
+                    found[name] = await cell.open_one(name)
+                    if port_of(name) == "monitor":
+                        await report_once(cell, name)
+                except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
+                    problems[name] = str(error) or type(error).__name__
+            if not only:
+                await make_safe(cell)
+        finally:
+            await cell.close()
+    unsafe = (said.partition(": ") for said in cell.unsafe)
+    problems = {name: f"not confirmed safe: {why}" for name, _, why in unsafe} | problems
+    return ProbeResult(found, problems, {name: facts["text"] for name, facts in cell.signals.facts().items()})

@@ -1,0 +1,1 @@
+"""The tool in contact: streaming, force and time checks, interruption, the safe way out."""

@@ -1,0 +1,319 @@
+"""Streaming a plan: what is sent stays a bounded time ahead of what is executed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+from polishd.daemon.cell.cell import Cell
+from polishd.daemon.cell.device_polling import root_cause
+from polishd.daemon.cell.time_limits import LOOK_S
+from polishd.daemon.contact.contact_record import ContactRecord
+from polishd.daemon.contact.interruption import ASK_S, mark_interrupted
+from polishd.daemon.contact.progress import STEP_S, Progress, ProgressLimits, low_override
+from polishd.daemon.contact.safety import reraise_after_safe, run_to_completion
+from polishd.daemon.journal.journal import Journal
+from polishd.interfaces import Clock, Robot
+from polishd.model.devices import ExecutedBlock, RobotProgress
+from polishd.model.errors import DeviceError, DeviceFault, DeviceRefused, PolishdError, SafetyStop
+from polishd.model.program import Plan
+from polishd.process.removal.excess import ExcessMap
+
+log = logging.getLogger(__name__)
+
+Heard = Callable[[RobotProgress], None]
+Ended = Callable[[asyncio.Task[None]], None]
+
+CHUNK = 128
+"""Blocks handed over at once."""
+WATCH_S = 0.1
+SLOW_LOOKS = 2
+"""Looks in a row at a speed override that is too low: one alone may show the machine accelerate."""
+STANDS = 3
+"""So many looks in a row at a robot that stands are no accident of timing."""
+
+
+class Stream:
+    """One pass of one plan through one robot: approach, polish, retreat, each block once and in order."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        robot: Robot,
+        clock: Clock,
+        lookahead_s: float,
+        least_s: float,
+        *,
+        heard: Heard = lambda _: None,
+        limits: ProgressLimits | None = None,
+        excess: ExcessMap | None = None,
+    ) -> None:
+        """``least_s`` of motion must be left in contact: it lasts until the tool is up, whatever happens.
+
+        ``heard`` is told each of the robot's words, for whoever watches. ``limits`` and ``excess`` of its progress.
+        """
+        self._limits = limits or ProgressLimits()
+        self._progress = Progress(plan, self._limits, excess)
+        self._lands = False
+        """The tool is on its way to the part, or on it."""
+        self._heard = heard
+        self._plan = plan
+        self._robot = robot
+        self._clock = clock
+        self._lookahead_s = lookahead_s
+        self._least_s = least_s
+        self._in_contact = False
+        self._sent = 0
+        self._executed = robot.executed(0)
+        self._filled = asyncio.Event()
+        self._short: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        """Fails when too little motion is held."""
+        self._target: int | None = None
+        """Blocks below it are to be run now; None while the robot is meant to stand."""
+
+    async def feed(self) -> None:
+        """Keep the robot's buffer between one and two look-aheads until all blocks are sent."""
+        segments = self._plan.segments
+        while self._sent < len(segments):
+            chunk = segments[self._sent : self._sent + CHUNK]
+            await self._robot.send(chunk)
+            self._sent += len(chunk)
+            if self._robot.buffer_s >= self._lookahead_s:
+                self._filled.set()
+            while self._robot.buffer_s >= 2 * self._lookahead_s:
+                self._filled.set()
+                await self._clock.sleep(self._lookahead_s / 10)
+        self._filled.set()
+
+    async def watch(self) -> None:
+        """SafetyStop when the robot says that it stands although it was told to run, or holds too little motion.
+
+        The same where it reports a speed override that is too low, once the tool is on its way to the part.
+        """
+        standing = slow = 0
+        while True:
+            await self._clock.sleep(WATCH_S)
+            robot = await self._robot.progress()
+            self._heard(robot)
+            self._progress.reported(robot.executed, self._clock.now_s())
+            words = low_override(robot, self._limits.least_override) if self._lands else ""
+            slow = slow + 1 if words else 0
+            if slow >= SLOW_LOOKS:
+                raise SafetyStop(words)
+            self._check_supply()
+            stands = self._target is not None and robot.state != "running" and robot.executed < self._target
+            standing = standing + 1 if stands else 0
+            if standing >= STANDS:
+                raise SafetyStop(
+                    f"the robot stands at block {robot.executed} of {self._target} ({robot.state}: {robot.detail})"
+                )
+
+    async def advance(self) -> None:
+        """SafetyStop when the robot executes nothing, or is slower than planned, whatever its state says."""
+        while True:
+            await self._clock.sleep(STEP_S)
+            if self._target is not None and self._progress.executed < self._target:
+                self._progress.look(self._clock.now_s(), in_contact=self._in_contact)
+
+    async def supplied(self) -> None:
+        """SafetyStop as soon as the robot is seen to hold too little motion; whoever follows its blocks goes on."""
+        await self._short
+
+    async def approach(self) -> None:
+        """To the landing point, tool retracted; the robot then stands still. DeviceRefused if it holds too little."""
+        with contextlib.suppress(TimeoutError):  # a robot may hold less than the look-ahead: then it is full now
+            async with asyncio.timeout(2 * self._lookahead_s):
+                await self._filled.wait()
+        if self._starves():
+            raise DeviceRefused(
+                f"the robot holds {self._robot.buffer_s:.2f} s of motion and takes no more, and the tool would need "
+                f"{self._least_s:.2f} s to be up again if the actuator fell silent: enlarge the controller's window, "
+                "or shorten the actuator's watchdog or actuator.retract_s; nothing was moved"
+            )
+        if self._plan.approach_blocks:
+            await self._robot.resume(until=self._plan.approach_blocks)
+            async for _ in self._until(self._plan.approach_blocks):
+                pass
+        if words := low_override(await self._robot.progress(), self._limits.least_override):
+            raise DeviceRefused(f"{words}; the tool was not put down")
+        self._lands = True
+
+    async def polish(self) -> AsyncIterator[ExecutedBlock]:
+        """Blocks in contact, as they are executed; the robot stands still at the other landing point afterwards."""
+        self._in_contact = True
+        try:
+            await self._robot.resume(until=self._plan.contact_blocks)
+            async for block in self._until(self._plan.contact_blocks):
+                yield block
+        finally:
+            self._in_contact = self._lands = False
+            if self._progress.worst > 0.0:
+                log.info("excess removal, at most %.0f%% of its limit", 100 * self._progress.worst)
+
+    def leave(self) -> None:
+        """Contact is being left: the robot may stand, or run dry, when it likes. What it executes is told further."""
+        self._in_contact, self._lands, self._target = False, False, None
+
+    async def retreat(self) -> None:
+        """The rest of the program, tool retracted."""
+        last = len(self._plan.segments)
+        if self._plan.contact_blocks < last:
+            await self._robot.resume()
+            async for _ in self._until(last):
+                pass
+
+    async def _until(self, end: int) -> AsyncIterator[ExecutedBlock]:
+        self._progress.start(self._clock.now_s())
+        self._target = end
+        try:
+            async for block in self._executed:
+                self._progress.record(block, self._clock.now_s(), in_contact=self._in_contact)
+                self._check_supply()
+                yield block
+                if block.seq >= end - 1:
+                    return
+        finally:
+            self._target = None  # whatever ends this stretch, the robot is then meant to stand
+        progress = await self._robot.progress()
+        raise DeviceFault(
+            f"the robot ended the program at block {progress.executed} of {end} ({progress.state}: {progress.detail})"
+        )
+
+    def _check_supply(self) -> None:
+        """Leave contact while there still is motion: a robot that runs dry stops with the tool on the part."""
+        if self._in_contact and self._starves() and not self._short.done():
+            self._short.set_exception(
+                SafetyStop(
+                    f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}, and "
+                    f"lifting may take {self._least_s:.2f} s: the stream cannot keep up; lengthen job.lookahead_s or "
+                    "look at the link"
+                )
+            )
+
+    def _starves(self) -> bool:
+        return self._sent < len(self._plan.segments) and self._robot.buffer_s < self._least_s
+
+
+@asynccontextmanager
+async def streaming(
+    plan: Plan,
+    robot: Robot,
+    clock: Clock,
+    lookahead_s: float,
+    *,
+    least_s: float,
+    heard: Heard = lambda _: None,
+    ended: Ended = lambda _: None,
+    limits: ProgressLimits | None = None,
+    excess: ExcessMap | None = None,
+) -> AsyncIterator[Stream]:
+    """Prepare the robot and feed it in the background for as long as the block lasts; ``ended``: a done callback."""
+    await robot.prepare(plan)
+    stream = Stream(plan, robot, clock, lookahead_s, least_s, heard=heard, limits=limits, excess=excess)
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [
+                group.create_task(stream.feed(), name="feed robot"),
+                group.create_task(stream.watch(), name="watch robot"),
+                group.create_task(stream.advance(), name="watch progress"),
+                group.create_task(stream.supplied(), name="watch supply"),
+            ]
+            for task in tasks:
+                task.add_done_callback(ended)
+            yield stream
+            for task in tasks:
+                task.cancel()
+    except BaseExceptionGroup as errors:
+        raise root_cause(errors) from errors
+
+
+# Blocks in contact are recorded as the robot tells of them, from its start until it stands again, whatever ends it.
+
+TURN_BLOCKS = 50
+"""Where many are told at once, others have their turns after so many."""
+
+
+class Recorder:
+    """Follows the robot of one pass in contact."""
+
+    def __init__(
+        self, cell: Cell, journal: Journal, cycle: int, touch: ContactRecord, group: asyncio.TaskGroup
+    ) -> None:
+        self._cell = cell
+        self._journal = journal
+        self._cycle = cycle
+        self._touch = touch
+        self._group = group
+        self._task: asyncio.Task[None] | None = None
+        self._news = asyncio.Event()
+
+    async def follow(self, stream: Stream) -> None:
+        """Polish: returns when all blocks in contact are told and judged, SafetyStop where the disk does not keep up.
+
+        The robot is followed further until ``close``, whatever ends this.
+        """
+        self._touch.begin(self._cell.clock.now_s())
+        self._task = self._group.create_task(self._take(stream.polish()), name="record what is executed")
+        try:
+            while not (await asyncio.wait({self._task}, timeout=LOOK_S))[0]:
+                self._journal.require_in_time()
+        finally:
+            stream.leave()
+        self._task.result()
+        await self._touch.known.wait()  # the actuator is watched meanwhile: a silence ends it
+
+    async def close(self) -> None:
+        """After contact was left too early: record what the robot still tells, and how far the tool may have come."""
+        robot = None
+        try:
+            with contextlib.suppress(DeviceError, TimeoutError):
+                async with asyncio.timeout(ASK_S):
+                    robot = await self._caught_up()
+            self._touch.flush()
+            await mark_interrupted(self._cell, self._journal, self._cycle, self._touch, robot)
+        except PolishdError as error:
+            log.error("what the tool may have touched is not recorded (%s): the next start asks the robot", error)
+
+    async def _take(self, blocks: AsyncIterator[ExecutedBlock]) -> None:
+        turn = 0
+        try:
+            async for block in blocks:
+                self._touch.told(block, self._cell.clock.now_s())
+                self._news.set()
+                turn += 1
+                if turn % TURN_BLOCKS == 0:
+                    await asyncio.sleep(0)
+        except PolishdError as error:
+            if not self._touch.left:
+                raise
+            log.warning("while contact was left, the robot tells no more: %s", error)  # what ended it is told first
+        finally:
+            self._news.set()
+
+    async def _caught_up(self) -> RobotProgress:
+        """The robot's last word, once all that it says it executed is recorded."""
+        robot = await self._cell.robot.progress()
+        while self._task is not None and not self._task.done() and self._touch.last_seq + 1 < robot.executed:
+            self._news.clear()
+            await self._news.wait()
+        return robot
+
+
+@asynccontextmanager
+async def recording(cell: Cell, journal: Journal, cycle: int, touch: ContactRecord) -> AsyncIterator[Recorder]:
+    """From before contact until it is left: what runs while the tool is lifted is recorded, too."""
+    try:
+        async with asyncio.TaskGroup() as group:
+            recorder = Recorder(cell, journal, cycle, touch, group)
+            try:
+                yield recorder
+            except BaseException as error:
+                with reraise_after_safe(error):
+                    await run_to_completion(recorder.close())
+                raise
+            touch.flush()
+    except BaseExceptionGroup as errors:
+        raise root_cause(errors) from errors

@@ -1,0 +1,413 @@
+"""A job: one part, one recipe, what is believed of the process, and what each cycle leaves behind."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from typing import Any, NamedTuple
+
+from polishd.config.process_sections import LIMITS_OF_PROCESS
+from polishd.daemon.contact.contact_record import excess_map
+from polishd.daemon.job import initial_estimates
+from polishd.daemon.job.run_folder_writer import RunFolderWriter
+from polishd.daemon.job.tool_sequence import ToolSequence, tool_of
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.journal.records import BlockRecord, MapRecord, PassRecord
+from polishd.daemon.runtime.compute import Compute
+from polishd.daemon.runtime.installed import installed_at_start, installed_now, require_same
+from polishd.model import events
+from polishd.model.devices import RobotProgress
+from polishd.model.errors import PlanRefused, RemovalCheckStop, SafetyStop
+from polishd.model.estimates import Diagnosis, Finding, FindingLimits, PassIndicators, PassSeries
+from polishd.model.events import Event
+from polishd.model.program import Envelope, Plan, Program
+from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.pipeline import dwell_step, steps
+from polishd.pipeline.acceptance import forecast_of
+from polishd.pipeline.decisions import Decision, decide, worthless_pass
+from polishd.pipeline.disk_space import require_room
+from polishd.pipeline.recipe import Recipe
+from polishd.pipeline.records import (
+    ExecutedPass,
+    LearnResult,
+    MeasureResult,
+    PlanResult,
+    SolveResult,
+    figures,
+    record_of,
+    tolerated_nm,
+)
+from polishd.pipeline.run_folder import RunFolder
+from polishd.process.identification.findings import extend_series, findings
+from polishd.process.metrology.conditioning import Masks
+from polishd.process.metrology.resampling import Registration
+from polishd.process.removal.contact import relative_removal
+from polishd.process.removal.excess import ExcessMap
+from polishd.process.robot.motion import executed_s
+
+# What a summary says of each cycle.
+
+
+def cycle_entries(journal: Journal, *, several_tools: bool) -> list[dict[str, Any]]:
+    """One entry a measurement; what belongs to the pass after it is None where there was none."""
+    passes = {record.cycle: record for record in journal.passes}
+    return [_entry(journal, record, passes.get(record.cycle), several_tools) for record in journal.history]
+
+
+def _entry(journal: Journal, measured: MapRecord, run: PassRecord | None, several_tools: bool) -> dict[str, Any]:
+    tool = {"tool": None if run is None else tool_of(run.facts)}
+    return {
+        **figures(measured.stats, None if run is None else run.facts),
+        "how": None if run is None else run.how or "begun",
+        **(tool if several_tools else {}),
+        "executed_s": None if run is None else journal.contact_s(run.cycle),
+        "uncertain": None if run is None else [[a, end - 1] for a, end in journal.uncertain(run.cycle)],
+        "found": [] if run is None else [one["what"] for one in run.facts.get("findings", ())],
+        "notes": measured.stats.get("notes", []),
+    }
+
+
+# The passes watched over cycles, jobs and restarts: what each showed stands in its row of the journal.
+
+PROCESS = ("process.", "compliance.", "kinematics.", "roles.")
+"""Sections of the config that make the process: rates of passes by others say nothing of this one's."""
+FAR_BACK = 8
+"""Passes among which the last one that was watched is looked for."""
+
+
+def watch(journal: Journal, cycle: int, shown: PassIndicators, limits: FindingLimits) -> tuple[Finding, ...]:
+    """Keep what that cycle's pass showed, and say what is found in it that was not told of it before.
+
+    A pass is watched again where the cell was held over it and measures anew: a person knows of it then.
+    """
+    (record,) = (one for one in journal.passes if one.cycle == cycle)
+    earlier = [
+        record_of(PassIndicators, one.facts["shown"])
+        for one in journal.passes
+        if one.cycle < cycle and "shown" in one.facts
+    ]
+    series = extend_series(_series(journal, cycle), shown)
+    found = findings(series, [*earlier, shown], limits)
+    told = {one["kind"] for one in record.facts.get("findings", ())}
+    if any(one.stops == "cell" for one in found):
+        series = PassSeries(series.process)  # a person sees to the tool: what follows is held against what it is then
+    new = tuple(one for one in found if one.kind not in told)
+    said = [*record.facts.get("findings", ()), *map(asdict, new)]
+    journal.add_facts(cycle, {"shown": asdict(shown), "series": asdict(series), "findings": said})
+    return new
+
+
+def _series(journal: Journal, cycle: int) -> PassSeries:
+    """With the pass before, of whichever job; one that begins where that was by another process."""
+    process = _process(journal.terms)
+    last = next((facts["series"] for facts in journal.passes_before(cycle, FAR_BACK) if "series" in facts), None)
+    if last is None or last["process"] != process:
+        return PassSeries(process)
+    return record_of(PassSeries, last)
+
+
+def _process(terms: Mapping[str, Any] | None) -> str:
+    """What identifies the process that a job was begun with."""
+    known = (terms or {}).items()
+    own = {key: value for key, value in known if key.startswith(PROCESS) and key not in LIMITS_OF_PROCESS}
+    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
+
+
+# What follows a measurement, by what the journal knows of the job (`polishd.pipeline.decisions`).
+
+
+@dataclass(frozen=True, slots=True)
+class StopCriteria:
+    """Decisions of one job."""
+
+    recipe: Recipe
+    journal: Journal
+
+    def decide(self, surface: MeasureResult, findings: Sequence[Finding], passes_left: int) -> Decision:
+        """Decide what follows the last measurement of the journal."""
+        torn = [record.cycle for record in self.journal.passes if record.how != "done"]
+        since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
+        earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
+        return decide(self.recipe, earlier, surface, findings, passes_left)
+
+
+PROGRESS_BLOCKS = 50
+"""Blocks between two progress events."""
+
+log = logging.getLogger(__name__)
+
+
+class StoredArrays(NamedTuple):
+    """Names in the array store: of a plan's arrays, and of what the next solve can start from."""
+
+    plan: str = ""
+    start: str = ""
+
+
+@dataclass
+class Job:
+    """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
+
+    tools: ToolSequence
+    _: KW_ONLY
+    journal: Journal
+    folder: RunFolder
+    compute: Compute
+    publish: Callable[[Event], None]
+    check_plan: Callable[[Plan, Envelope], Sequence[str]]
+    max_cycles: int
+    lookahead_s: float
+    findings: tuple[Finding, ...] = field(init=False, default=())
+    """What was found in the last pass, and not told before."""
+    _remembers: tuple[str, ...] = field(init=False, default=())
+    """In words, of an earlier job."""
+    _surfaces: dict[int, MeasureResult] = field(init=False, default_factory=dict)
+    _planned: dict[int, PlanResult] = field(init=False, default_factory=dict)
+    _stored: StoredArrays = field(init=False, default=StoredArrays())
+    _masks: Masks | None = field(init=False, default=None)
+    _lay: Registration | None = field(init=False, default=None)
+    """Where the part lay in the last map."""
+    _blocks: int = field(init=False, default=0)
+    handled: set[tuple[int, str]] = field(init=False, default_factory=set)
+    """Cycles and steps beside polishing (``Phase``) that were done, or that a person was asked for."""
+
+    people: RunFolderWriter = field(init=False)
+    """What it leaves in its run folder."""
+    judging: StopCriteria = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.people = RunFolderWriter(self.folder, self.journal)
+        self.judging = StopCriteria(self.recipe, self.journal)
+
+    @property
+    def recipe(self) -> Recipe:
+        """Of the tool whose turn it is."""
+        return self.tools.now.recipe
+
+    @property
+    def program(self) -> Program:
+        """Its part program."""
+        return self.tools.now.program
+
+    @property
+    def tool(self) -> str:
+        """The tool whose turn it is; empty where the cell has one."""
+        return self.tools.now.tool
+
+    async def load(self) -> None:
+        """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
+
+        Before its first pass: what the last job of its series has taught.
+
+        ConfigError where the store has lost something that the journal names.
+        """
+        history, passes = self.journal.history, self.journal.passes
+        self._remembers = await self.tools.load()
+        if not history:
+            return
+        self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
+        if passes:
+            record = passes[-1]
+            self.tools.take_of(record)
+            planned = self._plan_of(record)
+            self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
+            self._planned = {record.cycle: planned}
+            self.tools.believe(planned.believed)
+        await self.people.remake()
+
+    @property
+    def last_cycle(self) -> int:
+        """The cycle that only measures: passes that were interrupted do not count as passes."""
+        return self.max_cycles + sum(record.how == "interrupted" for record in self.journal.passes)
+
+    # measure
+
+    async def measured(self, cycle: int, surface: SurfaceMap) -> MeasureResult:
+        """The map on the process grid; journalled and kept in the run folder."""
+        measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        if not self.journal.passes:
+            measured = replace(measured, notes=(*measured.notes, *self._remembers))
+        files = await asyncio.to_thread(measured.files)
+        arrays = await asyncio.to_thread(self.journal.arrays.put, files["surface.npz"])
+        facts = {**measured.facts(), "run_dir": str(self.folder.path)}
+        self.journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
+        self._masks, self._lay = measured.masks, measured.registration
+        folder = self.folder.cycle(cycle)
+        await self.people.keep(folder.map_file, surface)
+        await self.people.keep(folder.write, files)
+        await self.people.remake()
+        stats, notes = measured.stats, list(measured.notes)
+        told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
+        self.publish(events.MapMeasured(cycle=cycle, stats=stats, notes=notes, **told))
+        return measured
+
+    # learn, solve, plan
+
+    async def learn(self, cycle: int, surface: MeasureResult, again: tuple[Diagnosis, ...] | None = None) -> bool:
+        """Compare what the last pass removed with what its executed dwell should have; not after an interruption.
+
+        True where nothing was learned, since another map must tell first (`Taught.doubted`); ``again`` is what those
+        maps named. GateStop where the removal is not what was planned.
+        """
+        self.findings = ()
+        before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
+        self._surfaces[cycle] = surface
+        done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
+        if before is None or not done:
+            return False
+        self.tools.take_of(done[0])  # after a hold it may be the next one's turn already
+        times = await asyncio.to_thread(self._at_points, cycle - 1)
+        planned = self._planned[cycle - 1]
+        expected_nm = planned.certificate.predicted_rms_nm
+        last = ExecutedPass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
+        taught: LearnResult = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.believed)
+        if taught.doubted:
+            return True
+        folder = self.folder.cycle(cycle)
+        await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
+        if taught.verdict.stop:
+            self.publish(events.RemovalCheckFailed(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
+            raise RemovalCheckStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
+        self.tools.believe(taught.believed)
+        self.journal.add_facts(cycle - 1, initial_estimates.facts(self.tools.terms, taught.believed))
+        self.publish(events.EstimatesUpdated(cycle=cycle, notes=taught.notes, beliefs=taught.believed.facts()))
+        if taught.shown is not None:
+            self.findings = watch(self.journal, cycle - 1, taught.shown, self.recipe.finding)
+            for found in self.findings:
+                self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+        return False
+
+    def decide(self, cycle: int, surface: MeasureResult) -> Decision:
+        """Decide what follows that cycle's measurement, once its pass was learned from."""
+        return self.judging.decide(surface, self.findings, self.last_cycle - cycle)
+
+    async def solve(self, cycle: int, surface: MeasureResult) -> SolveResult:
+        """Dwell with a certificate, kept in the run folder whether it will be used or not."""
+        last = self._planned.get(cycle - 1)
+        warm = last.kept if last is not None and last.tool == self.tool else None
+        within = {"within_s": dwell_step.limit(self.recipe)}
+        solved = await self.compute(dwell_step.solve_first, self.tools.to_solve(), surface, warm, **within)
+        await self.people.keep(self.folder.cycle(cycle).write, solved.files())
+        self.publish(events.DwellSolved(cycle=cycle, certificate=solved.dwell.certificate))
+        return solved
+
+    async def plan(self, cycle: int, surface: MeasureResult, solved: SolveResult) -> Plan:
+        """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
+        plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
+        expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed)
+        planned = PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
+        files, store = await asyncio.to_thread(planned.files), self.journal.arrays
+        names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
+        self._stored = StoredArrays(*names)
+        self._planned[cycle] = planned
+        await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
+        return plan
+
+    def worthless(self, cycle: int) -> bool:
+        """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then.
+
+        Not of a tool after which others have their turns: what it leaves for them counts.
+        """
+        if self.tools.left:
+            return False
+        if found := worthless_pass(self.judging.recipe, self._planned[cycle].forecast):
+            self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
+        return found is not None
+
+    async def refuse_unsafe(self, plan: Plan) -> None:
+        """PlanRefused with every violation that a check found, HostFault where a disk fills or software changed."""
+        await asyncio.to_thread(_refuse_unsafe, self, plan)  # checks look at every block, and a disk may hang
+
+    # run
+
+    async def excess(self, plan: Plan) -> ExcessMap:
+        """The limits of removal beyond that plan, for the robot's progress in contact."""
+        turn = self.tools.now
+        return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm)
+
+    @property
+    def knows_overhead(self) -> bool:
+        """A pass has taught what a block takes beyond its motion."""
+        return self.tools.believed.block_overhead_s != self.recipe.envelope.block_overhead_s
+
+    async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress, reach_s: float) -> None:
+        """The intent, durable before anything moves, with how far the tool can get unseen."""
+        planned = self._planned[cycle]
+        self._planned = {cycle: planned}  # what came before is of no more use
+        self._blocks = 0
+        self.journal.begin_pass(
+            cycle,
+            plan.program.sha256,
+            robot.boot_id,
+            len(plan.segments),
+            contact=(plan.approach_blocks, plan.contact_blocks),
+            facts=planned.facts(),
+            **self._stored._asdict(),
+            reach_s=reach_s,
+        )
+        told = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
+        self.publish(events.PassStarted(cycle=cycle, tool=self.tool, **told))
+
+    def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
+        """Blocks were executed while the tool was on the part, or may have been."""
+        self.journal.record_executed(cycle, records)
+        before, self._blocks = self._blocks, self._blocks + len(records)
+        if self._blocks // PROGRESS_BLOCKS > before // PROGRESS_BLOCKS:
+            self.publish(events.PassProgressed(cycle=cycle, block=records[-1].block.seq + 1))
+
+    async def end_pass(self, cycle: int) -> None:
+        """The pass is over, tool lifted, robot at rest."""
+        self.journal.end_pass(cycle, "done")
+        await self.people.executed(cycle)
+        self.publish(events.PassEnded(cycle=cycle, executed_s=self.journal.contact_s(cycle)))
+
+    async def cut_off(self, cycle: int) -> None:
+        """The pass did not come to its end: what is known of it is there for people, unless the journal is lost."""
+        with suppress(SafetyStop):
+            await self.people.executed(cycle)
+
+    def executed_s(self, cycle: int) -> FloatArray:
+        """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
+        return self._at_points(cycle)[0]
+
+    def _at_points(self, cycle: int) -> tuple[FloatArray, FloatArray]:
+        """(n,) the same, and weighted by the force and the speed that really acted, s."""
+        turn = next((self.tools.of(one) for one in self.journal.passes if one.cycle == cycle), self.tools.now)
+        blocks, point = self.journal.executed(cycle), turn.program.block
+        run, seconds = blocks.possible, blocks.duration_s
+        acting = seconds * relative_removal(turn.recipe.process, blocks.acting_n, blocks.rpm)
+        return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])
+
+    def names(self) -> dict[str, str]:
+        """Of job and part."""
+        return {"job": self.recipe.job.id, "part": self.recipe.part.id}
+
+    def cycles(self) -> list[dict[str, Any]]:
+        """One entry a measurement; what belongs to the pass after it is None where there was none."""
+        return cycle_entries(self.journal, several_tools=bool(self.tool))
+
+    def summary(self) -> dict[str, Any]:
+        """The job's part of ``summary.json``."""
+        return {**self.recipe.facts(), "cycles": self.cycles(), "phase_times_s": self.journal.phase_times_s()}
+
+    def _measured(self, record: MapRecord) -> MeasureResult:
+        instrument = self.recipe.instrument
+        by = "none" if instrument is None else instrument.register_by
+        return MeasureResult.load(self.journal.arrays.get(record.arrays), {"sha256": record.sha256, **record.stats}, by)
+
+    def _plan_of(self, record: PassRecord) -> PlanResult:
+        get = self.journal.arrays.get
+        return PlanResult.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
+
+
+def _refuse_unsafe(job: Job, plan: Plan) -> None:
+    require_same(installed_at_start(), installed_now())
+    found = [*steps.violations(job.recipe, plan), *job.check_plan(plan, job.recipe.envelope)]
+    if found:
+        raise PlanRefused("the plan was refused, nothing moved:\n" + "\n".join(f"  {line}" for line in found))
+    require_room(job.journal.store.path.parent, job.folder.path, len(plan.segments), job.journal.done)

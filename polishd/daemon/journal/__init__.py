@@ -1,0 +1,1 @@
+"""The journal on disk: records, schema, array store, checksums, history."""

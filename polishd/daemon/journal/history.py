@@ -1,0 +1,205 @@
+"""The history of a cell over its parts: read from the journal's rows, beside a daemon that may be running."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from polishd.daemon.journal.journal import JOURNAL_NAME
+from polishd.daemon.journal.store import require_sound
+from polishd.model.errors import ConfigError, JournalDamage, ToolStop
+from polishd.model.tolerance import Judged, judged_of, worst
+
+FAULTS = ("held", "failed", "found")
+"""Events that somebody had to see to."""
+TOLD = ToolStop.__name__
+"""An error whose cause is an event of its own, ``found``."""
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryMeasurement:
+    """One map of a part, and the pass before it."""
+
+    at_s: float
+    """Unix time."""
+    rms_nm: float
+    judged: tuple[Judged, ...]
+    rate: float | None
+    """Removal rate that the pass before it showed, relative to the model's own; None: it showed none."""
+    rate_sigma: float | None
+    predicted_nm: float | None
+    """RMS that the plan of that pass expected."""
+    as_forecast: bool | None
+    """Whether that pass left what was expected of it with a chance of nine in ten; None: nothing was."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaultEvent:
+    """An event that somebody had to see to."""
+
+    at_s: float
+    kind: str
+    """The error's class, or what was found."""
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobHistory:
+    """One job, from its row and those that name it."""
+
+    job: str
+    part_id: str
+    began_s: float
+    ended_s: float | None
+    outcome: str
+    """Empty: it is under way, or was given up."""
+    passes: int
+    """That came to their end."""
+    interrupted: int
+    contact_s: float
+    measured: tuple[HistoryMeasurement, ...]
+    faults: tuple[FaultEvent, ...]
+
+    @property
+    def rate(self) -> float | None:
+        """The last that a pass showed."""
+        return next((one.rate for one in reversed(self.measured) if one.rate is not None), None)
+
+    @property
+    def worst(self) -> Judged | None:
+        """The line of the tolerance that the last measurement keeps worst."""
+        return worst(self.measured[-1].judged) if self.measured else None
+
+
+def read_history(state_dir: Path) -> list[JobHistory]:
+    """All jobs of a cell in the order in which they began; ConfigError where there is no journal, or it cannot be read.
+
+    The file is opened for reading only, and nothing waits for it: a daemon may be in contact meanwhile.
+    """
+    with read_only(state_dir) as journal:
+        return list(_jobs(journal))
+
+
+def read_events(
+    state_dir: Path, count: int, before: int | None = None, names: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """The last events of all jobs, the newest last: ``number, at_s, cycle, name, data``.
+
+    ``before``: of those before that number; ``names``: of these kinds, else of all but each pass's progress. Empty
+    where there is no journal; ConfigError where it cannot be read.
+    """
+    if not (state_dir / JOURNAL_NAME).exists():
+        return []
+    kinds = f"name IN ({', '.join('?' * len(names))})" if names else "name != 'progress'"
+    sql = f"SELECT id, at, cycle, name, data FROM event WHERE {kinds} AND id < ? ORDER BY id DESC LIMIT ?"  # noqa: S608
+    with read_only(state_dir) as journal:
+        rows = journal.execute(sql, (*names, 1 << 60 if before is None else before, count)).fetchall()
+        keys = ("number", "at_s", "cycle", "name")
+        return [{**dict(zip(keys, row[:4], strict=True)), "data": dict(json.loads(row[4]))} for row in reversed(rows)]
+
+
+@contextmanager
+def read_only(state_dir: Path) -> Iterator[sqlite3.Connection]:
+    """A cell's journal as it is in this moment, beside a daemon that may write it; ConfigError as `read_history`.
+
+    Rows are also parsed inside this block: what a damaged one raises becomes JournalDamage, which names the row.
+    """
+    path = state_dir / JOURNAL_NAME
+    if not path.exists():
+        raise ConfigError(f"{path}: is not there: no job was begun in this cell yet; polishd run CELL.toml begins one")
+    with naming_damage(state_dir), closing(_opened(path)) as journal:
+        journal.execute("BEGIN")  # one moment for all that is read
+        yield journal
+
+
+@contextmanager
+def naming_damage(state_dir: Path) -> Iterator[None]:
+    """Find the damaged row where reading a cell's journal fails inside this block, and name it: JournalDamage.
+
+    ConfigError where SQLite or a parser fails and no damage is found. Any other error is raised as it is then.
+    """
+    path = state_dir / JOURNAL_NAME
+    try:
+        yield
+    except (sqlite3.Error, ValueError) as error:
+        _require_sound(path, error)
+        raise ConfigError(f"{path}: the history cannot be read: {error}; polishd run brings an old journal up to date, "
+                          "or names what is wrong with it") from error  # fmt: skip
+    except (LookupError, TypeError, AttributeError) as error:  # JSON that was damaged, and is JSON still
+        _require_sound(path, error)
+        raise
+
+
+def _require_sound(path: Path, error: Exception) -> None:
+    try:
+        require_sound(path)
+    except JournalDamage as damage:
+        raise damage from error
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
+
+
+def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
+    maps = _by_job(journal, "SELECT job, cycle, taken, stats FROM map ORDER BY id")
+    passes = _by_job(journal, "SELECT job, cycle, how, facts FROM pass ORDER BY job, cycle")
+    marks = ", ".join("?" * len(FAULTS))
+    events = _by_job(journal, f"SELECT job, at, name, data FROM event WHERE name IN ({marks}) ORDER BY id", FAULTS)  # noqa: S608
+    for number, *row in journal.execute("SELECT id, name, part_id, started, ended, outcome FROM job ORDER BY id"):
+        name, part_id, began_s, ended_s, outcome = row
+        run = {cycle: (how, json.loads(facts)) for cycle, how, facts in passes.get(number, ())}
+        last = {cycle: (taken, json.loads(stats)) for cycle, taken, stats in maps.get(number, ())}
+        hows = [how for how, _ in run.values()]
+        yield JobHistory(
+            job=name,
+            part_id=part_id,
+            began_s=began_s,
+            ended_s=ended_s,
+            outcome=outcome or "",
+            passes=hows.count("done"),
+            interrupted=sum(how not in {None, "done"} for how in hows),
+            contact_s=sum((facts.get("shown") or {}).get("contact_s", 0.0) for _, facts in run.values()),
+            measured=tuple(_measurement(*found, run.get(cycle - 1, ("", {}))[1]) for cycle, found in last.items()),
+            faults=tuple(_faults(events.get(number, ()))),
+        )
+
+
+def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -> dict[int, list[Any]]:
+    """The other columns of the rows, by their first one."""
+    found: dict[int, list[Any]] = {}
+    for job, *row in journal.execute(sql, values):
+        found.setdefault(job, []).append(tuple(row))
+    return found
+
+
+def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any]) -> HistoryMeasurement:
+    rate = (before.get("shown") or {}).get("rate") or {}
+    judged = judged_of(stats)
+    predicted = before.get("predicted_rms_nm")
+    rms, rates = stats["rms_nm"], (rate.get("value"), rate.get("sigma"))
+    return HistoryMeasurement(at_s, rms, judged, *rates, predicted, _as_forecast(before.get("shown") or {}))
+
+
+def _as_forecast(shown: Mapping[str, Any]) -> bool | None:
+    expected = shown.get("expected_nm")
+    seen_nm = shown.get("seen_nm")  # passes of before 2026-11-25 have none
+    return None if expected is None or seen_nm is None else bool(expected[0] <= seen_nm <= expected[1])
+
+
+def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[FaultEvent]:
+    """Each once: an error that held the cell, and ended its daemon as nobody mended it, is one."""
+    last = ("", "")
+    for at_s, name, data in events:
+        said = json.loads(data)
+        fault = FaultEvent(at_s, said["kind"], said["what" if name == "found" else "error"])
+        again = name == "failed" and last == (fault.kind, fault.what)
+        last = (fault.kind, fault.what)
+        if fault.kind != TOLD and not again:
+            yield fault

@@ -1,0 +1,1 @@
+"""The daemon's socket: its server, its client and the commands of both."""

@@ -1,0 +1,184 @@
+"""What the loader's answers mean. Raises ProtocolError on what the protocol does not have."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Annotated
+from urllib.parse import quote, unquote
+
+from pydantic import Field
+
+from polishd.api import (
+    DeviceContext,
+    DeviceFault,
+    DeviceRefused,
+    DeviceStatus,
+    DeviceType,
+    LoaderTimes,
+    PartLoader,
+    ProtocolError,
+    WrongPart,
+    hookimpl,
+)
+from polishd.config.fields import ConfigSection
+from polishd.drivers.transport.address import SerialLine, Tcp, line_address
+from polishd.drivers.transport.lines import ANSWERS_S, LineDevice
+
+FAULTS = {1: "jammed", 2: "it has dropped a part", 4: "its guard is open", 8: "drive"}
+_STATUS = re.compile(r"ST,([0-3]),(\d{1,5}),([\w.~%-]*)", re.ASCII)
+
+
+class LoaderState(IntEnum):
+    """The loader's states, as the wire numbers them."""
+
+    IDLE = 0
+    """Clear of the cell."""
+    MOVING = 1
+    STOPPED = 2
+    """Amid a change, by an order or its watchdog."""
+    FAULT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LoaderReading:
+    """What the loader says of itself."""
+
+    state: LoaderState
+    fault: int
+    seat: str | None
+    """The part on the seat; None: it is empty."""
+
+    @property
+    def faults(self) -> str:
+        """Fault bits in words."""
+        return ", ".join(text for bit, text in FAULTS.items() if self.fault & bit)
+
+
+def load(part_id: str) -> str:
+    """The request to put a part on; any name fits, percent-encoded."""
+    return f"LD,{quote(part_id, safe='')}"
+
+
+def status(body: str) -> LoaderReading:
+    """The answer to ``ST?``."""
+    match = _STATUS.fullmatch(body)
+    if match is None:
+        raise ProtocolError(f"no answer to ST?: {body!r}")
+    state, fault, seat = match.groups()
+    return LoaderReading(LoaderState(int(state)), int(fault), unquote(seat) or None)
+
+
+# A Loader on numbered lines: an order begins a change, and what the loader says of itself tells its end.
+
+LOOK_S = 0.2
+"""Between two looks at a loader that moves; they feed its watchdog, too."""
+
+
+class LoaderLine(LineDevice):
+    """A part loader. One that moves and hears nothing more stops by itself."""
+
+    def __init__(self, address: SerialLine | Tcp, times: LoaderTimes | None = None) -> None:
+        self._times = times or LoaderTimes()
+        super().__init__(address, self._times.silence_s)
+        self._stops = 0
+
+    @property
+    def times(self) -> LoaderTimes:
+        """See Loader."""
+        return self._times
+
+    async def _look(self) -> LoaderReading:
+        """What it says of itself."""
+        return status(await self.ask("ST?"))
+
+    async def status(self) -> DeviceStatus:
+        """See Device. Safe means that it stands."""
+        reading = await self._look()
+        return DeviceStatus(
+            ready=reading.state is not LoaderState.FAULT,
+            safe=reading.state is not LoaderState.MOVING,
+            state=reading.state.name.lower(),
+            detail=reading.faults,
+        )
+
+    async def make_safe(self) -> None:
+        """See Device. Stops it, and reads back that it stands; a link lost over it is opened again once."""
+        self._stops += 1
+        await self._rest(self._stop, self._times.stop_s + ANSWERS_S, "could not confirm that the loader stands")
+
+    async def loaded(self) -> str | None:
+        """See Loader."""
+        return (await self._look()).seat
+
+    async def unload(self) -> None:
+        """See Loader."""
+        await self._change("UL")
+
+    async def load(self, part_id: str) -> None:
+        """See Loader."""
+        try:
+            await self._change(load(part_id))
+        except DeviceRefused as refusal:
+            if "refused: part" not in str(refusal):
+                raise
+            raise WrongPart(f"{self.name}: the loader has no part {part_id!r}; put it in") from refusal
+
+    async def _change(self, request: str) -> None:
+        stops, deadline, over = self._stops, time.monotonic() + self._times.change_s, f"over {request}"
+        self._require_sound(await self._look(), over)
+        await self._order(request)
+        while (reading := await self._look()).state is not LoaderState.IDLE:
+            self._require_sound(reading, over)
+            if reading.state is LoaderState.STOPPED or self._stops != stops:
+                raise DeviceRefused(f"{self.name}: was stopped {over}")
+            if time.monotonic() > deadline:
+                raise DeviceFault(f"{self.name}: not done after {self._times.change_s:g} s {over}; look at it")
+            await asyncio.sleep(LOOK_S)
+
+    def _require_sound(self, reading: LoaderReading, over: str) -> None:
+        if reading.state is LoaderState.FAULT:
+            what = f"{self.name}: fault {reading.fault} ({reading.faults}) {over}"
+            raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
+
+    async def _stop(self) -> None:
+        await self._order("STOP")
+        while True:
+            if (await self._look()).state is not LoaderState.MOVING:
+                return
+            await asyncio.sleep(LOOK_S)
+
+
+# The part loader: the device type ``loader_line``.
+
+POLISHD_API = 1
+
+_TIMES = LoaderTimes()
+
+
+class LoaderLineOptions(ConfigSection):
+    """Keys of ``[loader]`` with ``type = "loader_line"``."""
+
+    address: str
+    """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = _TIMES.silence_s
+    """No answer for so long: the link is lost."""
+    change_s: Annotated[float, Field(gt=0.0, le=3600.0)] = _TIMES.change_s
+    """Longest from the order to take a part off, or to put one on, until it is clear of the cell."""
+    stop_s: Annotated[float, Field(gt=0.0, le=120.0)] = _TIMES.stop_s
+    """Longest from the order to standstill."""
+
+
+def _build(options: LoaderLineOptions, context: DeviceContext) -> PartLoader:
+    address = line_address(options.address, context.base_dir, "a loader")
+    return LoaderLine(address, LoaderTimes(options.silence_s, options.change_s, options.stop_s))
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """``loader_line``."""
+    return [DeviceType("loader_line", "loader", LoaderLineOptions, _build)]

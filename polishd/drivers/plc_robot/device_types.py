@@ -1,0 +1,169 @@
+"""The device type ``handover``: a robot whose controller loads a file and is ordered by its variables."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from polishd.api import ConfigError, DeviceContext, DeviceType, OwnLines, hookimpl, read_secret
+from polishd.config.controller_profile import ControllerProfile, load_controller_profile
+from polishd.config.fields import ConfigSection
+from polishd.drivers.plc_robot.ads import Ads
+from polishd.drivers.plc_robot.driver import PlcRobot
+from polishd.drivers.plc_robot.file_delivery import Delivery, Folder, Ftp, RemoteFolder, Sftp
+from polishd.drivers.plc_robot.modbus import Modbus
+from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
+from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Variables
+from polishd.drivers.transport.address import tcp_address
+from polishd.util.secret_files import SecretPlace, require_private
+
+# The keys of ``[robot]`` with ``type = "handover"``: docs/handover.md.
+
+
+class HandoverOptions(ConfigSection):
+    """Keys of ``[robot]`` with ``type = "handover"``."""
+
+    profile: str
+    """The controller's profile: a shipped one by its name, or the path of a ``.toml``."""
+    address: str
+    """Where its variables are: ``opc.tcp://host:port`` for opcua, ``ads://host/NETID:PORT`` for ads, ``tcp://host:port``
+    for modbus."""
+    delivery: str
+    """Where it reads files from: ``folder:PATH``, ``ftp://user@host/PATH`` or ``sftp://user@host/PATH``."""
+    controller_dir: str = ""
+    """What stands before the file's name when it is told to load it, with its last ``/`` or ``\\``."""
+    user: str = ""
+    """Who logs in on opcua; empty: nobody."""
+    password: SecretPlace | None = None
+    """That user's."""
+    certificate: str = ""
+    """Ours, PEM or DER, for opcua that is signed and encrypted (Basic256Sha256); its URI is ``urn:polishd``."""
+    private_key: str = ""
+    """That certificate's."""
+    server_certificate: str = ""
+    """The controller's: a server with another one is not spoken to."""
+    delivery_password: SecretPlace | None = None
+    """That of the user in ``delivery``."""
+    known_hosts: str = "~/.ssh/known_hosts"
+    """The file with the host key that sftp is to find: a host without one is refused."""
+
+
+POLISHD_API = 1
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """``handover``."""
+    return [DeviceType("handover", "robot", HandoverOptions, build, own_lines=own_lines)]
+
+
+# From the options to a closed robot. What they name is looked at, and nothing is opened.
+
+_ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
+EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
+"""Extras of polishd, and the library that each brings."""
+
+
+def build(options: HandoverOptions, context: DeviceContext) -> PlcRobot:
+    """The robot. ConfigError where the controller must not polish, or a library is missing."""
+    profile = load_controller_profile(options.profile, context.base_dir)
+    profile.require_usable()
+    make = _link(profile, options, context)
+    delivery = RecordedDelivery(_delivery(options, context), options.delivery)
+    return PlcRobot(
+        f"{profile.name} at {options.address}",
+        profile,
+        lambda: Recorded(make(), options.address, delivery),
+        delivery,
+        options.controller_dir,
+    )
+
+
+def own_lines(options: HandoverOptions, context: DeviceContext) -> OwnLines:
+    """Pauses, dwells and the end, as the controller's profile writes them."""
+    table = load_controller_profile(options.profile, context.base_dir).program
+    dwells = {seconds: table.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
+    return OwnLines(f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end))
+
+
+def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceContext) -> Callable[[], Variables]:
+    table, silence_s = profile.variables, profile.silence_s
+    match profile.link:
+        case "opcua":
+            _require("opcua", f"profile {options.profile!r}")
+            if not options.address.startswith("opc.tcp://"):
+                raise ConfigError(f"address {options.address!r}: opcua runs over opc.tcp://host:port")
+            password = read_secret(options.password, context.base_dir) if options.password is not None else ""
+            papers = _papers(options, context.base_dir)
+            return lambda: OpcUa(options.address, table, silence_s, options.user, password, papers=papers)
+        case "ads":
+            _require("ads", f"profile {options.profile!r}")
+            host, netid, port = _ads_address(options.address)
+            return lambda: Ads(host, netid, port, table, silence_s)
+        case "modbus":
+            where = tcp_address(options.address, context.base_dir, "modbus")
+            make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
+            make()  # its addresses are looked at
+            return make
+
+
+def _papers(options: HandoverOptions, base_dir: Path) -> OpcUaCertificates | None:
+    """All three files, or None where none is named."""
+    names = {key: getattr(options, key) for key in ("certificate", "private_key", "server_certificate")}
+    if not any(names.values()):
+        return None
+    for key, name in names.items():
+        if not (name and (base_dir / Path(name).expanduser()).is_file()):
+            said = f"{name!r} is no file" if name else "is missing"
+            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
+    require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
+    return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
+
+
+def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
+    kind, _, rest = options.delivery.partition(":")
+    match kind:
+        case "folder" if rest:
+            return Folder((context.base_dir / rest).absolute())
+        case "ftp":
+            _require("ftp", f"delivery {options.delivery!r}")
+            return Ftp(_place(options, context, 21))
+        case "sftp":
+            _require("sftp", f"delivery {options.delivery!r}")
+            known_hosts = context.base_dir / Path(options.known_hosts).expanduser()
+            if not known_hosts.is_file():
+                raise ConfigError(
+                    f"known_hosts {options.known_hosts!r} is no file; put the controller's host key there: ssh-keyscan"
+                )
+            return Sftp(_place(options, context, 22), known_hosts)
+        case _:
+            raise ConfigError(
+                f"delivery {options.delivery!r}: write folder:PATH, ftp://user@host/PATH or sftp://user@host/PATH"
+            )
+
+
+def _place(options: HandoverOptions, context: DeviceContext, port: int) -> RemoteFolder:
+    url = urlsplit(options.delivery)
+    if not url.hostname or not url.username or url.password is not None or url.query or url.fragment:
+        raise ConfigError(
+            f"delivery {options.delivery!r}: write {url.scheme}://user@host/PATH; its password is delivery_password"
+        )
+    password = read_secret(options.delivery_password, context.base_dir) if options.delivery_password else ""
+    return RemoteFolder(url.hostname, url.port or port, url.username, password, url.path.removeprefix("/"))
+
+
+def _ads_address(address: str) -> tuple[str, str, int]:
+    """Host, net id and port of ``ads://host/1.2.3.4.1.1:851``."""
+    found = _ADS.fullmatch(address)
+    if found is None or not all(int(part) < 256 for part in found["netid"].split(".")):
+        raise ConfigError(f"address {address!r}: ads wants ads://host/NETID:PORT, as ads://plc/5.1.2.3.1.1:851")
+    return found["host"], found["netid"], int(found["port"])
+
+
+def _require(extra: str, what: str) -> None:
+    if importlib.util.find_spec(EXTRAS[extra]) is None:
+        raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed: pip install 'polishd[{extra}]'")

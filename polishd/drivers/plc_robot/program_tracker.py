@@ -1,0 +1,468 @@
+"""How far a controller is in its file, and when it did what, from reports far apart. Sans-IO: reports in, records out.
+
+A line that is new in a report began some time since the report before: 100 ms between reports leave 29 ms rms. Within
+that, a block is taken to have lasted as long as the plan expects of it, which what was executed has taught; where the
+controller tells when its block began, that is taken. Neither error adds up: each report bounds it anew.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from polishd.api import DeviceRefused, Plan, ProtocolError
+from polishd.config.controller_profile import (
+    ClockVariable,
+    Flag,
+    LineVariable,
+    ProgramTable,
+    StateVariable,
+    Value,
+    VariablesTable,
+)
+from polishd.drivers.plc_robot.variables import VariableSnapshot
+from polishd.drivers.transport import program_tracker
+from polishd.drivers.transport.program_tracker import START_S, FileProgramTracker
+from polishd.model.surface import FloatArray
+
+# The file that is handed over: the program's blocks, pauses where it is to stop, and dwells that prove the line.
+
+_N_WORD = re.compile(rb"\s*/?\s*N\s*(\d+)", re.IGNORECASE)
+
+
+class PlcProgramFile(program_tracker.ProgramFile):
+    """Before its first stop, out of contact, stand dwells of ``proof_s``: see ``proof.Proof``."""
+
+    def __init__(
+        self,
+        blocks: Sequence[bytes],
+        stops: Iterable[int],
+        table: ProgramTable,
+        *,
+        line: LineVariable,
+        proof_s: Sequence[float] = (),
+        pause_at_end: bool = False,
+    ) -> None:
+        pause = table.pause.encode()
+        dwells = [table.dwell.format(seconds=seconds).encode() for seconds in proof_s]
+        stops = list(stops)
+        first = min((stop for stop in stops if stop > 0), default=0)
+        numbered = line.counts == "n_words"
+
+        def own(at: int, *lines: bytes) -> list[bytes]:
+            return _numbered(lines, blocks[:at]) if numbered else list(lines)
+
+        super().__init__(
+            blocks,
+            stops,
+            lambda stop: own(stop, *(dwells if stop == first else ()), pause),
+            lambda end: own(end, pause) if pause_at_end else [],
+            table.end.encode(),
+        )
+        self.end = max(self.pauses.values()) if pause_at_end else None
+        """Blocks that are executed at the pause before the end; None without one."""
+        proved = self.stops[:1] == (first,)
+        self.proof = _dwell_lines(self.inserted, len(dwells)) if proved else ()
+        """1-based lines of the dwells."""
+        self._first = line.first
+        self._numbers = _n_words(self.lines) if numbered else None
+
+    def block_at(self, line: int) -> int:
+        """As any file; but the block before a dwell of ours is over when that is, for only then the tool may land."""
+        return super().block_at(line) - (line in self.proof)
+
+    def line_of(self, shown: int) -> int:
+        """The 1-based line of the file that the controller means; 0 for none of it."""
+        if self._numbers is None:
+            return min(max(shown + 1 - self._first, 0), len(self.lines))
+        numbers, lines = self._numbers
+        at = bisect_right(numbers, shown) - 1
+        return lines[at] if at >= 0 else 0
+
+
+def _dwell_lines(inserted: Sequence[int], count: int) -> tuple[int, ...]:
+    return tuple(index + 1 for index in inserted[:count])
+
+
+def _numbered(lines: Sequence[bytes], before: Sequence[bytes]) -> list[bytes]:
+    """Lines of ours with N words of their own, which go on from the last one before."""
+    last = next((int(found[1]) for block in reversed(before) if (found := _N_WORD.match(block))), 0)
+    return [b"N%d %s" % (last + k, line) for k, line in enumerate(lines, 1)]
+
+
+def _n_words(lines: Sequence[bytes]) -> tuple[list[int], list[int]]:
+    """The N words in the file, and the lines that they stand in. DeviceRefused where they do not rise."""
+    numbers: list[int] = []
+    at: list[int] = []
+    for number, text in enumerate(lines, 1):
+        if (found := _N_WORD.match(text)) is None:
+            continue
+        value = int(found[1])
+        if numbers and value <= numbers[-1]:
+            raise DeviceRefused(
+                f"line {number} of the file: N{value} after N{numbers[-1]}: the controller tells blocks by their N "
+                "words. To do: number the program in steps of 10"
+            )
+        numbers.append(value)
+        at.append(number)
+    return numbers, at
+
+
+# Whether the line that a controller shows is the one that it executes: shown by dwells of known times. Sans-IO.
+
+REPORTS = (6.0, 12.0)
+"""A dwell lasts so many reports: long enough to be seen, whatever the reports miss."""
+MORE_S = 1.0
+"""Wall seconds that a controller may take beyond a dwell."""
+_CHANCE = random.SystemRandom()
+
+
+def dwells_s(report_s: float, count: int = 2) -> list[float]:
+    """Times for the dwells of one file, s."""
+    return [round(report_s * _CHANCE.uniform(*REPORTS), 3) for _ in range(count)]
+
+
+class LineCheck:
+    """Follows the dwells of one file: told of each line with its time, it says what is wrong once they are over."""
+
+    def __init__(self, lines: Sequence[int], seconds: Sequence[float], more_s: float) -> None:
+        """``lines``: rising lines of the file; ``more_s``: by how much a dwell may be longer, controller's time."""
+        self._left = list(zip(lines, seconds, strict=False))
+        self._more_s = more_s
+        self._before_s: float | None = None
+        """When the last look was."""
+        self._first: tuple[float, float] | None = None
+        """(before, at): between them the dwell under way was first shown."""
+
+    @property
+    def over(self) -> bool:
+        """Nothing is left to be proved."""
+        return not self._left
+
+    def look(self, line: int, time_s: float) -> str:
+        """What the controller shows now; returns what is wrong with it, or nothing."""
+        wrong = ""
+        while self._left and not wrong and line >= self._left[0][0]:
+            dwell, seconds = self._left[0]
+            if self._first is None:
+                self._first = (time_s if self._before_s is None else self._before_s, time_s)
+            if line == dwell:
+                break
+            wrong = self._judge(dwell, seconds, time_s)
+            del self._left[0]
+            self._first = None
+        self._before_s = time_s
+        return wrong
+
+    def _judge(self, dwell: int, seconds: float, now_s: float) -> str:
+        if self._first is None or self._before_s is None:
+            return ""
+        longest_s, least_s = now_s - self._first[0], self._before_s - self._first[1]
+        if longest_s >= seconds * 0.99 and least_s <= seconds + self._more_s:
+            return ""
+        return (
+            f"the line that it shows is not the block that it executes: a dwell of {seconds:.3f} s, line {dwell} of "
+            f"the file, was shown for {max(least_s, 0.0):.3f} to {longest_s:.3f} s"
+        )
+
+
+# What a reading of a controller's variables means, by its profile. Sans-IO.
+
+MEANINGS = ("idle", "ready", "running", "paused", "held", "done", "ended", "fault")
+LEAST_OVERRIDE = 0.01
+"""Share of the programmed feed below which nothing moves any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerReport:
+    """What the controller was doing when it was looked at."""
+
+    time_s: float
+    """On its own clock, or on what stands for it."""
+    states: frozenset[str]
+    """What its state may mean: a value may stand for several."""
+    line: int
+    """As the profile's ``line`` counts."""
+    line_began_s: float | None = None
+    """When the block at that line began, where the controller tells, on the same clock."""
+    state_began_s: float | None = None
+    """When it came to its state, likewise."""
+    moving: bool | None = None
+    feed_held: bool = False
+    override: float = 1.0
+    """Share of the programmed feed."""
+    alarm: str = ""
+    beat: Value | None = None
+    session: str = ""
+    loaded: str | None = None
+
+    @property
+    def running(self) -> bool:
+        """It executes its program."""
+        return "running" in self.states
+
+    @property
+    def stands(self) -> bool:
+        """Nothing moves, by all that it says."""
+        return not self.running and not self.moving
+
+    @property
+    def stopped_by(self) -> str:
+        """What somebody at the controller does that stands in the way of motion; empty where nothing does."""
+        if self.feed_held:
+            return "the feed is held at the controller"
+        if self.override < LEAST_OVERRIDE:
+            return f"the feed override stands at {100 * self.override:.5g} %"
+        return ""
+
+
+def report_of(table: VariablesTable, reading: VariableSnapshot) -> ControllerReport:
+    """Understand a reading. ProtocolError where a value cannot be what the profile says."""
+    values = reading.values
+    line = values["line"]
+    if isinstance(line, bool | str | float):
+        raise ProtocolError(f"variable line: {line!r} is no line number: look at the controller's profile")
+    override = values.get("feed_override")
+    time_s = _time_of(table.clock, values.get("clock"))
+    return ControllerReport(
+        time_s=reading.time_s if time_s is None else time_s,
+        states=_states(table.state, values["state"]),
+        line=max(line, 0),  # some count what is no line at all below 0
+        line_began_s=_line_began(table, reading),
+        state_began_s=_time_of(table.state_began, values.get("state_began")),
+        moving=_flag(table.in_motion, values.get("in_motion")),
+        feed_held=bool(_flag(table.feed_hold, values.get("feed_hold"))),
+        override=1.0 if table.feed_override is None else _number(override) / table.feed_override.full,
+        alarm=_alarm(values),
+        beat=values.get("controller_heartbeat"),
+        session=str(values.get("session", "")),
+        loaded=str(values["loaded"]) if "loaded" in values else None,
+    )
+
+
+def _states(state: StateVariable, value: Value) -> frozenset[str]:
+    named = frozenset(name for name in MEANINGS if any(value == one for one in getattr(state, name)))
+    return named or frozenset({"fault"})
+
+
+def _time_of(clock: ClockVariable | None, value: Value | None) -> float | None:
+    return None if clock is None else _number(value) * clock.unit_s
+
+
+def _line_began(table: VariablesTable, reading: VariableSnapshot) -> float | None:
+    if table.line_began is not None:
+        return _time_of(table.line_began, reading.values["line_began"])
+    if table.line.stamped and table.clock is None:
+        return reading.changed_s.get("line")
+    return None
+
+
+def _flag(flag: Flag | None, value: Value | None) -> bool | None:
+    return None if flag is None else value == flag.on
+
+
+def _alarm(values: Mapping[str, Value]) -> str:
+    alarm, text = values.get("alarm", 0), str(values.get("alarm_text", ""))
+    if not alarm:
+        return ""
+    return f"alarm {alarm}{': ' if text else ''}{text}"
+
+
+def _number(value: Value | None) -> float:
+    if value is None or isinstance(value, str):
+        raise ProtocolError(f"{value!r} is no number: look at the types in the controller's profile")
+    return float(value)
+
+
+START_REPORTS = 10
+"""And for so many reports it may say that it does not run, after being told to."""
+SPREAD = 1e-3
+"""Share of the time that is spread evenly, so that no block lasts no time at all."""
+
+
+class PlcProgramTracker(FileProgramTracker):
+    """One program from its load to its end.
+
+    A line counts only if the controller was seen running before: what it shows as it starts may be of another program.
+    """
+
+    def __init__(self, plan: Plan, blocks: int) -> None:
+        super().__init__(plan, blocks)
+        self.file: PlcProgramFile | None = None
+        self.proof: LineCheck | None = None
+        self.start_s = START_S
+        """So long after being told to run it may say that it does not, by its own clock."""
+        self.stays = False
+        """It was told to stand: nobody wonders that it does."""
+        self._expected_s = np.zeros(blocks)
+        timed = plan.program.block < blocks
+        self._expected_s[plan.program.block[timed]] = plan.expected_time_s[timed]
+        self._sure_s = 0.0
+        """When the block under way was last known to be so."""
+        self._leeway_s = 0.0
+        """By how much later than ``began_s`` the first block of this stretch may have begun."""
+        self._last: ControllerReport | None = None
+        self._before: ControllerReport | None = None
+        """The report before it was told to run."""
+        self._waits_s = 0.0
+        self._waits = 0
+        """How long, and for how many reports, it was told to run and does not."""
+
+    def go(self, time_s: float, detail: str = "") -> None:
+        """It runs, from that time of its own clock."""
+        if self.held_at is not None or not len(self):
+            self.began_s = self._sure_s = self.clock_s  # it stood at the end of a block
+        super().go(time_s, detail)
+        self.stays, self.stopped = False, self.stopped if detail else ""
+        self._before, self._waits_s, self._waits = self._last, 0.0, 0
+
+    def update(self, report: ControllerReport) -> None:
+        """Take what the controller was doing just now."""
+        before, self._last = self._last, report
+        file = self.file
+        if file is None or self.ended:
+            return
+        if self.state != "running":
+            if self.started and report.running:
+                self.go(report.time_s, "started at the controller")
+            return
+        if not self.runs:
+            self._starts(report, before)
+            return
+        self.tick(report.time_s)
+        if "fault" in report.states:
+            self._end("fault", report.alarm or "the controller is in a state that the profile calls none, or a fault")
+        elif report.states & {"done", "ended", "idle", "ready"} and not report.states & {"paused", "held", "running"}:
+            self._over(file, report)
+        else:
+            self._follow(file, report)
+            self._stand(file, report, before)
+
+    def _starts(self, report: ControllerReport, before: ControllerReport | None) -> None:
+        """Seen running, or standing where it did not stand when it was told to run."""
+        waited_s = 0.0 if before is None else report.time_s - before.time_s
+        was = self._before
+        elsewhere = was is not None and (report.line, report.states) != (was.line, was.states)
+        if report.running or (elsewhere and report.states & {"paused", "done"}):
+            self.runs = True
+            self._begin(report, waited_s)
+            return
+        self.seen_s = report.time_s
+        self._waits_s += waited_s
+        self._waits += 1
+        if "fault" in report.states:
+            self._end("fault", report.alarm or "the controller is in fault")
+        elif self._waits_s > self.start_s and self._waits > START_REPORTS:
+            self._held(report, "it does not start")
+
+    def _begin(self, report: ControllerReport, waited_s: float) -> None:
+        """It began at some time since the last report: when, is settled with the end of its first block."""
+        told = (report.state_began_s, report.line_began_s if self._at_first(report) else None)
+        told_s = next((at for at in told if at is not None and self.seen_s <= at <= report.time_s), None)
+        if told_s is not None:
+            self.seen_s = told_s
+        elif self.began_s == self.clock_s:
+            self.seen_s, self._leeway_s = report.time_s - waited_s, waited_s
+        else:
+            self.seen_s = report.time_s - waited_s / 2  # in the middle of a block
+        self.tick(report.time_s)
+
+    def _at_first(self, report: ControllerReport) -> bool:
+        """The block under way is the one that comes next."""
+        return self.file is not None and self.file.block_at(self.file.line_of(report.line)) == len(self)
+
+    def _follow(self, file: PlcProgramFile, report: ControllerReport) -> None:
+        line = file.line_of(report.line)
+        began_s = None if report.line_began_s is None else self.clock_s - (report.time_s - report.line_began_s)
+        if self.proof is not None and not self.proof.over and (wrong := self.proof.look(line, report.time_s)):
+            self._end("fault", wrong)
+            return
+        if line:
+            self._advance(file.block_at(line), began_s)
+
+    def _stand(self, file: PlcProgramFile, report: ControllerReport, before: ControllerReport | None) -> None:
+        """Two reports in a row that it does not run: at a pause of the file, or elsewhere."""
+        if report.running and not report.stopped_by:
+            return
+        if report.stopped_by and not self.stays:
+            self._held(report, report.stopped_by)
+        elif not report.running and before is not None and not before.running:
+            line = file.line_of(report.line)
+            stop = file.pauses.get(line, file.pauses.get(line - 1))
+            if stop is not None and stop == len(self) and "paused" in report.states and not report.feed_held:
+                self.state, self.detail, self.held_at = "held", "", stop
+            else:
+                self._held(report, "it was held at the controller")
+
+    def _held(self, report: ControllerReport, why: str) -> None:
+        self.state = "held"
+        self.detail = report.alarm or ("hold" if self.stays else why)
+        if not self.stays:
+            self.stopped = self.detail
+
+    def _over(self, file: PlcProgramFile, report: ControllerReport) -> None:
+        """It ended. By itself: where it says so, or where it stood at the pause before its end."""
+        stood = file.end is not None and len(self) >= file.end
+        if "done" in report.states or ("ended" in report.states and stood):
+            self._advance(self.blocks, None)
+            self._end("done", "")
+        else:
+            self._end("fault", report.alarm or "the program was ended at the controller")
+
+    def _end(self, state: str, detail: str) -> None:
+        self.state, self.detail = ("done", "") if state == "done" else ("fault", detail)
+
+    def _advance(self, to: int, began_s: float | None) -> None:
+        """All blocks below ``to`` are executed by now; the one there began at ``began_s``, where that is known."""
+        first = len(self)
+        if began_s is not None and not self.began_s <= began_s <= self.clock_s:
+            began_s = None
+        lasted_s = float(self._expected_s[first:to].sum())
+        if to > first or (began_s is not None and to == first):
+            self._settle_begin(began_s if lasted_s or to == first else None, lasted_s)
+        if to > first:
+            low_s = max(self._sure_s, self.began_s)
+            high_s = self.clock_s if began_s is None else max(began_s, low_s)
+            ends = between(self.began_s, self._expected_s[first:to], low_s, high_s, reaches=began_s is not None)
+            self.record(ends.tolist())
+        self._sure_s = self.clock_s
+
+    def _settle_begin(self, next_s: float | None, lasted_s: float) -> None:
+        """When the stretch began, where the reports leave that open: so long before the next block began, if known."""
+        if next_s is not None:
+            self.began_s = min(max(next_s - lasted_s, self.began_s), self.began_s + self._leeway_s)
+        else:
+            self.began_s += self._leeway_s / 2
+        self._leeway_s = 0.0
+
+
+def between(
+    began_s: float, expected_s: FloatArray, low_s: float, high_s: float, *, reaches: bool = False
+) -> FloatArray:
+    """Ends of n blocks in a row, (n,) s, rising: as expected (n,), within the two reports that they lie between.
+
+    Args:
+        began_s: When the first began, at most ``low_s``.
+        expected_s: How long each is expected to last; none at all: all alike.
+        low_s: None had ended by then.
+        high_s: All have ended by then.
+        reaches: The last ended at ``high_s``.
+    """
+    count = len(expected_s)
+    even = np.arange(1, count + 1) / count
+    total_s = float(expected_s.sum())
+    if total_s > 0.0:
+        ends = began_s + np.cumsum(expected_s)
+        if reaches or ends[-1] > high_s:
+            ends = began_s + np.cumsum(expected_s) * (high_s - began_s) / total_s
+    else:
+        ends = began_s + (high_s - began_s) * even
+    ends = np.clip(ends, low_s, high_s)
+    if reaches:
+        ends[-1] = high_s
+    return np.asarray((1.0 - SPREAD) * ends + SPREAD * (low_s + (high_s - low_s) * even))

@@ -1,0 +1,205 @@
+"""A closed device from a profile and an address."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from polishd.api import ActuatorTimes, ConfigError, PolishdError, SensorTimes, SpindleTimes
+from polishd.config.device_profile import DeviceProfile, ModbusTable, Quantity, Value, write_of
+from polishd.config.device_profile_checks import ORDERS, load_device_profile
+from polishd.config.toml_loader import did_you_mean, join_words
+from polishd.drivers.profile_device import codec
+from polishd.drivers.profile_device.codec import Values
+from polishd.drivers.profile_device.device import ProfileTransport
+from polishd.drivers.profile_device.drives import ProfiledActuator, ProfiledForceSensor, ProfiledSpindle
+from polishd.drivers.profile_device.lines import LineWire
+from polishd.drivers.profile_device.modbus import ModbusWire
+from polishd.drivers.transport.address import SerialLine, Tcp, line_address
+from polishd.drivers.transport.modbus_link import read_frame, write_frame
+
+
+def usual_line(profile: DeviceProfile) -> SerialLine:
+    """A serial line as the profile says, nowhere yet."""
+    return SerialLine(Path(), profile.serial.baud, profile.serial.parity, profile.serial.stop_bits)
+
+
+def address_of(profile: DeviceProfile, text: str, base_dir: Path) -> SerialLine | Tcp:
+    """The address; what a serial one leaves out is as the profile says. ConfigError names it."""
+    return line_address(text, base_dir, f"a device on {profile.link}", usual_line(profile))
+
+
+def wire_of(
+    profile: DeviceProfile, address: SerialLine | Tcp, silence_s: float, *, unit: int | None = None, pole_pairs: int = 1
+) -> ProfileTransport:
+    """The wire; opens nothing."""
+    if profile.modbus:
+        return ModbusWire(profile, address, silence_s, unit=unit, pole_pairs=pole_pairs)
+    return LineWire(profile, address, silence_s, pole_pairs=pole_pairs)
+
+
+def actuator(
+    profile: DeviceProfile, address: SerialLine | Tcp, times: ActuatorTimes | None = None, *, unit: int | None = None
+) -> ProfiledActuator:
+    """A force actuator; opens nothing."""
+    times = times or ActuatorTimes()
+    return ProfiledActuator(wire_of(profile, address, times.silence_s, unit=unit), times)
+
+
+def spindle(
+    profile: DeviceProfile,
+    address: SerialLine | Tcp,
+    times: SpindleTimes | None = None,
+    *,
+    unit: int | None = None,
+    pole_pairs: int = 1,
+) -> ProfiledSpindle:
+    """A spindle; opens nothing."""
+    times = times or SpindleTimes()
+    return ProfiledSpindle(wire_of(profile, address, times.silence_s, unit=unit, pole_pairs=pole_pairs), times)
+
+
+def force_sensor(
+    profile: DeviceProfile, address: SerialLine | Tcp, times: SensorTimes | None = None, *, unit: int | None = None
+) -> ProfiledForceSensor:
+    """A force sensor; opens nothing."""
+    times = times or SensorTimes()
+    return ProfiledForceSensor(wire_of(profile, address, times.silence_s, unit=unit), times)
+
+
+# The profiles that polishd brings, by name, and those of the user's own, by file.
+
+DEVICE_PROFILE_DIR = Path(__file__).with_name("profiles")
+
+
+def shipped() -> list[str]:
+    """Names, in order."""
+    return sorted(path.stem for path in DEVICE_PROFILE_DIR.glob("*.toml"))
+
+
+def profile_of(name: str, base_dir: Path) -> DeviceProfile:
+    """The profile of a name, or in a file (``.toml``) in ``base_dir``; ConfigError says what is wrong, and where."""
+    if name.endswith(".toml"):
+        return load_device_profile(base_dir / Path(name).expanduser())
+    known = shipped()
+    if name not in known:
+        hint = (
+            f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
+        )
+        raise ConfigError(f"profile {name!r} is not known{hint}")
+    return load_device_profile(DEVICE_PROFILE_DIR / f"{name}.toml")
+
+
+# What a profile makes of a device: the requests as they go over the wire, and how raw values read. Opens nothing.
+
+EXAMPLES = {"force": (12.0, "12 N"), "speed": (1000.0, "1000 rpm"), "time": (1000.0, "1 s")}
+ASKS = {"force": "force", "engage": "force", "forward": "speed", "reverse": "speed", "watchdog": "time"}
+UNITS = {"force": "N", "set_point": "N", "position": "mm", "speed": "rpm"}
+
+
+def polls(profile: DeviceProfile) -> list[str]:
+    """The requests of one look at the device."""
+    if profile.modbus is None:
+        return [ask.send for ask in profile.asks.values() if set(ask.groups) & set(profile.polled)]
+    found = codec.blocks(profile.registers, profile.polled, profile.modbus.most)
+    return [_hex(read_frame(profile.modbus.unit, one.table, one.address, one.count)) for one in found]
+
+
+def poll_s(profile: DeviceProfile) -> float:
+    """Seconds that one look takes on its serial line, requests and answers, without the device's own time."""
+    byte_s = usual_line(profile).byte_s
+    if profile.modbus is None:
+        return byte_s * sum(len(ask) + 2 + 40 for ask in polls(profile))
+    found = codec.blocks(profile.registers, profile.polled, profile.modbus.most)
+    sizes = [one.count if one.table in {"holding", "input"} else -(-one.count // 16) for one in found]
+    return sum(max(7.0 * byte_s, 0.0035) + profile.modbus.pause_s + byte_s * (8 + 5 + 2 * size) for size in sizes)
+
+
+def orders(profile: DeviceProfile) -> Iterator[tuple[str, str]]:
+    """Each order, and what is sent for an example of what may be asked."""
+    for name in type(profile.orders).model_fields:
+        steps = getattr(profile.orders, name)
+        if steps and name in ORDERS[profile.kind]:
+            asked, words = EXAMPLES[ASKS[name]] if name in ASKS else (0.0, "")
+            sent = " | ".join(_sent(profile, step, asked) for step in steps)
+            yield f"{name}, {words}" if words else name, sent
+
+
+def scales(profile: DeviceProfile) -> Iterator[tuple[str, str]]:
+    """Each value that tells how it is, where it stands, and what one step of it is worth."""
+    for name in profile.polled:
+        quantity = profile.quantities[name]
+        yield name, ", ".join(filter(None, [_place(profile, name), _worth(quantity), _sign(quantity)]))
+
+
+def read_raw(profile: DeviceProfile, name: str, text: str) -> Values:
+    """What a raw example reads: words of a register (``0x04AE``, or several), or the answer to an ask."""
+    try:
+        if profile.modbus is not None:
+            found = _of_words(profile, profile.modbus, name, text)
+        else:
+            ask = profile.asks[name]
+            found = codec.fields_of(profile, ask, text)
+            if set(found) >= set(profile.polled):
+                found = codec.signed(profile, found)
+                found["(state)"] = codec.state_of(profile, found) if profile.states else "none"
+    except KeyError:
+        known = ", ".join(profile.registers or profile.asks)
+        raise ConfigError(f"raw example {name!r}: the profile has no such {_thing(profile)}; it has {known}") from None
+    except (PolishdError, ValueError, OverflowError) as error:
+        raise ConfigError(f"raw example {name}={text!r}: {error}") from error
+    return found
+
+
+def _of_words(profile: DeviceProfile, table: ModbusTable, name: str, text: str) -> Values:
+    register = profile.registers[name]
+    words = [int(word, 0) for word in text.replace(",", " ").split()]
+    if len(words) != register.size:
+        raise ValueError(f"it fills {register.size} registers, not {len(words)}")
+    return {name: codec.worth(register, codec.unpack(register, words, table.word_order), 1)}
+
+
+def said(name: str, value: Value) -> str:
+    """A value with its unit."""
+    return value if isinstance(value, str) else f"{value:.6g} {UNITS.get(name, '')}".strip()
+
+
+def _sent(profile: DeviceProfile, step: str, asked: float) -> str:
+    if profile.modbus is None:
+        return step.format(asked=asked, count=1)
+    write = write_of(step)
+    register = profile.registers[write.register]
+    if isinstance(write.value, float):
+        words = codec.pack(register, write.value, profile.modbus.word_order)
+    elif write.value == "asked":
+        words = codec.words_for(register, write.register, asked, profile.modbus.word_order, 1)
+    else:
+        words = codec.pack(register, 1.0, profile.modbus.word_order)
+    many = register.write_many or len(words) > 1
+    return _hex(write_frame(profile.modbus.unit, register.table, register.address, words, many=many))
+
+
+def _place(profile: DeviceProfile, name: str) -> str:
+    if profile.modbus is None:
+        return "in the answer to " + next(ask.send for ask in profile.asks.values() if name in ask.groups)
+    register = profile.registers[name]
+    return f"{register.table} {register.address} (0x{register.address:04X}), {register.type}"
+
+
+def _worth(quantity: Quantity) -> str:
+    if quantity.unit == "1":
+        return ""
+    offset = f" {quantity.offset:+g} {quantity.unit}" if quantity.offset else ""
+    return f"1 is {quantity.scale:g} {quantity.unit}{offset}"
+
+
+def _sign(quantity: Quantity) -> str:
+    return f"less than nothing by {quantity.negative.when}" if quantity.negative else ""
+
+
+def _thing(profile: DeviceProfile) -> str:
+    return "register" if profile.modbus else "ask"
+
+
+def _hex(data: bytes) -> str:
+    return data.hex(" ").upper()

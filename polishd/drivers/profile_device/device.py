@@ -1,0 +1,217 @@
+"""What devices by a profile share: open to close, how they are read, and how they are brought to rest."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Generic, Protocol, TypeVar
+
+from polishd.api import DeviceIdentity, LinkError, ProtocolError
+from polishd.config.device_profile import DeviceProfile
+from polishd.drivers.profile_device.codec import Values, identity, state_of
+from polishd.drivers.transport.background import RequestQueue
+
+# What a profile's device is asked and told, whatever its link.
+
+
+class ProfileTransport(Protocol):
+    """One request and one answer at a time. A call raises LinkError or ProtocolError and is never repeated."""
+
+    profile: DeviceProfile
+
+    @property
+    def connected(self) -> bool:
+        """False before ``connect``, and as soon as answers can no longer be trusted."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Address, for messages."""
+        ...
+
+    async def connect(self) -> None:
+        """Open the wire; waits until a late answer to an earlier request can no longer come."""
+        ...
+
+    async def disconnect(self) -> None:
+        """Idempotent."""
+        ...
+
+    async def read(self, names: Sequence[str]) -> Values:
+        """These values, in N, mm, rpm or ms; others that came with them may be there, too."""
+        ...
+
+    async def order(self, name: str, asked: float = 0.0) -> None:
+        """Write the steps of an order in turn; one that the profile does not have is no step."""
+        ...
+
+
+# A device's wire between open and close: one request at a time, and when a lost link may be opened again.
+
+T = TypeVar("T")
+
+
+class RequestChannel:
+    """Requests to a profile's device.
+
+    A lost link is opened again by the next request only while the device is known to be at rest. Else all requests
+    raise LinkError until ``open``; only urgent ones, which take it to rest, try to reach it again.
+    """
+
+    def __init__(self, wire: ProfileTransport, watchdog_s: float | None, at_rest: str) -> None:
+        """``watchdog_s`` is told to the device after each opening; ``at_rest`` says what opens the link again."""
+        self.wire = wire
+        self.exposed = False
+        """It may act: by the last reading, or by a command whose outcome is not known."""
+        self._watchdog_s = watchdog_s
+        self._at_rest = at_rest
+        self._queue = RequestQueue(wire.name)
+        self._lost = f"{wire.name}: the link was lost"
+        """How the link was lost last: whoever asks next is told that, too."""
+
+    @property
+    def running(self) -> bool:
+        """Between ``open`` and ``close``."""
+        return self._queue.running
+
+    async def start(self) -> None:
+        """Serve requests; the wire is opened by the first of them."""
+        await self.close()
+        await self._queue.start()
+
+    async def open(self, first: Callable[[], Awaitable[object]]) -> None:
+        """Serve requests; the first of them shows that somebody answers."""
+        await self.start()
+        self.exposed = False
+        try:
+            await self.ask(first)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Idempotent."""
+        await self._queue.stop()
+        await self.wire.disconnect()
+
+    async def identify(self) -> DeviceIdentity:
+        """Who is there."""
+        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.told)))
+
+    async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
+        """Run ``work`` when it is its turn, on an open wire."""
+
+        async def connected() -> T:
+            if not self.wire.connected:
+                if self.exposed and not urgent:
+                    raise LinkError(f"{self._lost}; {self._at_rest}")
+                await self.wire.connect()
+                if not urgent:
+                    await self._greet()
+            try:
+                return await work()
+            except LinkError as error:
+                self._lost = str(error)
+                raise
+
+        return await self._queue.ask(connected, urgent=urgent)
+
+    async def _greet(self) -> None:
+        """See that it is this device before anything is written to it; then tell it how long it may hear nothing."""
+        try:
+            await self._recognise()
+        except BaseException:
+            await self.wire.disconnect()
+            raise
+        if self._watchdog_s is not None:
+            await self.wire.order("watchdog", round(1000 * self._watchdog_s))
+
+    async def _recognise(self) -> None:
+        """ProtocolError where another device answers, by what is expected of it, or by a state that nobody knows."""
+        profile = self.wire.profile
+        values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
+        for one in profile.expects:
+            if not one.holds(values[one.when]):
+                said = f"{self.wire.name}: another device answers: its {one.when} reads {values[one.when]!r}"
+                raise ProtocolError(f"{said}, which is not what profile {profile.name!r} expects")
+        if profile.states and profile.kind != "force_sensor":
+            try:
+                state_of(profile, values)
+            except ProtocolError as error:
+                raise ProtocolError(f"{self.wire.name}: {error}") from None
+
+
+ANSWERS_S = 2.0
+"""Of ``make_safe``, beyond the action itself: a link that is lost over it is opened again once."""
+
+R = TypeVar("R")
+
+
+class ProfiledDevice(ABC, Generic[R, T]):
+    """A device over a wire: R is what it says of itself, T are its times."""
+
+    def __init__(self, wire: ProfileTransport, times: T, watchdog_s: float | None, at_rest: str) -> None:
+        """See Exchange for ``watchdog_s`` and ``at_rest``."""
+        self._wire = wire
+        self._times = times
+        self._link = RequestChannel(wire, watchdog_s, at_rest)
+
+    @abstractmethod
+    def _reading(self, values: Values) -> R:
+        """What the values say; ProtocolError on what the profile does not have."""
+
+    @property
+    def times(self) -> T:
+        """See the device's port."""
+        return self._times
+
+    async def open(self) -> None:
+        """See Device. Also writes the watchdog time, where the profile has that."""
+        await self._link.open(self._read)
+
+    async def close(self) -> None:
+        """See Device."""
+        await self._link.close()
+
+    async def identify(self) -> DeviceIdentity:
+        """See Device."""
+        return await self._link.identify()
+
+    async def _rest(self, go: Callable[[], Awaitable[None]], within_s: float, what: str) -> None:
+        """Do what brings it to rest and proves it; a link lost over it is opened again once.
+
+        ``what`` is what could not be confirmed, for the LinkError after ``within_s``.
+        """
+        opened = self._link.running
+        if not opened:
+            await self._link.start()
+        try:
+            async with asyncio.timeout(within_s + ANSWERS_S):
+                with contextlib.suppress(LinkError, ProtocolError):
+                    return await go()
+                return await go()
+        except TimeoutError:
+            raise LinkError(f"{self._wire.name}: could not confirm that {what}") from None
+        finally:
+            if not opened:
+                await self.close()
+
+    async def _read(self) -> R:
+        values = await self._wire.read(self._wire.profile.polled)
+        try:
+            return self._reading(values)
+        except ProtocolError as error:
+            raise ProtocolError(f"{self._wire.name}: {error}") from None
+
+    async def _beat(self) -> R:
+        """Feed its watchdog, and read it."""
+        await self._wire.order("beat")
+        return await self._read()
+
+    async def _clear(self, fault: int) -> None:
+        """Clear a fault that the profile says may be cleared; leave any other."""
+        faults = self._wire.profile.faults
+        if faults and fault and fault in faults.clears:
+            await self._link.ask(lambda: self._wire.order("clear"), urgent=True)

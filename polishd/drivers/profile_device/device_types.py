@@ -1,0 +1,132 @@
+"""Devices by a profile: ``actuator_profile``, ``spindle_profile``, ``force_sensor_profile`` (docs/devices.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
+
+from polishd.api import (
+    ActuatorTimes,
+    ConfigError,
+    DeviceContext,
+    DeviceType,
+    ForceActuator,
+    ForceSensor,
+    SensorTimes,
+    Spindle,
+    SpindleTimes,
+    hookimpl,
+)
+from polishd.config.device_profile import DeviceProfile, Kind
+from polishd.config.fields import ConfigSection
+from polishd.drivers.profile_device import build
+from polishd.drivers.profile_device.build import profile_of
+
+POLISHD_API = 1
+
+A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_sensor": "a force sensor"}
+Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
+
+
+class ProfileOptions(ConfigSection):
+    """Keys of any section whose device is driven by a profile."""
+
+    profile: str
+    """Name of a profile that polishd has (``polishd device list``), or the file of one of your own, ``NAME.toml``."""
+    address: str
+    """``serial:PATH?baud=9600&parity=even&stop_bits=1`` or ``tcp://host:port``; what it leaves out the profile says."""
+    unit: Annotated[int, Field(ge=0, le=247)] | None = None
+    """Modbus unit number; left out: the profile's. [1]"""
+
+
+class ProfileActuatorOptions(ProfileOptions):
+    """Keys of ``[actuator]`` with ``type = "actuator_profile"``. Times that are left out are the profile's."""
+
+    silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = ActuatorTimes().silence_s
+    """No answer for so long: spindle off, and the robot takes the tool away."""
+    watchdog_s: Annotated[float, Field(ge=0.1, le=60.0)] | None = None
+    """So long without a word the actuator takes the force off and lifts, by itself."""
+    landing_s: Seconds | None = None
+    """No contact after so long is a fault."""
+    release_s: Seconds | None = None
+    """Longest from the order to force off."""
+    retract_s: Seconds | None = None
+    """Longest from force off until it tells that the tool is up. Motion goes on until then."""
+    stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] | None = None
+    """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+
+
+class ProfileSpindleOptions(ProfileOptions):
+    """Keys of ``[spindle]`` with ``type = "spindle_profile"``. Times that are left out are the profile's."""
+
+    pole_pairs: Annotated[int, Field(ge=1, le=24)] = 1
+    """Of the motor, for drives that count in Hz: 50 Hz are 3000 rpm with one, 1500 rpm with two. [1]"""
+    silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = SpindleTimes().silence_s
+    """No answer for so long: the link is lost."""
+    watchdog_s: Annotated[float, Field(ge=0.1, le=60.0)] | None = None
+    """The drive's own: so long without a word it stops. Words come every 100 ms."""
+    spin_s: Seconds | None = None
+    """Longest from standstill to any speed, or back."""
+
+
+class ForceSensorOptions(ProfileOptions):
+    """Keys of ``[force_sensor]`` with ``type = "force_sensor_profile"``. Times that are left out are the profile's."""
+
+    silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = SensorTimes().silence_s
+    """No new reading for so long: contact is left, as over a silent actuator."""
+    delay_s: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
+    """Longest from a force that acts to its reading: the amplifier's filter, and the link."""
+    tare_s: Annotated[float, Field(gt=0.0, le=60.0)] | None = None
+    """Longest from the order until what it read then is 0."""
+
+
+def _profile(options: ProfileOptions, context: DeviceContext, kind: Kind) -> DeviceProfile:
+    profile = profile_of(options.profile, context.base_dir)
+    if profile.kind != kind:
+        raise ConfigError(f"profile {options.profile!r} is of {A[profile.kind]}, not of {A[kind]}; name another")
+    if options.unit is not None and profile.link != "modbus":
+        raise ConfigError(
+            f"unit {options.unit}: profile {options.profile!r} is of lines, which have no unit; remove it"
+        )
+    return profile
+
+
+def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, Any]:
+    """What the section says, else the profile."""
+    given = {name: getattr(options, name) for name in names}
+    return {name: getattr(table, name) if value is None else value for name, value in given.items()}
+
+
+def _actuator(options: ProfileActuatorOptions, context: DeviceContext) -> ForceActuator:
+    profile = _profile(options, context, "actuator")
+    names = ("watchdog_s", "landing_s", "release_s", "retract_s", "stroke_mm")
+    table: Any = profile.actuator  # as its kind says
+    times = ActuatorTimes(options.silence_s, unpowered=table.unpowered, **_times(options, table, names))
+    address = build.address_of(profile, options.address, context.base_dir)
+    return build.actuator(profile, address, times, unit=options.unit)
+
+
+def _spindle(options: ProfileSpindleOptions, context: DeviceContext) -> Spindle:
+    profile = _profile(options, context, "spindle")
+    times = SpindleTimes(options.silence_s, **_times(options, profile.spindle, ("watchdog_s", "spin_s")))
+    address = build.address_of(profile, options.address, context.base_dir)
+    return build.spindle(profile, address, times, unit=options.unit, pole_pairs=options.pole_pairs)
+
+
+def _force_sensor(options: ForceSensorOptions, context: DeviceContext) -> ForceSensor:
+    profile = _profile(options, context, "force_sensor")
+    times = SensorTimes(options.silence_s, **_times(options, profile.force_sensor, ("delay_s", "tare_s")))
+    address = build.address_of(profile, options.address, context.base_dir)
+    return build.force_sensor(profile, address, times, unit=options.unit)
+
+
+@hookimpl
+def polishd_device_types() -> Sequence[DeviceType]:
+    """``actuator_profile``, ``spindle_profile``, ``force_sensor_profile``."""
+    return [
+        DeviceType("actuator_profile", "actuator", ProfileActuatorOptions, _actuator),
+        DeviceType("spindle_profile", "spindle", ProfileSpindleOptions, _spindle),
+        DeviceType("force_sensor_profile", "force_sensor", ForceSensorOptions, _force_sensor),
+    ]

@@ -1,0 +1,172 @@
+"""A profile's requests and answers on lines of text."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+
+from polishd.api import DeviceRefused, LinkError, ProtocolError
+from polishd.config.device_profile import DeviceProfile, LinesTable
+from polishd.drivers.profile_device import codec
+from polishd.drivers.profile_device.codec import Values
+from polishd.drivers.transport.address import SerialLine, Tcp, garbled, silent
+from polishd.drivers.transport.lines import NumberedLines
+from polishd.drivers.transport.modbus_link import UnnumberedLink
+from polishd.drivers.transport.streams import drop_stale
+
+# Lines without numbers: one request, one answer, and nothing that comes late is taken for the next one's.
+
+LONGEST = 512
+"""Bytes of an answer."""
+
+
+class LineLink(UnnumberedLink):
+    """One request, one answer."""
+
+    def __init__(self, address: SerialLine | Tcp, silence_s: float, ending: bytes, answer_ending: bytes) -> None:
+        """See UnnumberedLink; requests and answers end with theirs."""
+        super().__init__(address, silence_s)
+        self.name = str(address)
+        """For messages."""
+        self._ending, self._answer_ending = ending, answer_ending
+        self._rest = b""
+
+    async def connect(self) -> None:
+        """See UnnumberedLink."""
+        await super().connect()
+        self._rest = b""
+
+    async def tell(self, request: str) -> None:
+        """Send what is not answered."""
+        if self._stream is None:
+            raise LinkError(f"{self.name}: is not open")
+        try:
+            await self._stream.write(request.encode("ascii") + self._ending)
+        except LinkError:
+            await self.disconnect()
+            raise
+
+    async def ask(self, request: str) -> str:
+        """The answer's line without its ending. LinkError where none comes in time."""
+        await self._drop_stale()
+        await self.tell(request)
+        deadline = time.monotonic() + self._silence_s
+        self._due_until = deadline + self._silence_s
+        try:
+            line = await self._line(deadline)
+        except LinkError as error:
+            await self.disconnect()
+            if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
+                raise
+            raise LinkError(f"{self.name}: {self._unanswered(request)}") from error
+        self._due_until = 0.0
+        return line.decode("latin-1")
+
+    async def _drop_stale(self) -> None:
+        """What came before we ask is no answer."""
+        self._rest = b""
+        if self._stream is not None:
+            await drop_stale(self._stream)
+
+    async def _line(self, deadline: float) -> bytes:
+        stream = self._stream
+        while stream is not None:
+            line, end, rest = self._rest.partition(self._answer_ending)
+            if end:
+                self._rest = rest
+                if line := line.strip(b"\r\n"):
+                    return line
+                continue
+            if len(self._rest) > LONGEST:
+                raise LinkError(f"{self.name}: {len(self._rest)} bytes without the end of a line")
+            self._rest += await stream.read(512, max(deadline - time.monotonic(), 0.0))
+        raise LinkError(f"{self.name}: is not open")
+
+    def _unanswered(self, request: str) -> str:
+        """What silence, or what came instead of an answer, most likely is."""
+        if not self._rest:
+            how = "way that requests end"
+            return f"no answer to {request!r} {silent(self._address, self._silence_s, how)}"
+        return f"{request!r}: {garbled(self._address, self._rest, self._silence_s, 'lines.answer_ending')}"
+
+
+class LineWire:
+    """A Wire over lines of text."""
+
+    def __init__(
+        self, profile: DeviceProfile, address: Tcp | SerialLine, silence_s: float, *, pole_pairs: int = 1
+    ) -> None:
+        """An answer comes within ``silence_s``."""
+        self.profile = profile
+        self._table = profile.lines or LinesTable()
+        self._lines: LineLink | NumberedLines
+        if self._table.framing == "numbered":
+            self._lines = NumberedLines(address, silence_s)
+        else:
+            endings = self._table.ending.encode("ascii"), self._table.answer_ending.encode("ascii")
+            self._lines = LineLink(address, silence_s, *endings)
+        self._pole_pairs = pole_pairs
+        self._count = 0
+        self.name = self._lines.name
+
+    @property
+    def connected(self) -> bool:
+        """See Wire."""
+        return self._lines.connected
+
+    async def connect(self) -> None:
+        """See Wire."""
+        await self._lines.connect()
+
+    async def disconnect(self) -> None:
+        """See Wire."""
+        await self._lines.disconnect()
+
+    async def read(self, names: Sequence[str]) -> Values:
+        """See Wire."""
+        wanted, found = set(names), Values()
+        for ask in self.profile.asks.values():
+            if wanted & set(ask.groups) - set(found):
+                answer = await self._ask(ask.send)
+                try:
+                    found |= codec.fields_of(self.profile, ask, answer, self._pole_pairs)
+                except ProtocolError as error:
+                    await self._distrust()
+                    raise ProtocolError(f"{self.name}: {error}; is it another device?") from None
+        if missing := sorted(wanted - set(found)):
+            raise ProtocolError(
+                f"{self.name}: no answer says {missing[0]!r}; see asks in profile {self.profile.name!r}"
+            )
+        try:
+            return codec.signed(self.profile, found)
+        except ProtocolError as error:
+            raise ProtocolError(f"{self.name}: {error}; see scale, and whether it is this device") from None
+
+    async def order(self, name: str, asked: float = 0.0) -> None:
+        """See Wire."""
+        for step in getattr(self.profile.orders, name):
+            if "{count" in step:
+                self._count = (self._count + 1) & 0xFFFF
+            await self._tell(step.format(asked=asked, count=self._count))
+
+    async def _tell(self, request: str) -> None:
+        if not self._table.accepted and isinstance(self._lines, LineLink):
+            return await self._lines.tell(request)
+        answer = await self._ask(request)
+        if re.fullmatch(self._table.accepted, answer) is None:
+            await self._distrust()
+            raise ProtocolError(f"{self.name}: {request} was answered by {answer!r}; is it another device?")
+        return None
+
+    async def _ask(self, request: str) -> str:
+        answer = await self._lines.ask(request)
+        refusal = re.fullmatch(self._table.refused, answer) if self._table.refused else None
+        if refusal is not None:
+            raise DeviceRefused(f"{self.name}: {request} was refused: {refusal.groupdict().get('why') or answer}")
+        return answer
+
+    async def _distrust(self) -> None:
+        """Without numbers, a wrong answer may have been an earlier request's."""
+        if isinstance(self._lines, LineLink):
+            await self._lines.distrust()

@@ -1,1 +1,0 @@
-"""Plugins: found, checked, and called so that none takes others down."""

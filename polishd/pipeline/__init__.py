@@ -1,0 +1,1 @@
+"""The computing steps of a cycle: condition, learn, solve, plan; recipe, records, acceptance, decisions."""

@@ -1,0 +1,156 @@
+"""From a config and its plugins to the recipe of a job. Opens nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+from polishd.config.cell import CellConfig
+from polishd.config.instrument_profile import InstrumentProfile, load_profile
+from polishd.config.toml_loader import did_you_mean, join_words
+from polishd.hookspecs import Learner, RemovalModel, SurfaceReader
+from polishd.model.errors import ConfigError, SurfaceError
+from polishd.model.instrument import Instrument
+from polishd.model.surface import SurfaceMap
+from polishd.pipeline.part_handling import between_of, touch_off_of
+from polishd.pipeline.recipe import Recipe, ToolStep
+from polishd.pipeline.run_folder import read_map
+from polishd.plugin_loader import Hooks
+from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+
+OWN = "rate"
+"""What a removal model learns that is asked for nothing else."""
+
+
+def instrument_of(config: CellConfig) -> Instrument | None:
+    """The instrument's profile, commissioned or not; None where the cell names none. ConfigError names file and key."""
+    return None if config.profile_path is None else load_profile(config.profile_path).instrument
+
+
+def nominal_of(config: CellConfig, hooks: Hooks) -> SurfaceMap | None:
+    """The form wanted; None where the cell names none. ConfigError where its file does not say all of itself."""
+    if config.part.nominal is None:
+        return None
+    try:
+        nominal = read_map(config.resolve(config.part.nominal), hooks.surface_readers().values())
+    except SurfaceError as error:
+        raise config.error("part.nominal", str(error)) from error
+    open_ones = sorted(nominal.unsaid - {"orientation"})  # it lies as the part's own frame does
+    if open_ones:
+        raise config.error("part.nominal", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
+    return nominal
+
+
+def system_of(config: CellConfig, hooks: Hooks) -> SystemMap | None:
+    """The instrument's own error; None where its profile names no map. ConfigError where it is not to be trusted."""
+    if config.profile_path is None:
+        return None
+    return system_of_profile(load_profile(config.profile_path), hooks.surface_readers().values(), config.path.name)
+
+
+def system_of_profile(
+    profile: InstrumentProfile, readers: Collection[SurfaceReader], cell: str = "CELL.toml"
+) -> SystemMap | None:
+    """The same of a profile; ``cell`` is the cell's file in what errors advise."""
+    record, again = profile.system, f"polishd calibrate instrument {cell} makes another"
+    if record is None:
+        return None
+    try:
+        surface = read_map(profile.path.parent / record.map, readers)
+    except SurfaceError as error:
+        raise profile.error("system.map", str(error)) from error
+    if surface.sha256 != record.map_sha256:
+        raise profile.error("system.map", f"{record.map} is not the file that was calibrated: put it back, or {again}")
+    if record.profile_sha256 != profile.sha256:
+        problem = f"the profile was edited after {record.at:%Y-%m-%d %H:%M}, when its system map was made; {again}"
+        raise profile.error("system.map", problem)
+    step = surface.history
+    if step is None or step.options.get("result") != "instrument" or not step.profiled:
+        problem = f"{record.map} says of itself no instrument's own error, read by a profile; {again}"
+        raise profile.error("system.map", problem)
+    try:
+        return SystemMap(surface, AbsoluteTestResult.load(step.options["told"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise profile.error("system.map", f"{record.map} does not say how sure its terms are; {again}") from error
+
+
+def why_not_commissioned(config: CellConfig) -> str:
+    """Why no map may drive polishing in this cell; empty where maps may."""
+    if config.profile_path is None:
+        problem = "the cell names no instrument's profile; write one (docs/instruments.md), commission it, name it here"
+        return str(config.error("instrument.profile", problem))
+    return load_profile(config.profile_path).unproved
+
+
+def require_commissioned(config: CellConfig, instrument: Instrument | None) -> None:
+    """ConfigError unless the instrument that this config names is commissioned."""
+    if instrument is None or instrument.commissioned is None:
+        raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
+
+
+def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
+    """A recipe for each tool, in the order in which they polish; one where the cell has one. ConfigError as below."""
+    if not config.tools:
+        return (make_recipe(config, hooks),)
+    turns = [ToolStep(name, tool.passes, tool.change_s) for name, tool in config.tools.items()]
+    return tuple(replace(make_recipe(own, hooks), turn=turn) for own, turn in zip(config.turns, turns, strict=True))
+
+
+def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
+    """Everything that the computing steps need; ConfigError names the key that no loaded plugin serves."""
+    solvers = hooks.dwell_solvers()
+    program = _named(config, "program.format", config.program.format, hooks.program_formats())
+    instrument = instrument_of(config)
+    cross_check = config.dwell.cross_check
+    return Recipe(
+        part=config.part,
+        outline=config.outline(),
+        program=config.program,
+        dwell=config.dwell,
+        job=config.job,
+        instrument=instrument,
+        spike_mads=config.instrument.spike_mads,
+        nominal=nominal_of(config, hooks),
+        grid_mm=config.process.grid_mm,
+        process=config.tool_process(),
+        robot=config.robot_model(),
+        placement=config.placement(),
+        options=config.compliance_options(),
+        optic=config.optic(),
+        tif=config.measured_tif(),
+        correction=config.process.correction,
+        envelope=config.envelope(),
+        max_rate_change=config.limits.max_rate_change,
+        format=program,
+        model=_model(config, hooks),
+        solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
+        cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
+        finding=config.limits.finding,
+        tolerance=config.lines,
+        remembers=config.memory.remember,
+        touch_off=touch_off_of(config, program),
+        between=between_of(config, instrument),
+        system=system_of(config, hooks),
+    )
+
+
+def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
+    """The removal model, with the way to learn that the cell asks for."""
+    process = config.process
+    model: RemovalModel = _named(config, "process.removal_model", process.removal_model, hooks.removal_models())
+    own = {OWN: Learner(model.beliefs, model.learn, model.later)}
+    ways = {**own, **model.learners}
+    if process.learns not in ways:
+        hint = did_you_mean(process.learns, ways)
+        problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {join_words(ways)}"
+        raise config.error("process.learns", problem)
+    way = ways[process.learns]
+    return replace(model, beliefs=way.beliefs, learn=way.learn, later=way.later)
+
+
+def _named(config: CellConfig, key: str, name: str, records: Mapping[str, Any]) -> Any:
+    if name not in records:
+        hint = did_you_mean(name, records)
+        raise config.error(key, f"no loaded plugin has {name!r}{hint} The loaded plugins have: {join_words(records)}")
+    return records[name]

@@ -1,0 +1,492 @@
+"""The computing step that solves the dwell: problem, solver, what the machine delivers, and a second opinion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+
+from polishd.config.cell_sections import DwellSection
+from polishd.hookspecs import RemovalAnswer
+from polishd.model.dwell import AS_PROGRAMMED, DwellSolution, OptimalityCertificate, Start, WarmStart
+from polishd.model.errors import ComputeError, ProgramError
+from polishd.model.program import Envelope, Program
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.pipeline import precheck
+from polishd.pipeline.effect_cache import CachedEffect
+from polishd.pipeline.recipe import CpuLimit, Recipe
+from polishd.pipeline.records import EstimatesInUse, MeasureResult, SolveResult
+from polishd.pipeline.steps import effect_of, envelope_of, initial_estimates
+from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.lower_bound import proved
+from polishd.process.dwell.problem import DwellProblem, negligible
+from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
+from polishd.process.dwell.residual_curve import CurvePoint as Chosen
+from polishd.process.dwell.residual_curve import Row, Solve, price_curve, to_target, within_budget
+from polishd.process.dwell.time_limit import TimeLimit
+from polishd.process.metrology.edge_extension import extend
+from polishd.process.metrology.spectra import band_rms
+from polishd.process.metrology.tolerance import out_of_reach
+from polishd.process.removal.effect import Effect
+from polishd.process.removal.multi_tool_effect import split, together
+from polishd.process.removal.transfer_function import correctable
+from polishd.process.robot import motion
+
+# The part's rim where nothing was measured: heights that stand for it, so that the dwell there is somebody's.
+
+EXTENDED_WEIGHT = 0.01
+"""What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
+LEAST_SAMPLES = 3.0
+"""The extension's cut-off spans this many samples at least."""
+
+
+class FilledSurface(NamedTuple):
+    """A surface to solve for: what was measured, and what stands for the part's rim where nothing was."""
+
+    height_nm: FloatArray
+    mask: BoolArray
+    weight: FloatArray | None
+
+
+def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
+    """The part's samples without data get extended heights at a small weight: else the dwell there is nobody's.
+
+    Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
+    """
+    mask, pitch = measured.solve_mask, measured.grid.pitch_mm
+    gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
+    if recipe.dwell.extension == "none" or not gap.any():
+        return FilledSurface(measured.height_nm, mask, None)
+    reach = max(float(scipy.ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
+    own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
+    cutoff = max(own, LEAST_SAMPLES * pitch)
+    wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
+    whole = mask | (wider.mask & gap)
+    return FilledSurface(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
+
+
+# A tool's turn in a solve step: alone, or one of several that have one problem.
+
+
+class ToolProblem(NamedTuple):
+    """A tool's turn: with what recipe, along which program, and by what is believed of it (None: as at first)."""
+
+    recipe: Recipe
+    program: Program
+    believed: EstimatesInUse | None = None
+
+
+class DwellBounds(NamedTuple):
+    """Time that the machine can give each timed point, (n,) s."""
+
+    lower_s: FloatArray
+    upper_s: FloatArray
+
+    def raised(self, least_s: FloatArray) -> DwellBounds:
+        """The lower one at least this, the upper one never below it."""
+        lower = np.maximum(self.lower_s, least_s)
+        return DwellBounds(lower, np.maximum(self.upper_s, lower))
+
+
+class SolveRound(NamedTuple):
+    """A solved problem, and what the machine makes of it."""
+
+    problem: DwellProblem
+    dwell: DwellSolution
+    asked_s: FloatArray
+    expected_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ToolSubproblem:
+    """A tool's turn with its effect."""
+
+    recipe: Recipe
+    program: Program
+    believed: EstimatesInUse
+    answer: RemovalAnswer
+    envelope: Envelope
+
+    def least_s(self) -> FloatArray:
+        """(n,) what motion takes at least."""
+        return motion.least_time_s(self.program, self.envelope)
+
+    def most_s(self) -> FloatArray:
+        """(n,) at most."""
+        return motion.most_time_s(self.program, self.envelope)
+
+    def unasked_s(self) -> FloatArray:
+        """(n,) what a point gets that is not written into the program."""
+        if self.program.encoding == "dwell":
+            return self.least_s()
+        return np.full(self.program.n, self.envelope.block_overhead_s)
+
+    def divide_by(self) -> FloatArray:
+        """(n,) of "pointwise", else 1."""
+        return np.ones(self.program.n) if self.answer.divide_by is None else self.answer.divide_by
+
+
+def tool_subproblem(turn: ToolProblem, measured: MeasureResult) -> ToolSubproblem:
+    """Of a turn and the surface that it finds."""
+    believed = turn.believed or initial_estimates(turn.recipe)
+    answer = effect_of(turn.recipe, turn.program, measured.grid, believed)
+    return ToolSubproblem(turn.recipe, turn.program, believed, answer, envelope_of(turn.recipe, turn.program, believed))
+
+
+def single_tool(
+    found: SolveRound, removal_nm: FloatArray, left_nm: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray]
+) -> DwellSolution:
+    """Of several tools' solution one's: its times and bounds, what it removes, and what is left after it."""
+    time_s, lower_s, upper_s = own
+    clear, grid = found.problem.metric_mask, found.problem.effect.grid
+    residual = left_nm - left_nm[clear].mean()
+    period, inside = found.problem.band_period_mm, residual[clear]
+    certificate = replace(
+        found.dwell.certificate,
+        predicted_rms_nm=float(inside.std()),
+        predicted_pv_nm=float(np.ptp(inside)),
+        predicted_band_rms_nm=None if period is None else band_rms(residual, clear, grid.pitch_mm, period),
+        dwell_total_s=float(time_s.sum()),
+        at_lower=int(np.count_nonzero(time_s <= lower_s)),
+        at_upper=int(np.count_nonzero(time_s >= upper_s)),
+    )
+    return DwellSolution(time_s, removal_nm, residual, certificate, lower_s, upper_s)
+
+
+def with_certificate(dwell: DwellSolution, **changes: Any) -> DwellSolution:
+    """The same solution; of its certificate those fields changed."""
+    return replace(dwell, certificate=replace(dwell.certificate, **changes))
+
+
+def with_note(dwell: DwellSolution, note: str) -> DwellSolution:
+    """The same solution; its certificate says one thing more."""
+    return with_certificate(dwell, notes=(*dwell.certificate.notes, note))
+
+
+LEAST_COVERAGE = 0.9
+"""A program that works less of the clear aperture than this is taken for another part's."""
+LEAST_ON_PART = 0.5
+"""So is one that mostly works beside it."""
+ENVELOPE_ROUNDS = 2
+"""Re-solves with what acceleration delivers as the lower bound."""
+CROSS_CHECK_GAP = 1e-3
+"""Most by which an independent solver may be better."""
+LAST_SHARE = 0.25
+"""Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
+PROOF_SHARE = 0.5
+"""Of what is left of it, that a proof may take before an independent solver is asked."""
+DEADLINE = "deadline"
+"""What a certificate says of a solver whose time was over."""
+KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
+"""The worker is killed this much later: it may have two threads, and no solver looks at the time always."""
+
+
+def limit(recipe: Recipe) -> CpuLimit:
+    """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
+    return CpuLimit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
+
+
+def solve(
+    recipe: Recipe,
+    program: Program,
+    measured: MeasureResult,
+    believed: EstimatesInUse | None = None,
+    warm: WarmStart | None = None,
+) -> SolveResult:
+    """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_turns`."""
+    return solve_turns((ToolProblem(recipe, program, believed),), measured, warm)[0]
+
+
+def solve_first(turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None) -> SolveResult:
+    """Of all that the turns have to do the first one's; see `solve_turns`."""
+    return solve_turns(turns, measured, warm)[0]
+
+
+def solve_turns(
+    turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None
+) -> tuple[SolveResult, ...]:
+    """Dwell of each tool for the removal that the measured surface wants of all, within what the machine can deliver.
+
+    One problem for all tools: what the first leaves, it leaves for the others. Their recipes differ in tool and program
+    only. What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
+    What a turn believes is what the cycles have taught; ``warm`` is what was kept of the last one's solution. All of it
+    together, removal models, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU time: each solve is
+    given what is left.
+    """
+    recipe = turns[0].recipe
+    time_limit = TimeLimit(recipe.dwell.within_s)
+    for turn in turns:
+        precheck.require_path_time(turn.recipe, turn.program)
+    legs = tuple(tool_subproblem(turn, measured) for turn in turns)
+    step = _Step(recipe, legs, measured, time_limit)
+    if recipe.dwell.choose == AS_PROGRAMMED:
+        return (step.as_programmed(),)
+    for leg in legs:
+        _require_coverage(leg.program, leg.answer, measured)
+    bounds = DwellBounds(step.of_legs(ToolSubproblem.least_s), step.of_legs(ToolSubproblem.most_s))
+    if len(legs) == 1:
+        precheck.require_removal_time(recipe, measured, legs[0].answer, bounds.lower_s)
+    found = step.round(bounds, warm, LAST_SHARE)
+    for _ in range(ENVELOPE_ROUNDS):
+        late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
+        if not late.any():
+            break
+        bounds = bounds.raised(np.where(late, found.expected_s, 0.0))
+        found = step.round(bounds, found.dwell, LAST_SHARE)
+    if found.dwell.certificate.stopped == DEADLINE:
+        longer = step.round(bounds, found.dwell)
+        found = min(found, longer, key=lambda round_: round_.dwell.certificate.objective)
+    dwell = step.cross_checked(found.problem, step.timed(found.dwell))
+    dwell, curve = step.with_curve(found.problem, step.noted(dwell))
+    return step.turns(found._replace(dwell=dwell), curve)
+
+
+def _require_coverage(program: Program, answer: RemovalAnswer, measured: MeasureResult) -> None:
+    """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
+    right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
+    none = negligible(answer.effect)
+    on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64)), none).mean())
+    if on_part < LEAST_ON_PART:
+        touch = f"only {on_part:.0%} of its timed points touch the part"
+        raise ProgramError(f"{program.name}: {touch}: is it the {right}")
+    share = float(_touched(answer.removal_nm(np.ones(program.n)), none)[measured.metric_mask].mean())
+    if share < LEAST_COVERAGE:
+        raise ProgramError(f"{program.name}: the path reaches {share:.0%} of the clear aperture; is it the {right}")
+
+
+def _touched(removal: FloatArray, none: float) -> BoolArray:
+    """Where there is more than that share of the strongest."""
+    return np.asarray(removal > none * np.abs(removal).max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What all solves of one step have in common."""
+
+    recipe: Recipe
+    """What all tools have in common of it."""
+    legs: tuple[ToolSubproblem, ...]
+    measured: MeasureResult
+    time_limit: TimeLimit
+
+    def of_legs(self, value: Callable[[ToolSubproblem], FloatArray]) -> FloatArray:
+        """(n,) of all points, one tool's after the other's."""
+        return np.concatenate([value(leg) for leg in self.legs])
+
+    def each(self, values: FloatArray) -> Iterator[tuple[ToolSubproblem, FloatArray]]:
+        """Each tool, with its own of those."""
+        return zip(self.legs, split(values, [leg.program.n for leg in self.legs]), strict=True)
+
+    @cached_property
+    def effect(self) -> Effect:
+        """Of all tools."""
+        return together([leg.answer.effect for leg in self.legs])
+
+    @cached_property
+    def divide_by(self) -> FloatArray | None:
+        """(n,) what the dwell solved is divided by; None: nothing."""
+        none = all(leg.answer.divide_by is None for leg in self.legs)
+        return None if none else self.of_legs(ToolSubproblem.divide_by)
+
+    @property
+    def finest(self) -> RemovalAnswer:
+        """Of the tool that corrects the shortest periods."""
+        known = [leg.answer for leg in self.legs if leg.answer.transfer is not None]
+        if len(known) < len(self.legs):
+            return next(leg.answer for leg in self.legs if leg.answer.transfer is None)
+        return min(known, key=lambda answer: answer.transfer.cutoff_period_mm if answer.transfer else math.inf)
+
+    @property
+    def dwell(self) -> DwellSection:
+        return self.recipe.dwell
+
+    def round(self, bounds: DwellBounds, warm: Start | None, reserve: float = 0.0) -> SolveRound:
+        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
+        problem, divide_by = self.problem(bounds, warm), self.divide_by
+        if self.dwell.choose == "least":
+            within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
+            found = self.recipe.solver.solve(problem, within_s)
+        else:
+            chosen = self.chosen(problem)
+            problem, found = chosen.problem, chosen.solution
+        dwell = found if divide_by is None else _in_machine_time(found, divide_by)
+        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unasked_s), 0.0)
+        expected = [motion.delivered_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(asked)]
+        return SolveRound(problem, dwell, asked, np.concatenate(expected))
+
+    def as_programmed(self) -> SolveResult:
+        """No solve: the program's own times, and what the machine makes of them."""
+        (leg,) = self.legs
+        asked = leg.program.time_s
+        expected = motion.delivered_time_s(leg.program, asked, leg.envelope)
+        problem = self.problem(DwellBounds(expected, expected), None)
+        how: dict[str, Any] = {"solver": AS_PROGRAMMED, "iterations": 0, "stopped": "as programmed"}
+        dwell = certified(problem, expected, seconds=self.time_limit.cpu_s, **how)
+        return SolveResult(dwell, self.staying(leg), asked, expected, leg.believed)
+
+    def staying(self, leg: ToolSubproblem) -> RemovalAnswer:
+        """Its answer, whose effect stays in this process."""
+        return replace(leg.answer, effect=CachedEffect(leg.answer.effect, self.measured.grid))
+
+    def turns(self, found: SolveRound, curve: tuple[Row, ...]) -> tuple[SolveResult, ...]:
+        """What was found, for each tool."""
+        if len(self.legs) == 1:
+            (leg,) = self.legs
+            return (SolveResult(found.dwell, self.staying(leg), found.asked_s, found.expected_s, leg.believed, curve),)
+        own = (found.dwell.time_s, found.dwell.lower_s, found.dwell.upper_s, found.asked_s, found.expected_s)
+        parts = zip(self.legs, *([times for _, times in self.each(values)] for values in own), strict=True)
+        names = ", ".join(leg.recipe.turn.tool if leg.recipe.turn else "?" for leg in self.legs)
+        solved, left = list[SolveResult](), np.where(found.problem.solve_mask, found.problem.target_nm, np.nan)
+        for leg, time_s, lower_s, upper_s, asked_s, expected_s in parts:
+            removal = leg.answer.removal_nm(time_s)
+            left = left - removal
+            dwell = single_tool(found, removal, left, (time_s, lower_s, upper_s))
+            total = found.dwell.certificate
+            joint = f"one problem for {names}: {total.predicted_rms_nm:.2f} nm RMS after the last of them"
+            dwell = with_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
+            solved.append(SolveResult(dwell, self.staying(leg), asked_s, expected_s, leg.believed, curve))
+        return tuple(solved)
+
+    def problem(self, bounds: DwellBounds, warm: Start | None) -> DwellProblem:
+        """The solver's; of "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
+        measured, surface = self.measured, self.surface
+        scale = 1.0 if self.divide_by is None else self.divide_by
+        least = self.effect.removal_nm(bounds.lower_s * scale)
+        piston = choose_piston_nm(measured.height_nm, measured.metric_mask, least)
+        return DwellProblem(
+            effect=self.effect,
+            target_nm=np.where(surface.mask, surface.height_nm + piston, 0.0),
+            solve_mask=surface.mask,
+            weight=surface.weight,
+            metric_mask=measured.metric_mask,
+            lower_s=bounds.lower_s * scale,
+            upper_s=bounds.upper_s * scale,
+            regularisation=self.regularisation,
+            band_period_mm=self.recipe.job.lsf_period_mm,
+            warm=None if warm is None else WarmStart(warm.time_s * scale, warm.state),
+        )
+
+    @cached_property
+    def regularisation(self) -> float:
+        return regularisation_from_rho(self.effect, self.measured.solve_mask, self.dwell.regularisation)
+
+    @cached_property
+    def surface(self) -> FilledSurface:
+        return with_rim(self.recipe, self.measured, self.finest)
+
+    def chosen(self, problem: DwellProblem) -> Chosen:
+        """The point of the residual-against-time curve that the recipe's rule takes."""
+        solve, divide_by = self.searching(f'choose = "{self.dwell.choose}"'), self.divide_by
+        match self.dwell.choose:
+            case "knee":
+                return price_curve(problem, solve).knee()
+            case "target":
+                return to_target(problem, self.dwell.target_nm or 0.0, solve)
+            case _:
+                # "pointwise" takes so much longer than it solves
+                static = 1.0 if divide_by is None else float(divide_by.mean())
+                return within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
+
+    def searching(self, what: str) -> Solve:
+        """The recipe's solver for what needs many solves. One that was cut short would mislead it: a ComputeError."""
+        recipe, done = self.recipe, 0
+
+        def solve(problem: DwellProblem) -> DwellSolution:
+            nonlocal done
+            found = recipe.solver.solve(problem, self.time_limit.left_s)
+            certificate = found.certificate
+            if certificate.stopped == DEADLINE and certificate.kkt_residual > recipe.dwell.kkt_tolerance:
+                raise ComputeError(
+                    f"{what} takes many solves, and its time was over after {done}: {self.time_limit} were used, and "
+                    f"the next solve's KKT residual was {certificate.kkt_residual:.2e} after {certificate.iterations} "
+                    f"iterations. Give it more time (dwell.within_s is {recipe.dwell.within_s:g} s)"
+                )
+            done += 1
+            return found
+
+        return solve
+
+    def timed(self, dwell: DwellSolution) -> DwellSolution:
+        """The same solution; where its time was over, its certificate says what the whole step had used by then."""
+        certificate = dwell.certificate
+        if certificate.stopped != DEADLINE:
+            return dwell
+        used = f"{DEADLINE} after {certificate.iterations} iterations, {self.time_limit} for the whole solve step"
+        return with_certificate(dwell, stopped=used)
+
+    def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+        """The same solution with an independent solver's word on it, where its own proof is not enough."""
+        other, dwell = self.recipe.cross_check, self.proved(problem, dwell)
+        certificate = dwell.certificate
+        if other is None or (certificate.gap is not None and certificate.gap <= self.dwell.cross_check_above):
+            return dwell
+        try:
+            theirs = other.solve(problem, self.time_limit.left_s).certificate
+        except ComputeError as error:
+            return with_note(dwell, f"cross-check by {other.name} failed: {error}")
+        if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
+            return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
+        gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
+        return with_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
+
+    def proved(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+        """The same solution; where its gap is too large to do without a second opinion, the best that can be proved."""
+        enough = self.dwell.cross_check_above
+        if enough == 0:  # it is asked whatever is proved
+            return dwell
+        static = dwell if self.divide_by is None else replace(dwell, time_s=dwell.time_s * self.divide_by)
+        found = proved(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
+        return with_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
+
+    def noted(self, dwell: DwellSolution) -> DwellSolution:
+        """The same solution; its certificate says what of the surface is out of the spot's reach."""
+        measured, spot = self.measured, self.finest.transfer
+        if spot is None:
+            return dwell
+        found = correctable(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, spot)
+        if not found.resolved:
+            return dwell
+        left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
+        dwell = with_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
+        dwell = with_note(dwell, f"{left}: no dwell with this spot removes it")
+        on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
+        for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
+            dwell = with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
+        return dwell
+
+    def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
+        """The curve of residual against time where it is asked for; a plan is not refused for want of it."""
+        if not self.dwell.curve:
+            return dwell, ()
+        try:
+            return dwell, tuple(price_curve(problem, self.searching("curve")).rows())
+        except ComputeError as error:
+            return with_note(dwell, f"no curve of residual against time: {error}"), ()
+
+
+def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSolution:
+    """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
+    time_s, lower_s, upper_s = (t / divide_by for t in (dwell.time_s, dwell.lower_s, dwell.upper_s))
+    divided = replace(dwell, time_s=time_s, lower_s=lower_s, upper_s=upper_s)
+    return with_certificate(divided, dwell_total_s=float(time_s.sum()))
+
+
+def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> None:
+    """ComputeError unless the dwell is optimal as far as asked, within its bounds, and nobody found a better one."""
+    wrong = []
+    if not certificate.kkt_residual <= recipe.dwell.kkt_tolerance:
+        wrong.append(f"KKT residual {certificate.kkt_residual:.2e} is above {recipe.dwell.kkt_tolerance:.2e}")
+    if not certificate.bound_violation_s <= 1e-9:
+        wrong.append(f"a bound is violated by {certificate.bound_violation_s:.2e} s")
+    if certificate.cross_check_gap is not None and not certificate.cross_check_gap <= CROSS_CHECK_GAP:
+        wrong.append(f"{certificate.cross_check} found an objective that is {certificate.cross_check_gap:.2e} lower")
+    if wrong:
+        raise ComputeError(
+            f"the dwell of {certificate.solver} has no valid certificate ({'; '.join(wrong)}; it stopped: "
+            f"{certificate.stopped}); nothing was sent. Give it more time (dwell.within_s) or another dwell.solver"
+        )

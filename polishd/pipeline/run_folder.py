@@ -1,0 +1,99 @@
+"""The run folder: what a job leaves behind for people. The journal, not this folder, is what the daemon trusts."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from polishd.hookspecs import SurfaceReader, looks_like
+from polishd.model.errors import MapError, ProgramError
+from polishd.model.surface import SurfaceMap
+from polishd.pipeline.records import as_json
+from polishd.util.files import write_atomic
+
+
+class RunFolder:
+    """Files of one job; each is written whole. Layout: docs/run-folder.md."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def create(self) -> None:
+        """Make the folder, with its parents; whoever writes does, for a person may have deleted it meanwhile."""
+        self.path.mkdir(parents=True, exist_ok=True)
+
+    def cycle(self, cycle: int) -> RunFolder:
+        """The subfolder of one cycle."""
+        return RunFolder(self.path / f"cycle-{cycle:02d}")
+
+    def holds(self, name: str) -> bool:
+        """Whether the file is there."""
+        return (self.path / name).exists()
+
+    def set_aside(self, name: str, patterns: Sequence[str]) -> None:
+        """Move files into a subfolder of that name."""
+        folder = RunFolder(self.path / name)
+        folder.create()
+        for path in [path for pattern in patterns for path in self.path.glob(pattern)]:
+            path.replace(folder.path / path.name)
+
+    def write(self, files: Mapping[str, bytes]) -> None:
+        """What a record leaves (its ``files``)."""
+        for name, content in files.items():
+            self.bytes(name, content)
+
+    def bytes(self, name: str, content: bytes) -> None:
+        """A file as it is."""
+        self.create()
+        write_atomic(self.path / name, content)
+
+    def json(self, name: str, content: Any) -> None:
+        """A JSON object, or a dataclass as one."""
+        self.bytes(name, as_json(content))
+
+    def map_file(self, surface: SurfaceMap) -> None:
+        """A copy of the file that a map was read from, as ``map`` with its ending; nothing where it has none."""
+        if surface.path is None:
+            return
+        self.create()
+        name = f"map{surface.path.suffix}"
+        partial = self.path / f".{name}.partial"
+        shutil.copyfile(surface.path, partial)
+        partial.rename(self.path / name)
+
+
+# Reading what people hand over: programs and maps, with one clear error each.
+
+SNIFF_BYTES = 4096
+
+
+def read_program_bytes(path: Path) -> bytes:
+    """A program file's content; ProgramError where it cannot be read or is empty."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ProgramError(f"{path}: cannot be read: {error.strerror}; name the RNC program's file") from error
+    if not content.strip():
+        raise ProgramError(f"{path}: the file is empty; name the RNC program's file")
+    return content
+
+
+def read_map(path: Path, readers: Collection[SurfaceReader]) -> SurfaceMap:
+    """Read a map with the first reader that knows the file; SurfaceError where none does, or that one refuses."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(SNIFF_BYTES)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}; name a map file") from error
+    if not head:
+        raise MapError(f"{path}: the file is empty; export the map again")
+    tried = []
+    for reader in readers:
+        surface = reader.surface_of(head, path)
+        if surface is not None:
+            return surface
+        tried.append(reader.name)
+    hint = looks_like(readers, head, path)
+    raise MapError(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'}){hint}")

@@ -1,0 +1,431 @@
+"""The computing steps of a cycle: plain functions on arrays, run in the compute worker (so they pickle)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from polishd.hookspecs import RemovalAnswer, RemovalRequest
+from polishd.model.dwell import AS_PROGRAMMED
+from polishd.model.errors import ComputeError
+from polishd.model.estimates import Diagnosis, Estimate, MapPixels, PassEvidence, PassIndicators
+from polishd.model.instrument import Instrument
+from polishd.model.program import Envelope, Plan, Program, Segments
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
+from polishd.pipeline import acceptance
+from polishd.pipeline.effect_cache import CachedEffect
+from polishd.pipeline.recipe import Recipe
+from polishd.pipeline.records import CENTRED, EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, SolveResult
+from polishd.pipeline.run_folder import read_program_bytes
+from polishd.process.dwell.problem import negligible, without_traces
+from polishd.process.identification import removal_check, residual_diagnosis
+from polishd.process.identification.findings import WearIndicators, half_width_mm, pooled, traces, unexplained
+from polishd.process.identification.removal_check import RemovalCheckResult
+from polishd.process.identification.removal_fit import MOST_DRIFT_NM
+from polishd.process.identification.residual_diagnosis import leftover
+from polishd.process.metrology import conditioning
+from polishd.process.metrology.conditioning import Masks, cleaned
+from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.registration import register
+from polishd.process.metrology.resampling import Registration
+from polishd.process.metrology.spectra import surface_stats
+from polishd.process.metrology.statistics import Removal, without
+from polishd.process.metrology.system_map import SystemMap
+from polishd.process.metrology.tolerance import alignment_notes, judge, less_nominal, notes_of
+from polishd.process.removal.transfer_function import SpotTransferFunction, correctable
+from polishd.process.robot import motion
+from polishd.process.toolpath.apertures import tool_axes
+
+# The surface that figures are of: a map on its own samples over the clear aperture, without what is alignment.
+
+ROUNDING = 1e-3
+"""Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
+
+
+def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
+    """The map as it lies on the part, less the instrument's own error where that was told; BadMap as `as_profiled`."""
+    lying = as_profiled(surface, instrument)
+    return lying if system is None else system.off(lying)
+
+
+def of_part(
+    lying: SurfaceMap, spike_mads: float, nominal: SurfaceMap | None, lies: Registration
+) -> tuple[SurfaceMap, int]:
+    """That map without spikes and less the form wanted, and how many samples were taken for spikes."""
+    clean, spikes = cleaned(lying, spike_mads)
+    return (clean if nominal is None else less_nominal(clean, nominal, lies)), spikes
+
+
+def figure_of(
+    clean: SurfaceMap, grid: Grid, metric_mask: BoolArray, lies: Registration, alignment: Removal
+) -> tuple[FloatArray, BoolArray]:
+    """What is judged, and over which samples.
+
+    Args:
+        clean: the map as ``of_part`` gives it.
+        grid: the process grid, on which the clear aperture is frozen.
+        metric_mask: (ny, nx) on it: the clear aperture.
+        lies: where the part lies in the map.
+        alignment: what is alignment, and no figure.
+
+    Returns:
+        (rows, columns) of the map itself: height in nm less the alignment, NaN outside the aperture; and the clear
+        aperture there.
+    """
+    clear = on_map(clean, grid, metric_mask, lies)
+    return without(clean.height_nm, clear, alignment), clear
+
+
+def on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:
+    """The frozen clear aperture on the map's own pixels: figures are stated there, where the raster's ripple shows."""
+    x, y = lies.on_part_mm(surface.grid)
+    places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
+    # the two grids may lie half a sample apart: the nearest one would move the rim by that much
+    share = scipy.ndimage.map_coordinates(mask.astype(np.float64), places, order=1)
+    return np.asarray(share >= 0.5 - ROUNDING, dtype=np.bool_) & surface.valid
+
+
+# What a pass showed of its process, from what the learning step has at hand.
+
+
+def pass_indicators(
+    done: ExecutedPass, answer: RemovalAnswer, predicted_nm: FloatArray, verdict: RemovalCheckResult, rate: float
+) -> PassIndicators:
+    """What a pass showed that the gate did not stop.
+
+    Args:
+        done: the pass.
+        answer: of the removal model, by what was believed.
+        predicted_nm: (ny, nx) removal that it predicts of what was executed; also beside the clear aperture.
+        verdict: the gate's.
+        rate: the removal rate that was believed.
+    """
+    grid, mask = done.before.grid, done.before.metric_mask
+    seen = WearIndicators()
+    if verdict.tells_rate and answer.transfer is not None:
+        late = answer.removal_nm(done.acted_s * _lateness(done.executed_s))
+        spot_mm = half_width_mm(answer.transfer)
+        measured = done.before.height_nm - done.after.height_nm
+        seen = traces(predicted_nm, late, measured, mask, pitch_mm=grid.pitch_mm, spot_mm=spot_mm)
+    return PassIndicators(
+        before_nm=float(done.before.height_nm[mask].std()),
+        predicted_nm=done.predicted_rms_nm,
+        after_nm=float(done.after.height_nm[mask].std()),
+        within_reach_nm=_within_reach_nm(done.after, mask, grid, answer.transfer),
+        contact_s=float(done.executed_s.sum()),
+        rate=Estimate(rate * verdict.rate, rate * verdict.rate_sigma) if verdict.tells_rate else None,
+        fade=_told(seen.fade, seen.fade_sigma),
+        width=_told(seen.width, seen.width_sigma),
+        expected_nm=None if done.forecast is None else (done.forecast.low_nm, done.forecast.high_nm),
+        seen_nm=done.after.stats.rms_nm,
+    )
+
+
+def _lateness(time_s: FloatArray) -> FloatArray:
+    """(n,) where each point lies in the pass's time: -1/2 at its begin, 1/2 at its end."""
+    total = float(time_s.sum())
+    return np.asarray((np.cumsum(time_s) - time_s / 2) / total - 0.5 if total > 0 else time_s, dtype=np.float64)
+
+
+def _within_reach_nm(
+    after: MeasureResult, mask: BoolArray, grid: Grid, spot: SpotTransferFunction | None
+) -> float | None:
+    if spot is None:
+        return None
+    found = correctable(after.height_nm, mask, grid.pitch_mm, spot)
+    return found.within_reach_rms_nm if found.resolved else found.rms_nm
+
+
+def _told(value: float, sigma: float) -> Estimate | None:
+    return Estimate(value, sigma) if np.isfinite(sigma) else None
+
+
+ALIKE = 0.2
+"""Share of a map's sample by which the part may lie elsewhere in the next one, the samples being taken for the same."""
+TOUCH_MISS_MM = 3.0
+"""So far off where it should the spot may act in a pass as programmed: to find that out is what it is made for."""
+
+
+def read_program(recipe: Recipe, path: Path) -> Program:
+    """Read the job's program; ProgramError names file and line."""
+    return recipe.format.read(read_program_bytes(path), path.name)
+
+
+def initial_estimates(recipe: Recipe) -> EstimatesInUse:
+    """What is believed before anything was polished."""
+    return EstimatesInUse(recipe.model.beliefs, recipe.envelope.block_overhead_s)
+
+
+def condition(
+    recipe: Recipe, surface: SurfaceMap, masks: Masks | None = None, last: Registration | None = None
+) -> MeasureResult:
+    """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
+
+    ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
+    """
+    profiled = map_on_part(surface, recipe.instrument, recipe.system)
+    lies = CENTRED
+    if recipe.instrument is not None:
+        lies = register(profiled, recipe.instrument, recipe.outline, last)
+    clean, spikes = of_part(profiled, recipe.spike_mads, recipe.nominal, lies)
+    part = conditioning.condition(
+        clean,
+        outline=recipe.outline,
+        edge_mm=recipe.part.edge_mm,
+        grid_mm=recipe.grid_mm,
+        masks=masks,
+        removal=recipe.part.alignment,
+        registration=lies,
+    )
+    figure, clear = figure_of(clean, part.grid, part.metric_mask, lies, recipe.part.alignment)
+    stats = surface_stats(
+        figure,
+        clear,
+        clean.grid.pitch_mm,
+        lsf_period_mm=recipe.job.lsf_period_mm,
+        band_period_mm=recipe.job.tolerance_period_mm or None,
+    )
+    height = np.where(part.solve_mask, part.height_nm, 0.0)
+    repeats = None if recipe.instrument is None else recipe.instrument.repeatability_nm
+    judged = judge(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
+    judged = acceptance.bounded(recipe, judged, figure, clear, clean.grid.pitch_mm)
+    wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
+    notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
+    return MeasureResult(
+        part.grid,
+        height,
+        part.solve_mask,
+        part.metric_mask,
+        stats,
+        surface.sha256,
+        lies,
+        spikes,
+        notes,
+        judged,
+        clean.grid,
+        "" if recipe.system is None else recipe.system.surface.sha256,
+    )
+
+
+def expected_removal(recipe: Recipe, before: MeasureResult, residual_nm: FloatArray) -> MeasureResult:
+    """The measurement of a surface that a pass is expected to leave, (ny, nx) on the process grid: nobody's map."""
+    stats = surface_stats(
+        residual_nm,
+        before.metric_mask,
+        before.grid.pitch_mm,
+        lsf_period_mm=recipe.job.lsf_period_mm,
+        band_period_mm=recipe.job.tolerance_period_mm or None,
+    )
+    height = np.where(before.solve_mask & np.isfinite(residual_nm), residual_nm, 0.0)
+    return replace(before, height_nm=height, stats=stats, sha256="", notes=(), judged=(), spikes=0)
+
+
+def map_change_nm(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> float:
+    """RMS in the clear aperture of what changed from one measurement to the next, without its alignment."""
+    changed = without(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
+    return float(np.sqrt(np.mean(changed[before.metric_mask] ** 2)))
+
+
+def map_changes(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> tuple[Diagnosis, ...]:
+    """What a measurement and a later one name, with no pass between."""
+    grid, mask = before.grid, before.metric_mask
+    lost_nm = before.height_nm - after.height_nm
+    return residual_diagnosis.diagnose_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
+
+
+def harmful_changes(recipe: Recipe, moves: tuple[Diagnosis, ...]) -> tuple[Diagnosis, ...]:
+    """Of what goes on changing from map to map that which the tolerance does not bear."""
+    wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=MOST_DRIFT_NM)
+    return residual_diagnosis.harmful(moves, wanted)
+
+
+def in_part_frame(recipe: Recipe, program: Program) -> Program:
+    """The same program with its points and axes in the part's frame; one that is there already stays."""
+    if program.frame == "part":
+        return program
+    turn = scipy.spatial.transform.Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
+    offset = np.asarray(recipe.program.offset_mm)
+    return replace(
+        program,
+        start_mm=turn.apply(program.start_mm) + offset,
+        end_mm=turn.apply(program.end_mm) + offset,
+        axis=turn.apply(program.axis),
+        frame="part",
+    )
+
+
+def executed_surface(recipe: Recipe, program: Program) -> Program:
+    """The program in the part's frame, with the tool's axis: where it states none, the way the cell dips.
+
+    ``run`` refuses a program that states none (``violations``), since the robot would not know.
+    """
+    part = in_part_frame(recipe, program)
+    if _states_no_axis(recipe, program):
+        dip_deg = recipe.process.dip_deg
+        part = replace(part, axis=tool_axes(part.end_mm, recipe.optic, dip_deg, recipe.options, recipe.placement))
+    return part
+
+
+def _states_no_axis(recipe: Recipe, program: Program) -> bool:
+    return recipe.process.dip_deg > 0 and bool(np.all(program.axis == (0.0, 0.0, 1.0)))
+
+
+def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: EstimatesInUse | None = None) -> RemovalAnswer:
+    """Compliance, gamma and effect along the program, on the process grid, by what is believed: None before a pass."""
+    return recipe.model.effect(request_of(recipe, program, grid, believed or initial_estimates(recipe)))
+
+
+def request_of(recipe: Recipe, program: Program, grid: Grid, believed: EstimatesInUse) -> RemovalRequest:
+    """What a removal model is asked for a program."""
+    return RemovalRequest(
+        program=executed_surface(recipe, program),
+        grid=grid,
+        process=recipe.process,
+        robot=recipe.robot,
+        placement=recipe.placement,
+        correction=recipe.correction,
+        rate=believed.rate,
+        options=recipe.options,
+        optic=recipe.optic,
+        tif=recipe.tif,
+        rim=recipe.outline if recipe.part.rim == "free" else None,
+        beliefs=believed.removal,
+    )
+
+
+def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: EstimatesInUse) -> LearnResult:
+    """Compare predicted with measured removal of the last pass.
+
+    Nothing is learned from it where the gate stops, nor where another map must tell first (`Taught.doubted`).
+    """
+    grid, mask = done.before.grid, done.before.metric_mask
+    request = request_of(recipe, program, grid, believed)
+    answer = recipe.model.effect(request)
+    predicted = answer.removal_nm(done.acted_s)
+    measured = done.before.height_nm - done.after.height_nm
+    low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
+    allowed = (low / believed.rate, high / believed.rate)
+    miss = TOUCH_MISS_MM if recipe.dwell.choose == AS_PROGRAMMED else removal_check.MAX_SHIFT_MM
+    unknown = _unknown(recipe)
+    verdict = removal_check.judge(
+        predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown, most_shift_mm=miss
+    )
+    left = leftover(measured, mask, grid.pitch_mm, predicted, removal=unknown)
+    removed_nm = float(np.sqrt(np.mean(predicted[mask] ** 2)))
+    named = residual_diagnosis.diagnose_pass(verdict, left, removed_nm, done.again, miss)
+    taught = LearnResult(believed, verdict, grid, named=named)
+    if verdict.stop or taught.doubted:
+        return taught
+    evidence = PassEvidence(
+        beliefs=believed.removal,
+        executed_s=done.executed_s,
+        predicted_nm=verdict.predicted_nm,
+        measured_nm=verdict.measured_nm,
+        mask=mask,
+        pitch_mm=grid.pitch_mm,
+        tells_rate=verdict.tells_rate,
+        rates=(low, high),
+        acted_s=done.acted_s,
+        noise_nm=_change_noise_nm(recipe),
+        pixels=_pixels(done.before, done.after),
+        most_miss_mm=miss,
+        must_tell=recipe.dwell.choose == AS_PROGRAMMED,
+    )
+    lesson = recipe.model.learn(request, evidence)
+    if lesson.stop:
+        stopped = replace(verdict, stop=lesson.stop)
+        return replace(taught, verdict=stopped, notes=lesson.notes)
+    envelope = envelope_of(recipe, program, believed)
+    overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
+    shown = pass_indicators(done, answer, predicted, verdict, believed.rate)
+    rest, ripple = None, believed.ripple
+    if recipe.dwell.choose != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
+        rest = unexplained(predicted, measured, mask, acceptance.noise_nm(recipe, done.after))
+        ripple = acceptance.ripple(recipe, done.before, done.after, removed_nm)
+    learned = EstimatesInUse(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)
+    notes = (*(one.words for one in taught.named), *lesson.notes)
+    return replace(taught, believed=learned, found=lesson.found, notes=notes, shown=shown)
+
+
+def _pixels(before: MeasureResult, after: MeasureResult) -> MapPixels | None:
+    """Of both maps, where the part lay alike in both."""
+    grid, lies, was = after.map_grid, after.registration, before.registration
+    if grid is None or before.map_grid != grid:
+        return None
+    turned_mm = np.radians(abs(lies.rotation_deg - was.rotation_deg)) * grid.pitch_mm * max(grid.shape) / 2
+    if lies.drift_mm(was) + turned_mm > ALIKE * grid.pitch_mm:
+        return None
+    return MapPixels(grid, lies.rotation_deg, lies.shift_mm)
+
+
+def _unknown(recipe: Recipe) -> Removal:
+    """Of the change from one map to the next: the part is set up anew for each, even where tilt is figure."""
+    return "power" if recipe.part.alignment == "power" else "tilt"
+
+
+def _change_noise_nm(recipe: Recipe) -> float | None:
+    """Of the change from one map to the next, a sample; None where nothing is known of the instrument's."""
+    one = None if recipe.instrument is None else recipe.instrument.repeatability_nm
+    return None if one is None else 2**0.5 * one
+
+
+def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) -> Plan:
+    """The rewritten program, read back from its own bytes, with what it is expected to do."""
+    text = recipe.format.rewrite(program, solved.asked_s)
+    rewritten = recipe.format.read(text, name)
+    if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
+        raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
+    expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.believed))
+    answer = solved.answer
+    if isinstance(answer.effect, CachedEffect) and not answer.effect.here:  # the worker that solved is no more
+        answer = effect_of(recipe, program, answer.effect.grid, solved.believed)
+    effect = answer.effect
+    share = effect.negligible if isinstance(effect, CachedEffect) else negligible(effect)
+    return Plan(
+        program=rewritten,
+        approach_blocks=int(rewritten.block[0]),
+        contact_blocks=int(rewritten.block[-1]) + 1,
+        expected_time_s=expected,
+        predicted_removal_nm=without_traces(answer.removal_nm(expected), share),
+        segments=Segments(rewritten.text),
+    )
+
+
+def envelope_of(recipe: Recipe, program: Program, believed: EstimatesInUse | None = None) -> Envelope:
+    """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
+    envelope = recipe.envelope
+    if believed is not None and believed.block_overhead_s:
+        envelope = replace(envelope, block_overhead_s=believed.block_overhead_s)
+    feed = program.max_feed_mm_min / 60
+    if program.encoding == "dwell" and 0 < feed < envelope.max_feed_mm_s:
+        envelope = replace(envelope, max_feed_mm_s=feed)
+    return envelope
+
+
+def violations(recipe: Recipe, plan: Plan) -> list[str]:
+    """What forbids to run a plan: no tool axis, or landing points on the part.
+
+    The tool stands still at a landing point while the force comes and goes.
+    """
+    program = in_part_frame(recipe, plan.program)
+    found = []
+    if _states_no_axis(recipe, plan.program):
+        found.append(
+            f"{program.name}: states no tool axis (A and C words), and the process dips the tool by "
+            f"{recipe.process.dip_deg:g} deg: post it with its axis"
+        )
+    ends = (("starts", program.line[0], program.start_mm[0]), ("ends", program.line[-1], program.end_mm[-1]))
+    return found + [
+        f"{program.name}:{line}: contact {word} at {point[0]:.2f}, {point[1]:.2f} mm, on the part, {recipe.outline}; a "
+        "tool that stands still there digs a pit: lead in from and out to a landing point beside the part"
+        for word, line, point in ends
+        if recipe.outline.contains(point[0], point[1])
+    ]
+
+
+def process_grid(recipe: Recipe) -> Grid:
+    """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
+    return conditioning.process_grid(recipe.outline, recipe.grid_mm)

@@ -1,0 +1,359 @@
+"""Plugins: found by entry point, checked one by one, refused by name, and called so that none takes others down."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import inspect
+import logging
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pluggy
+
+from polishd import hookspecs
+from polishd.config.cell import PORTS, CellConfig, load_config
+from polishd.config.toml_loader import did_you_mean, join_words
+from polishd.hookspecs import (
+    API_VERSION,
+    PROJECT,
+    DeviceType,
+    DwellSolver,
+    NotifierType,
+    ProgramFormat,
+    RemovalModel,
+    SurfaceReader,
+)
+from polishd.model.errors import PluginError
+from polishd.model.events import Event
+from polishd.model.program import Envelope, Plan
+
+# What a plugin must be before it is used. Each check gives the reason to refuse it, or None.
+
+HOOKS = frozenset(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_"))
+DECLARATIONS: dict[str, type[Any]] = {
+    "polishd_device_types": DeviceType,
+    "polishd_program_formats": ProgramFormat,
+    "polishd_surface_readers": SurfaceReader,
+    "polishd_removal_models": RemovalModel,
+    "polishd_dwell_solvers": DwellSolver,
+    "polishd_notifiers": NotifierType,
+}
+"""Hooks that declare records, and the kind of record."""
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedPlugin:
+    """A plugin that was not loaded, and why."""
+
+    name: str
+    reason: str
+
+    def __str__(self) -> str:
+        """For people."""
+        return f"plugin {self.name!r} refused: {self.reason}"
+
+
+def wrong_version(plugin: Any) -> str | None:
+    """The plugin must say for which API it was written."""
+    said = getattr(plugin, "POLISHD_API", None)
+    if said is None:
+        return f"it does not say which API it was written for; add POLISHD_API = {API_VERSION}"
+    if said != API_VERSION or isinstance(said, bool):
+        return f"it was written for API {said!r}, this polishd has API {API_VERSION}; install a version that fits"
+    return None
+
+
+def misspelt_hooks(plugin: Any) -> str | None:
+    """Anything named like a hook must be one, and be marked as one."""
+    for name in dir(plugin):
+        member = inspect.getattr_static(plugin, name)
+        function = inspect.unwrap(member) if callable(member) else getattr(member, "__func__", None)
+        marked = hasattr(function, f"{PROJECT}_impl")
+        if name not in HOOKS and (marked or (name.startswith(f"{PROJECT}_") and inspect.isfunction(function))):
+            return f"{name} is no hook{did_you_mean(name, HOOKS)} Hooks: {join_words(HOOKS)}"
+        if name in HOOKS and not marked:
+            return f"{name} is not marked; put @hookimpl from polishd.api before it"
+    return None
+
+
+def wrong_records(hook: str, records: Any) -> str | None:
+    """What a declaring hook returned must be a sequence of its record, each name once."""
+    kind = DECLARATIONS[hook]
+    if not isinstance(records, Sequence) or isinstance(records, str):
+        return f"{hook} must return a list of {kind.__name__}, not {type(records).__name__}"
+    for record in records:
+        if not isinstance(record, kind):
+            return f"{hook} must return {kind.__name__}, not {type(record).__name__}"
+        if not isinstance(record.name, str) or not record.name:
+            return f"{hook}: {kind.__name__}.name must be a word, not {record.name!r}"
+        if isinstance(record, DeviceType | NotifierType) and (reason := _wrong_type(record)):
+            kind_name = "device" if isinstance(record, DeviceType) else "notifier"
+            return f"{hook}: {kind_name} type {record.name!r}: {reason}"
+    names = [record.name for record in records]
+    twice = {name for name in names if names.count(name) > 1}
+    return f"{hook} declares {join_words(twice)} twice" if twice else None
+
+
+def _wrong_type(record: DeviceType | NotifierType) -> str | None:
+    if isinstance(record, DeviceType) and record.port not in PORTS:
+        return f"port {record.port!r} does not exist; ports: {join_words(PORTS)}"
+    if not hasattr(record.options, "model_validate"):
+        return "options must be a pydantic model"
+    return None
+
+
+log = logging.getLogger(__name__)
+
+GROUP = "polishd"
+OWN = "polishd"
+SLOW_S = 0.25
+"""A plugin that takes longer over an event is named in the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedPlugin:
+    """A plugin in use. It has a plugin manager of its own, so a call reaches it and no other."""
+
+    name: str
+    distribution: str
+    version: str
+    records: Mapping[str, tuple[Any, ...]]
+    """By declaring hook."""
+    manager: pluggy.PluginManager
+
+    def implements(self, hook: str) -> bool:
+        """Whether the plugin has that hook."""
+        return bool(getattr(self.manager.hook, hook).get_hookimpls())
+
+
+@dataclass(frozen=True, slots=True)
+class PluginReport:
+    """What was loaded, and what was refused and why."""
+
+    loaded: tuple[LoadedPlugin, ...]
+    refused: tuple[RefusedPlugin, ...]
+
+    def require(self) -> None:
+        """PluginError, naming each, where any was refused: a cell does not run without a part of its config."""
+        if self.refused:
+            raise PluginError("\n".join(map(str, self.refused)))
+
+
+class Hooks:
+    """Typed calls of all hooks over the loaded plugins."""
+
+    def __init__(self, report: PluginReport) -> None:
+        self.report = report
+
+    def device_types(self) -> dict[str, DeviceType]:
+        """By name."""
+        return self._records("polishd_device_types")
+
+    def plugin_of(self, hook: str, name: str) -> str:
+        """The plugin that declared the record of that name."""
+        return next(plugin.name for plugin in self.report.loaded if name in _names(plugin.records[hook]))
+
+    def program_formats(self) -> dict[str, ProgramFormat]:
+        """By name."""
+        return self._records("polishd_program_formats")
+
+    def surface_readers(self) -> dict[str, SurfaceReader]:
+        """By name, in the order in which they are asked: as in the config, but polishd's own last.
+
+        Some of polishd's own take any text; whoever loads another reader wants it asked.
+        """
+        others_first = sorted(self.report.loaded, key=lambda plugin: plugin.distribution == OWN)
+        return {record.name: record for plugin in others_first for record in plugin.records["polishd_surface_readers"]}
+
+    def removal_models(self) -> dict[str, RemovalModel]:
+        """By name."""
+        return self._records("polishd_removal_models")
+
+    def dwell_solvers(self) -> dict[str, DwellSolver]:
+        """By name."""
+        return self._records("polishd_dwell_solvers")
+
+    def notifiers(self) -> dict[str, NotifierType]:
+        """By name."""
+        return self._records("polishd_notifiers")
+
+    def check_plan(self, plan: Plan, envelope: Envelope) -> list[str]:
+        """All violations, each with its plugin's name; an exception or a wrong answer is one too."""
+        found = []
+        for plugin in self._with("polishd_check_plan"):
+            try:
+                answers = plugin.manager.hook.polishd_check_plan(plan=plan, envelope=envelope)
+            except Exception as error:
+                log.exception("plugin %s failed to check a plan", plugin.name)
+                found.append(f"{plugin.name}: raised {type(error).__name__}: {error}")
+            else:
+                found += [f"{plugin.name}: {violation}" for violation in _violations(answers)]
+        return found
+
+    def on_event(self, event: Event) -> None:
+        """Tell each plugin; what one raises is logged."""
+        for plugin in self._with("polishd_on_event"):
+            begun = time.monotonic()
+            try:
+                plugin.manager.hook.polishd_on_event(event=event)
+            except Exception:
+                log.exception("plugin %s failed on event %s", plugin.name, event.name)
+            if (took := time.monotonic() - begun) > SLOW_S:
+                log.info("plugin %s took %.1f s over event %s", plugin.name, took, event.name)
+
+    def cli(self, app: Any) -> None:
+        """Let each plugin add commands; what one raises is logged."""
+        for plugin in self._with("polishd_cli"):
+            try:
+                plugin.manager.hook.polishd_cli(app=app)
+            except Exception:
+                log.exception("plugin %s failed to add its commands", plugin.name)
+
+    def _records(self, hook: str) -> dict[str, Any]:
+        return {record.name: record for plugin in self.report.loaded for record in plugin.records[hook]}
+
+    def _with(self, hook: str) -> list[LoadedPlugin]:
+        return [plugin for plugin in self.report.loaded if plugin.implements(hook)]
+
+
+def _names(records: Iterable[Any]) -> set[str]:
+    return {record.name for record in records}
+
+
+def load_plugins(names: Iterable[str], profiles: Sequence[Path] = ()) -> Hooks:
+    """Load the named plugins, in that order. Broken ones are in ``report.refused``; others go on.
+
+    ``profiles`` are the user's program dialects.
+    """
+    return _load(list(names), list(importlib.metadata.entry_points(group=GROUP)), profiles)
+
+
+def load_own() -> Hooks:
+    """Load all plugins of polishd's own distribution and no others: for commands that take no CELL."""
+    own = [point for point in importlib.metadata.entry_points(group=GROUP) if _distribution(point) == OWN]
+    return _load([point.name for point in own], own)
+
+
+def installed() -> dict[str, list[str]]:
+    """Names of all installed plugins, loaded or not, with the distributions that register them."""
+    found: dict[str, list[str]] = {}
+    for point in importlib.metadata.entry_points(group=GROUP):
+        found.setdefault(point.name, []).append(_distribution(point))
+    return found
+
+
+def _load(names: Sequence[str], points: Sequence[EntryPoint], profiles: Sequence[Path] = ()) -> Hooks:
+    loaded: list[LoadedPlugin] = []
+    refused: list[RefusedPlugin] = []
+    for name in names:
+        found = _load_one(name, [point for point in points if point.name == name], points, profiles)
+        if isinstance(found, LoadedPlugin):
+            reason = _taken(found, loaded)
+            found = RefusedPlugin(name, reason) if reason else found
+        if isinstance(found, LoadedPlugin):
+            loaded.append(found)
+        else:
+            refused.append(found)
+            log.error("%s", found)
+    return Hooks(PluginReport(tuple(loaded), tuple(refused)))
+
+
+def _load_one(
+    name: str, candidates: Sequence[EntryPoint], points: Sequence[EntryPoint], profiles: Sequence[Path]
+) -> LoadedPlugin | RefusedPlugin:
+    if not candidates:
+        known = {point.name for point in points}
+        return RefusedPlugin(name, f"it is not installed{did_you_mean(name, known)} Installed: {join_words(known)}")
+    if len(candidates) > 1:
+        owners = join_words(map(_distribution, candidates))
+        return RefusedPlugin(name, f"more than one distribution registers that name ({owners}); uninstall all but one")
+    (point,) = candidates
+    try:
+        plugin = point.load()
+        reason = wrong_version(plugin) or misspelt_hooks(plugin)
+        if reason:
+            return RefusedPlugin(name, reason)
+        manager = _manager(name, plugin)
+        records = {hook: _declared(manager, hook, profiles) for hook in DECLARATIONS}
+    except (Exception, SystemExit) as error:
+        log.debug("plugin %s", name, exc_info=True)
+        return RefusedPlugin(name, f"{_distribution(point)}, {point.value}: {type(error).__name__}: {error}")
+    return LoadedPlugin(name, _distribution(point), point.dist.version if point.dist else "", records, manager)
+
+
+def _manager(name: str, plugin: Any) -> pluggy.PluginManager:
+    manager = pluggy.PluginManager(PROJECT)
+    manager.add_hookspecs(hookspecs)
+    manager.register(plugin, name)
+    manager.check_pending()
+    return manager
+
+
+def _declared(manager: pluggy.PluginManager, hook: str, profiles: Sequence[Path]) -> tuple[Any, ...]:
+    found: list[Any] = []
+    caller = getattr(manager.hook, hook)
+    answers = caller(profiles=profiles) if hook == "polishd_program_formats" else caller()
+    if len(answers) < len(caller.get_hookimpls()):
+        raise PluginError(f"{hook} returned None; return a list")
+    for answer in answers:
+        if reason := wrong_records(hook, answer):
+            raise PluginError(reason)
+        found += answer
+    return tuple(found)
+
+
+def _taken(plugin: LoadedPlugin, others: Sequence[LoadedPlugin]) -> str | None:
+    """The reason to refuse a plugin that declares a name which an earlier one has."""
+    for hook, records in plugin.records.items():
+        for other in others:
+            both = _names(records) & _names(other.records[hook])
+            if both:
+                return f"{hook}: plugin {other.name!r} has {join_words(both)} already; load only one of the two"
+    return None
+
+
+def _violations(answers: Sequence[Any]) -> list[str]:
+    if not answers:
+        return ["returned None instead of a list of violations"]
+    found: list[str] = []
+    for answer in answers:
+        if isinstance(answer, str):
+            found.append(answer)
+        elif isinstance(answer, Sequence) and all(isinstance(violation, str) for violation in answer):
+            found += answer
+        else:
+            found.append(f"returned {type(answer).__name__} instead of a list of violations")
+    return found
+
+
+def _distribution(point: EntryPoint) -> str:
+    return point.dist.name if point.dist else "unknown"
+
+
+# A cell's file with the plugins that it names.
+
+
+def plugins_of(config: CellConfig) -> Hooks:
+    """The plugins that a config names; what is refused is in the report."""
+    return load_plugins(config.plugins.load, config.dialect_paths)
+
+
+def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Hooks]:
+    """Config and plugins; ConfigError or PluginError where anything that the config names is missing or broken."""
+    config = load_config(cell, {"process.correction": correction} if correction else None)
+    hooks = plugins_of(config)
+    hooks.report.require()
+    return config, hooks
+
+
+def hooks_of_job(cell: CellConfig, hooks: Hooks, job: CellConfig) -> Hooks:
+    """The cell's plugins for a job that is laid over it: with dialects of its own, where it names any."""
+    if job.dialect_paths == cell.dialect_paths:
+        return hooks
+    found = plugins_of(job)
+    found.report.require()
+    return found

@@ -1,0 +1,1 @@
+"""G-code text (`kind = "nc"`): one scanner over all bytes, and a rewriter number by number."""

@@ -1,0 +1,321 @@
+"""A dialect of ISO-like NC text as strict data: what a controller's words mean."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from polishd.api import ConfigError
+from polishd.plugins.rnc_robot.gcode import kernels as c
+
+Unit = Literal["s", "ms", "refuse"]
+Codes = dict[str, list[float]]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class DwellWord(_Strict):
+    """The unit of a dwell's number, as it is written."""
+
+    whole: Unit
+    """Without a decimal point."""
+    decimal: Unit
+    """With one."""
+
+
+class DwellRules(_Strict):
+    """How a dwell is written."""
+
+    codes: list[float]
+    words: dict[str, DwellWord]
+    """By letter, by name as it stands in the text (``TIME=``), or ``number`` for a bare one."""
+    refused: dict[str, str]
+    """Letters that mean something else beside the dwell code, and what."""
+    decimals: Annotated[int, Field(ge=0, le=9)]
+    """Of new numbers in seconds, where the program's own have fewer."""
+    most_decimals: Annotated[int, Field(ge=0, le=12)]
+    resolution_s: Annotated[float, Field(ge=0, le=1e3)] = 0.0
+    """What the controller really resolves, where that is coarser than what can be written."""
+    longest_s: Annotated[float, Field(ge=1e-6, le=1e12)]
+    written: str
+    """How a new dwell block begins; the number follows."""
+    own_block: bool
+
+
+class FeedRules(_Strict):
+    """What F means."""
+
+    unit: Literal["mm/min", "mm/s"]
+    g93: Literal["1/min", "s", "refuse"]
+    whole: Literal["as_is", "unsure"]
+    """F without a decimal point: as it stands, or up to a machine parameter. In inches it always is."""
+    most_decimals: Annotated[int, Field(ge=0, le=12)]
+
+
+class TextRules(_Strict):
+    """How text becomes words."""
+
+    comments: list[Literal["()", ";"]]
+    end_of_block: bool
+    blanks_in_numbers: bool
+    assign: bool
+    block_delete: Literal["refuse", "run", "skip"]
+    whole_positions: Literal["mm", "um", "unsure"]
+    commands: list[str]
+    """What comments begin with that the controller runs, before a comma."""
+    realtime: str
+    """Characters that the controller acts on wherever they stand; with any, bytes beyond ASCII are such, too."""
+    longest_line: Annotated[int, Field(ge=20, le=4096)]
+    tape: Literal["percent", "name"]
+    program_number: bool
+    end: Literal["required", "optional"]
+
+
+class AxisRules(_Strict):
+    """Which words turn the tool, or the part beneath it."""
+
+    rotary: list[Literal["CA", "CB", "AB", "BA", "AC", "BC"]]
+    """Pairs that a program may use, outermost rotation first: CA is Rz(C) Rx(A)."""
+    turns: Literal["tool", "table"]
+    """What they turn. The tool axis in the frame of a part on a table is the table's rotation undone."""
+    vector: list[str]
+    """Three words of a tool vector from the tip into the spindle; empty: none."""
+
+
+class WordRules(_Strict):
+    """Words that change neither time nor place."""
+
+    neutral: list[str]
+    keywords: list[str]
+
+
+class GcodeDialect(_Strict):
+    """A profile of ISO-like NC text (``kind = "nc"``)."""
+
+    kind: Literal["nc"]
+    name: str
+    title: str
+    dwell: DwellRules
+    feed: FeedRules
+    text: TextRules
+    axes: AxisRules
+    words: WordRules
+    g: Codes
+    """G codes by what they do; what stands nowhere is refused."""
+    m: Codes
+    refused_g: dict[str, str]
+    """Why a G code is refused."""
+    refused_words: dict[str, str]
+
+
+# A dialect as the scanner looks things up: lists for the interpreter, arrays once it is compiled.
+
+_ACTIONS = {
+    "neutral": c.NEUTRAL, "rapid": c.RAPID, "line": c.LINE_TO, "arc_cw": c.ARC_CW, "arc_ccw": c.ARC_CCW,
+    "cancel": c.CANCEL, "plane_xy": c.PLANE_XY, "plane_zx": c.PLANE_ZX, "plane_yz": c.PLANE_YZ, "inch": c.INCH,
+    "mm": c.MM, "inch_lengths": c.INCH_LENGTHS, "absolute": c.ABSOLUTE, "incremental": c.INCREMENTAL,
+    "inverse": c.INVERSE, "per_minute": c.PER_MINUTE, "offset": c.OFFSET, "machine": c.MACHINE, "home": c.HOME,
+    "path": c.PATH, "vectors_on": c.VECTORS_ON, "vectors_off": c.VECTORS_OFF,
+}  # fmt: skip
+_M_ACTIONS = {"neutral": c.M_NEUTRAL, "ends": c.M_ENDS, "stops": c.M_STOPS}
+_UNITS = {"s": c.U_S, "ms": c.U_MS, "refuse": c.U_REFUSE}
+_WHOLE = {"mm": c.WHOLE_MM, "um": c.WHOLE_UM, "unsure": c.WHOLE_UNSURE}
+_DELETE = {"refuse": c.DELETE_REFUSE, "run": c.DELETE_RUN, "skip": c.DELETE_SKIP}
+_G93 = {"refuse": c.G93_REFUSE, "1/min": c.G93_PER_MINUTE, "s": c.G93_SECONDS}
+_AXES = "XYZABC"
+
+
+class Tables(NamedTuple):
+    """See ``codes.py`` for what the numbers mean."""
+
+    flags: Sequence[int]
+    g: Sequence[int]
+    """Action by G code times ten."""
+    m: Sequence[int]
+    role: Sequence[int]
+    """By word code, as are ``whole`` and ``decimal``, the units of a dwell's number."""
+    whole: Sequence[int]
+    decimal: Sequence[int]
+    axis_word: Sequence[int]
+    """Word code of each axis x y z a b c i j k; -1: the dialect has none."""
+    longest_s: float
+    names: int
+    name_at: Sequence[int]
+    name_bytes: Sequence[int]
+
+
+def tables(dialect: GcodeDialect) -> Tables:
+    """The dialect's tables; ConfigError names the key that makes no sense."""
+    _check_words(dialect)
+    names = _names(dialect)
+    role = [c.R_UNKNOWN] * c.WORDS
+    for letter, what in {"N": c.R_N, "G": c.R_G, "M": c.R_M, "F": c.R_F, "R": c.R_ARC}.items():
+        role[_code(letter, names, dialect)] = what
+    vector = dialect.axes.vector
+    axes = [*_AXES[:3], *(_AXES[k] if any(_AXES[k] in pair for pair in dialect.axes.rotary) else "" for k in (3, 4, 5))]
+    axes += vector or ["", "", ""]
+    if len(axes) != c.AXES:
+        raise ConfigError(f"dialect {dialect.name}: axes.vector: needs three words. To do: name them, or none.")
+    axis_word = [_code(word, names, dialect) if word else -1 for word in axes]
+    for axis in axis_word:
+        if axis >= 0:
+            role[axis] = c.R_AXIS
+    for letter in "IJK":
+        role[_code(letter, names, dialect)] = c.R_ARC
+    for letter in "PQ" if dialect.g.get("path") else ():
+        role[_code(letter, names, dialect)] = c.R_P
+    for word in dialect.words.neutral:
+        role[_code(word, names, dialect)] = c.R_NEUTRAL
+    for word in dialect.words.keywords:
+        role[_code(word, names, dialect)] = c.R_CALL if word.endswith("(") else c.R_KEYWORD
+    if dialect.text.program_number:
+        role[_code("O", names, dialect)] = c.R_PROGRAM
+    whole, decimal = _dwell_words(dialect, names, role)
+    return Tables(
+        _flags(dialect), _g_codes(dialect), _m_codes(dialect), role, whole, decimal, axis_word,
+        dialect.dwell.longest_s, len(names), *_packed(names),
+    )  # fmt: skip
+
+
+def _check_words(dialect: GcodeDialect) -> None:
+    """ConfigError for words that no text can hold, or that mean something else already."""
+    where = f"dialect {dialect.name}"
+    named = {"axes.vector": dialect.axes.vector, "words.neutral": dialect.words.neutral,
+             "words.keywords": dialect.words.keywords, "dwell.words": [*dialect.dwell.words],
+             "dwell.written": [dialect.dwell.written], "text.realtime": [dialect.text.realtime],
+             "text.commands": dialect.text.commands}  # fmt: skip
+    for key, words in named.items():
+        for word in words:
+            if not word.isascii():
+                raise ConfigError(f"{where}: {key}: {word!r} is no ASCII text. To do: correct it.")
+    taken = {*"NGMFXYZ", *(letter for pair in dialect.axes.rotary for letter in pair)}
+    for key in ("words.neutral", "words.keywords"):
+        for word in named[key]:
+            if word.upper() in taken:
+                raise ConfigError(f"{where}: {key}: {word!r} means something already. To do: take it out.")
+    if written_word(dialect) not in dialect.dwell.words:
+        raise ConfigError(f"{where}: dwell.written: ends in no word of dwell.words. To do: end it as in 'G4 P'.")
+
+
+def written_word(dialect: GcodeDialect) -> str:
+    """The word of a new dwell's time: ``number`` where the number stands bare."""
+    return re.sub(r"^.*[Gg]0*[0-9]+\.?[0-9]*\s*", "", dialect.dwell.written).strip() or "number"
+
+
+def _names(dialect: GcodeDialect) -> list[str]:
+    """Words of more than one letter, the longest first."""
+    words = [*dialect.dwell.words, *dialect.axes.vector, *dialect.words.neutral, *dialect.words.keywords]
+    found = {word.upper() for word in words if len(word) > 1 and word != "number"}
+    if len(found) > c.WORDS - c.NAMES:
+        raise ConfigError(f"dialect {dialect.name}: more than {c.WORDS - c.NAMES} names. To do: name fewer.")
+    return sorted(found, key=len, reverse=True)
+
+
+def _code(word: str, names: list[str], dialect: GcodeDialect) -> int:
+    if word == "number":
+        return c.BARE
+    upper = word.upper()
+    if upper in names:
+        return c.NAMES + names.index(upper)
+    if len(upper) != 1 or not "A" <= upper <= "Z":
+        raise ConfigError(f"dialect {dialect.name}: {word!r} is no word. To do: give a letter, or a name.")
+    return ord(upper) - 65
+
+
+def _dwell_words(dialect: GcodeDialect, names: list[str], role: list[int]) -> tuple[list[int], list[int]]:
+    whole, decimal = [c.U_NONE] * c.WORDS, [c.U_NONE] * c.WORDS
+    for letter in dialect.dwell.refused:
+        code = _code(letter, names, dialect)
+        whole[code] = decimal[code] = c.U_REFUSE
+        if role[code] == c.R_UNKNOWN:
+            role[code] = c.R_TIME
+    for word, unit in dialect.dwell.words.items():
+        code = _code(word, names, dialect)
+        whole[code], decimal[code] = _UNITS[unit.whole], _UNITS[unit.decimal]
+        if role[code] == c.R_UNKNOWN:
+            role[code] = c.R_STATEMENT if word.startswith("#") else c.R_TIME
+    return whole, decimal
+
+
+def _flags(dialect: GcodeDialect) -> list[int]:
+    flags, text = [0] * c.FLAGS, dialect.text
+    flags[c.PARENS] = "()" in text.comments
+    flags[c.SEMICOLON] = ";" in text.comments
+    flags[c.EOB] = text.end_of_block
+    flags[c.BLANKS] = text.blanks_in_numbers
+    flags[c.ASSIGN] = text.assign
+    flags[c.DELETE] = _DELETE[text.block_delete]
+    flags[c.WHOLE] = _WHOLE[text.whole_positions]
+    flags[c.TAPE_NAME] = text.tape == "name"
+    flags[c.NUMBERED] = text.program_number
+    flags[c.OWN_BLOCK] = dialect.dwell.own_block
+    flags[c.LONGEST] = text.longest_line
+    flags[c.FEED_UNSURE] = dialect.feed.whole == "unsure"
+    flags[c.G93] = _G93[dialect.feed.g93]
+    return [int(flag) for flag in flags]
+
+
+def _g_codes(dialect: GcodeDialect) -> list[int]:
+    found = [0] * 10_000
+    for does, numbers in {**dialect.g, "dwell": dialect.dwell.codes}.items():
+        if does != "dwell" and does not in _ACTIONS:
+            raise ConfigError(f"dialect {dialect.name}: g.{does}: is not known. To do: one of {', '.join(_ACTIONS)}.")
+        for number in numbers:
+            _set(found, number * 10, _ACTIONS.get(does, c.DWELL), f"dialect {dialect.name}: g.{does}")
+    return found
+
+
+def _m_codes(dialect: GcodeDialect) -> list[int]:
+    found = [0] * 1000
+    for does, numbers in dialect.m.items():
+        if does not in _M_ACTIONS:
+            raise ConfigError(f"dialect {dialect.name}: m.{does}: is not known. To do: one of {', '.join(_M_ACTIONS)}.")
+        for number in numbers:
+            _set(found, number, _M_ACTIONS[does], f"dialect {dialect.name}: m.{does}")
+    return found
+
+
+def _set(found: list[int], number: float, does: int, where: str) -> None:
+    code = round(number) if math.isfinite(number) else -1
+    if abs(code - number) > 1e-6 or not 0 <= code < len(found):
+        raise ConfigError(f"{where}: {number:g} is no code. To do: correct it.")
+    if found[code] not in (0, does):
+        raise ConfigError(f"{where}: {number:g} does two things. To do: take it out of one of them.")
+    found[code] = does
+
+
+def _packed(names: list[str]) -> tuple[list[int], list[int]]:
+    """Where each name begins among all names' bytes, and the bytes."""
+    starts = [0]
+    for name in names:
+        starts.append(starts[-1] + len(name))
+    return starts, list("".join(names).encode("ascii")) or [0]
+
+
+Row = Any
+"""A list, or an array."""
+
+
+class WordBuffer(NamedTuple):
+    """The words of a line."""
+
+    i: Row
+    f: Row
+    at: Row
+    """By word code: which word of the line it is; -1: not in it."""
+
+
+class ScanColumns(NamedTuple):
+    """Columns to fill, row by row, flat."""
+
+    moves: Row
+    places: Row
+    dwells: Row
+    times: Row
+    modes: Row

@@ -1,0 +1,383 @@
+"""What a program in a robot language says: its moves, its dwells and its positions, with all refusals."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from polishd.api import ProgramError
+from polishd.plugins.rnc_robot.gcode.refusals import refuse
+from polishd.plugins.rnc_robot.languages.columns import NONE, Context, PointColumns, Positions, WrittenPose, is_rotation
+from polishd.plugins.rnc_robot.languages.profile import Kind, LanguageProfile
+
+# A program's text as statements, each matched by a template; what none matches is refused.
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedStatement:
+    """A statement and where it stands."""
+
+    kind: Kind
+    match: re.Match[bytes]
+    line: int
+    """1-based line of its first byte."""
+    note: str = ""
+    advice: str = ""
+
+    def text(self, field: str) -> str | None:
+        """What a field holds; None where the template has no such field, or it is not there."""
+        if field not in self.match.re.groupindex or self.match[field] is None:
+            return None
+        return self.match[field].decode("latin-1").strip()
+
+    def number(self, field: str) -> float | None:
+        """A field that is a number."""
+        if field not in self.match.re.groupindex or self.match[field] is None:
+            return None
+        return float(self.match[field])
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramSource:
+    """A program's bytes and name, for messages."""
+
+    data: bytes
+    name: str
+
+    def refuse(self, line: int, reason: str, advice: str) -> ProgramError:
+        """The error that names file and line, shows the line, says what is wrong with it and what to do."""
+        return refuse(self.name, line, self.data.split(b"\n")[line - 1], reason, advice)
+
+
+def statements(profile: LanguageProfile, source: ProgramSource) -> Iterator[MatchedStatement]:
+    """The statements in file order. ProgramError for the first that is unknown, or known to be refused."""
+    data = source.data
+    lone = re.search(rb"\r(?!\n)", data)
+    if lone:
+        line = data.count(b"\n", 0, lone.start()) + 1
+        raise source.refuse(line, "a carriage return without a line feed", "save it with the line ends of one system")
+    comments = "|".join(map(re.escape, profile.comments)).encode()
+    skip = re.compile(rb"(?:[ \t\r\n]++|(?:" + comments + rb")[^\n]*+)*+" if comments else rb"[ \t\r\n]*+")
+    at, line = 0, 1
+    while True:
+        start = skip.match(data, at).end()  # type: ignore[union-attr]
+        line += data.count(b"\n", at, start)
+        if start == len(data):
+            return
+        statement = _matched(profile, source, start, line)
+        yield statement
+        at = statement.match.end()
+        line += data.count(b"\n", start, at)
+
+
+def _matched(profile: LanguageProfile, source: ProgramSource, start: int, line: int) -> MatchedStatement:
+    for pattern in profile.patterns:
+        match = pattern.regex.match(source.data, start)
+        if match is None:
+            continue
+        if pattern.kind == "refused":
+            raise source.refuse(line, pattern.note, pattern.advice)
+        return MatchedStatement(pattern.kind, match, line, pattern.note, pattern.advice)
+    raise source.refuse(
+        line,
+        f"the profile {profile.name} does not know this statement",
+        f"remove it, or add a template for it to a profile of your own (extends = {profile.name!r})",
+    )
+
+
+LARGEST_MM = 1e6
+POSTED = "have it posted again with the positions written out"
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A feed move: where to, as a pose or as a declared position's name with an offset."""
+
+    line: int
+    place: WrittenPose | None
+    target: str | None
+    offset_mm: tuple[float, float, float]
+    stops: bool
+    feed_mm_min: float
+    context: Context
+
+
+@dataclass(slots=True)
+class Scan:
+    """A whole program: its points as columns, the rest counted."""
+
+    profile: LanguageProfile
+    source: ProgramSource
+    kept: list[MatchedStatement] | None = None
+    """All statements, where somebody asked for them: a kilobyte each."""
+    points: PointColumns = field(default_factory=PointColumns)
+    positions: Positions = field(default_factory=Positions)
+    moves: int = 0
+    """Feed moves."""
+    dwells: int = 0
+    bare_line: int = 0
+    """Of the first feed move without a dwell, as far as the next move is read; 0: none."""
+    body_lines: int = 0
+    """Lines with statements in the routine that is open, or was the last; of the file, where there are no routines."""
+    moving_lines: int = 0
+    """Of the routine that moves, once it ended."""
+    line: int = 0
+    """Of the last statement that was read."""
+    counted: int = 0
+    """The line that ``body_lines`` counted last."""
+    warnings: dict[str, None] = field(default_factory=dict)
+    modal: dict[str, str] = field(default_factory=dict)
+    last: Move | None = None
+    """The last feed move."""
+    at: Move | None = None
+    """The feed move at whose end the robot stands: that one, or none."""
+    dwelled: bool = False
+    """The last feed move has its dwell."""
+    routine: str | None = None
+    """Name of the routine that is open."""
+    moving: MatchedStatement | None = None
+    """Begin of the routine that moves."""
+    begun: MatchedStatement | None = None
+    finished: bool = False
+
+    def refuse(self, statement: MatchedStatement, reason: str, advice: str) -> ProgramError:
+        """The error at a statement."""
+        return self.refuse_line(statement.line, reason, advice)
+
+    def refuse_line(self, line: int, reason: str, advice: str) -> ProgramError:
+        """The error at a line."""
+        return self.source.refuse(line, reason, advice)
+
+    def folded(self, name: str) -> str:
+        """A name as the language compares it."""
+        return name.lower() if self.profile.ignore_case else name
+
+
+def scan(profile: LanguageProfile, text: bytes, name: str, *, keep: bool = False) -> Scan:
+    """Read a program through; with ``keep`` all its statements, too. ProgramError where it may mean several things."""
+    found = Scan(profile, ProgramSource(text, name), [] if keep else None)
+    for statement in statements(profile, found.source):
+        if found.finished:
+            raise found.refuse(statement, "a statement after the end of the program", "remove it")
+        if found.kept is not None:
+            found.kept.append(statement)
+        found.line = statement.line
+        if statement.kind not in {"begin", "end"} and found.counted != statement.line:
+            found.counted, found.body_lines = statement.line, found.body_lines + 1
+        _TAKE[statement.kind](found, statement)
+    unfinished = "finish" in profile.kinds and not found.finished
+    if found.line and (unfinished or found.routine is not None):
+        raise found.refuse_line(found.line, "the program breaks off: its end is missing", "check that it is whole")
+    _leave_bare(found)
+    return found
+
+
+def _move(found: Scan, statement: MatchedStatement) -> None:
+    _inside(found, statement)
+    target = statement.text("target")
+    move = Move(
+        statement.line,
+        place_of(found, statement) if target is None else None,
+        None if target is None else found.folded(target),
+        _offset(found, statement),
+        _stops(found.profile, statement.text("zone")),
+        _feed(found, statement),
+        _context(found, statement),
+    )
+    if target is not None and found.profile.declare_before_use and move.target not in found.positions:
+        raise found.refuse(statement, f"the position {target} is not declared before its use", POSTED)
+    _leave_bare(found)
+    found.moves += 1
+    found.last = found.at = move
+    found.dwelled = False
+
+
+def _leave_bare(found: Scan) -> None:
+    """The last feed move gets no dwell any more."""
+    if found.last is not None and not found.dwelled and not found.bare_line:
+        found.bare_line = found.last.line
+
+
+def _offset(found: Scan, statement: MatchedStatement) -> tuple[float, float, float]:
+    if "dx" not in statement.match.re.groupindex:
+        return 0.0, 0.0, 0.0
+    dx, dy, dz = ((statement.number(axis) or 0.0) * found.profile.unit_mm for axis in ("dx", "dy", "dz"))
+    if not max(abs(dx), abs(dy), abs(dz)) <= LARGEST_MM:
+        raise found.refuse(statement, "an offset beyond any robot", "correct it")
+    return dx, dy, dz
+
+
+def _approach(found: Scan, statement: MatchedStatement) -> None:
+    _inside(found, statement)
+    found.at = None
+
+
+def _dwell(found: Scan, statement: MatchedStatement) -> None:
+    _inside(found, statement)
+    time = statement.number("time")
+    if time is None or not 0 <= time < math.inf:
+        raise found.refuse(statement, "a dwell is a time of zero or more", "correct it")
+    move = found.at
+    if move is not None:
+        if found.dwelled:
+            raise found.refuse(statement, "two dwells at one point", "write their sum in one")
+        if not move.stops and statement.kind == "dwell":
+            _fly_by(found, statement, move)
+        found.dwelled = True
+        _keep_point(found, statement, time, move)
+    found.dwells += 1
+
+
+def _keep_point(found: Scan, statement: MatchedStatement, time: float, move: Move) -> None:
+    """A move and its dwell are a point."""
+    points, place = found.points, move.place
+    if place is None:
+        points.xyz_mm.extend(move.offset_mm)
+        points.turn.extend([math.nan] * len(found.profile.orientation.fields))
+    else:
+        points.xyz_mm.extend(value + more for value, more in zip(place.xyz_mm, move.offset_mm, strict=True))
+        points.turn.extend(place.turn)
+    points.feed_mm_min.append(move.feed_mm_min)
+    points.time.append(time)
+    points.move_line.append(move.line)
+    points.dwell_line.append(statement.line)
+    start, end = statement.match.span("time")
+    points.number_line.append(statement.line + found.source.data.count(b"\n", statement.match.start(), start))
+    points.start.append(start)
+    points.end.append(end)
+    points.target.append(NONE if move.target is None else points.targets.of(move.target))
+    points.context.append(points.contexts.of(move.context))
+
+
+def _fly_by(found: Scan, statement: MatchedStatement, move: Move) -> None:
+    if found.profile.dwell.fly_by == "refuse":
+        raise found.refuse(
+            statement,
+            f"a dwell after the fly-by move of line {move.line}: it need not be spent at the point",
+            "end the move with an exact stop",
+        )
+    found.warnings[
+        "dwells after fly-by moves: the controller stops there all the same, as it plans no further than a wait"
+    ] = None
+
+
+def _position(found: Scan, statement: MatchedStatement) -> None:
+    name = statement.text("target") or ""
+    if found.folded(name) in found.positions:
+        other = found.positions.line[found.positions.number[found.folded(name)]]
+        raise found.refuse(statement, f"the position {name} is declared in line {other} too", "keep one of them")
+    context = statement.text("tool"), statement.text("frame")
+    found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
+
+
+def _neutral(found: Scan, statement: MatchedStatement) -> None:
+    for name in ("tool", "frame", "feed"):
+        text = statement.text(name)
+        if text is not None:
+            found.modal[name] = text
+
+
+def _assumed(found: Scan, statement: MatchedStatement) -> None:
+    found.warnings[statement.note] = None
+
+
+def _begin(found: Scan, statement: MatchedStatement) -> None:
+    if found.routine is not None:
+        raise found.refuse(statement, "a routine inside a routine", "have it posted as one routine")
+    found.routine, found.begun = found.folded(statement.text("program") or ""), statement
+    found.body_lines = found.counted = 0
+
+
+def _end(found: Scan, statement: MatchedStatement) -> None:
+    if found.routine is None:
+        raise found.refuse(statement, "the end of a routine that has not begun", "remove it")
+    found.routine, found.at = None, None
+    if found.moving is not None and found.moving is found.begun:
+        found.moving_lines = found.body_lines
+
+
+def _run(found: Scan, statement: MatchedStatement) -> None:
+    if found.routine is not None:
+        raise found.refuse(statement, "calls are not read", "have it posted as one routine")
+    moving = found.moving.text("program") if found.moving else None
+    if found.folded(statement.text("program") or "") != found.folded(moving or ""):
+        raise found.refuse(statement, "a call of something else than the routine that moves", "remove it")
+    found.finished = True
+
+
+def _finish(found: Scan, statement: MatchedStatement) -> None:
+    if found.routine is not None:
+        raise found.refuse(statement, "the end of the file inside a routine", "check that it is whole")
+    found.finished = True
+
+
+_TAKE = {
+    "move": _move, "approach": _approach, "dwell": _dwell, "dwell_in_position": _dwell, "position": _position,
+    "neutral": _neutral, "assumed": _assumed, "begin": _begin, "end": _end, "run": _run, "finish": _finish,
+}  # fmt: skip
+
+
+def _inside(found: Scan, statement: MatchedStatement) -> None:
+    """A motion or dwell stands in the one routine that moves."""
+    if "begin" not in found.profile.kinds:
+        return
+    if found.begun is None or found.routine is None:
+        raise found.refuse(statement, "a motion or dwell outside any routine", "check that the program is whole")
+    if found.moving is None:
+        found.moving = found.begun
+    if found.moving is not found.begun:
+        raise found.refuse(
+            statement,
+            f"a second routine that moves (the first begins in line {found.moving.line}): which runs when is not read",
+            "have it posted as one routine",
+        )
+
+
+def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
+    """The pose that a statement writes out."""
+    profile = found.profile
+    names = ("x", "y", "z", *profile.orientation.fields)
+    written = [statement.number(name) for name in names]
+    if None in written:
+        raise found.refuse(statement, "the position is not complete", POSTED)
+    x, y, z, *turn = (value or 0.0 for value in written)
+    xyz_mm = x * profile.unit_mm, y * profile.unit_mm, z * profile.unit_mm
+    if not max(map(abs, xyz_mm)) <= LARGEST_MM:
+        raise found.refuse(statement, "a position beyond any robot", "correct it")
+    if not is_rotation(profile.orientation.convention, turn):
+        raise found.refuse(statement, "the orientation is no rotation", "correct it")
+    return WrittenPose(xyz_mm, tuple(turn))
+
+
+def _stops(profile: LanguageProfile, zone: str | None) -> bool:
+    if zone is None or zone.lower() in profile.exact_stop:
+        return True
+    try:
+        return float(zone) == 0
+    except ValueError:
+        return False
+
+
+def _feed(found: Scan, statement: MatchedStatement) -> float:
+    """Feed in mm/min, of the move itself or as it was set before; NaN where neither is a number, or a time rules."""
+    units = found.profile.feed_units_mm_min
+    own = "feed" in statement.match.re.groupindex
+    text = statement.text("feed") if own else found.modal.get("feed")
+    factor = units.get((statement.text("feed_unit") or "").lower())
+    if text is None or factor is None or statement.number("t"):
+        return math.nan
+    try:
+        return float(text) * factor
+    except ValueError:
+        return math.nan
+
+
+def _context(found: Scan, statement: MatchedStatement) -> Context:
+    """Tool and frame that the move is written for."""
+    tool, frame = (
+        statement.text(name) if name in statement.match.re.groupindex else found.modal.get(name)
+        for name in ("tool", "frame")
+    )
+    return tool, frame

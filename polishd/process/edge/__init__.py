@@ -1,1 +1,0 @@
-"""The part's rim: the surface beyond it, the spot that overhangs it, and what no dwell reaches."""

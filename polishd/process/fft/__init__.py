@@ -1,0 +1,1 @@
+"""Compiled Fourier transforms for the dwell solvers."""

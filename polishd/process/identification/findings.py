@@ -1,0 +1,350 @@
+"""What passes say together: converging slower than predicted, a rate that drifts, a tool that wears, another spot.
+
+How large each must be to be seen, and how often one is found where there is none: docs/wear.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
+from polishd.model.surface import BoolArray, FloatArray
+from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, levelled, regressed
+from polishd.process.removal.transfer_function import SpotTransferFunction
+
+# What a planned pass is expected to leave, as a distribution, before it is made; and how far off passes have been.
+
+LEVEL = 0.9
+UNEXPLAINED = 0.009
+"""Of the removal, RMS, before a pass has shown it: so that most first passes in each of this package's scenarios
+come as expected, those with a ripple that no touch tells among them (docs/scenarios.md)."""
+WITHIN = 0.6
+"""Standard deviation of the natural logarithm of how large it is in the next pass."""
+MODES = 12
+"""Independent parts of the field that no rate explains: a part is so many of its correlation lengths."""
+SURE_NOISE = 3.0
+"""A removal that varies by less than so many times its noise shows nothing of what no rate explains."""
+SAMPLES = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """RMS that the next map is expected to show on its own samples, in the clear aperture, aligned as it is."""
+
+    low_nm: float
+    median_nm: float
+    high_nm: float
+    level: float
+    """Chance that it comes between the two."""
+    better: float
+    """Chance that it is less than what was measured before the pass."""
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"{self.low_nm:.2f} to {self.high_nm:.2f} nm ({100 * self.level:.0f} %)"
+
+
+def forecast(
+    now_nm: FloatArray,
+    removal_nm: FloatArray,
+    *,
+    removed_nm: float,
+    rate_sigma: float,
+    unexplained: float,
+    noise_nm: float = 0.0,
+    finer_nm: float = 0.0,
+    ripple: float = 0.0,
+) -> Forecast:
+    """Of a pass.
+
+    Args:
+        now_nm: (n,) surface in the clear aperture as measured, aligned.
+        removal_nm: (n,) what the pass is expected to remove there, aligned likewise.
+        removed_nm: RMS of the removal, all of it.
+        rate_sigma: standard error of the removal rate, relative.
+        unexplained: RMS of what no rate explains, relative to that.
+        noise_nm: RMS of the next map's noise beyond what ``now_nm`` has of it, in quadrature.
+        finer_nm: RMS of what the map shows beyond ``now_nm`` and its noise: it stays.
+        ripple: what a pass adds to that, relative to ``removed_nm``, known as well as ``unexplained`` is.
+    """
+    rng = np.random.default_rng(0)  # the same question has the same answer
+    left, removal = now_nm - removal_nm, removal_nm - removal_nm.mean()
+    left = left - left.mean()
+    own, across, square = (float(np.mean(a * b)) for a, b in ((left, left), (left, removal), (removal, removal)))
+    off = rate_sigma * rng.standard_normal(SAMPLES)
+    by_rate = np.maximum(own - 2 * off * across + off**2 * square, 0.0)
+    size = unexplained * removed_nm * np.exp(WITHIN * rng.standard_normal(SAMPLES))
+    field = size**2 * rng.chisquare(MODES, SAMPLES) / MODES
+    mixed = 2 * np.sqrt(by_rate * field / MODES) * rng.standard_normal(SAMPLES)
+    after = np.sqrt(np.maximum(by_rate + field + mixed, 0.0))
+    alike = rng.uniform(size=SAMPLES)  # of the same tracks all of it, of others it is beside what is there
+    finer = finer_nm + ripple * removed_nm * alike * np.exp(WITHIN * rng.standard_normal(SAMPLES))
+    seen = np.hypot(np.hypot(after, noise_nm), finer)
+    low, median, high = np.quantile(seen, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
+    better = float(np.mean(np.hypot(after, finer) < np.hypot(now_nm.std(), finer_nm)))
+    return Forecast(float(low), float(median), float(high), LEVEL, better)
+
+
+def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, noise_nm: float) -> float | None:
+    """What no rate explains of a pass, relative to all that it removed; None where the pass is too weak to tell.
+
+    Args:
+        predicted_nm: (ny, nx) removal by the model, of what was executed, all of it.
+        measured_nm: (ny, nx) map before less map after.
+        mask: (ny, nx) the clear aperture.
+        noise_nm: RMS of one map's noise on these samples.
+    """
+    predicted, measured = (levelled(np.where(mask, v, 0.0), mask)[mask] for v in (predicted_nm, measured_nm))
+    size = float(np.sqrt(np.mean(predicted**2)))
+    change_nm = 2**0.5 * noise_nm
+    if size < max(MIN_SIGNAL_NM, SURE_NOISE * change_nm):
+        return None
+    rate = float(predicted @ measured / (predicted @ predicted))
+    rest = float(np.mean((measured - rate * predicted) ** 2))
+    return float(np.sqrt(max(rest - change_nm**2, 0.0) / np.mean(predicted_nm[mask] ** 2)))
+
+
+def pooled(known: float, shown: float | None) -> float:
+    """What is expected of the next pass: the last one counts as much as all before it."""
+    return known if shown is None else float(np.sqrt((known**2 + shown**2) / 2))
+
+
+SIGMAS = 4.0
+"""Standard errors by which a change must be other than none: a cell makes thousands of passes."""
+REFERENCE = 3
+"""Passes that make the rate that later ones are held against."""
+LEAST_PROMISE = 0.05
+"""Of the RMS: a plan that expects less of a gain expects none."""
+STALLED = 2
+"""Passes in a row that gain too little."""
+BY_REACH = 0.5
+"""Share of what is left that the spot must be able to correct, for more passes to be worth a thought."""
+BY_WEAR = 0.5
+"""Share of a fall that what was lost within the passes must make, for the fall to be wear."""
+WORTH = 0.05
+"""Chance of a gain below which a pass is not made."""
+DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
+"""A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
+
+
+def has_diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
+    """Whether a surface is clearly worse than it has been: RMS of the earlier measurements, and of this one."""
+    best = min(earlier_nm, default=math.inf)
+    return now_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
+
+
+def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
+    """A pass that is not worth making: it will hardly leave the surface better than it is."""
+    if not limits.least_gain or expected.better >= WORTH:
+        return None
+    chance = f"with a chance of {100 * expected.better:.0f} % that it is less than now"
+    todo = "it is not made. Take another tool, or tolerance, or a quieter map"
+    return Finding("stall", f"the next pass would leave {expected.words}, {chance}: {todo}", "job")
+
+
+def extend_series(series: PassSeries, shown: PassIndicators) -> PassSeries:
+    """The series with one more pass."""
+    hours = shown.contact_s / 3600
+    longer = replace(series, passes=series.passes + 1, contact_h=series.contact_h + hours)
+    if shown.rate is not None:
+        reference = _mean(series.reference, shown.rate) if series.rated < REFERENCE else series.reference
+        longer = replace(longer, reference=reference, rated=series.rated + 1)
+    if shown.fade is not None:
+        longer = replace(
+            longer,
+            faded=longer.faded + shown.fade.value,
+            faded_variance=longer.faded_variance + _sigma(shown.fade) ** 2,
+            faded_h=longer.faded_h + hours,
+        )
+    return longer
+
+
+def findings(series: PassSeries, job: Sequence[PassIndicators], limits: FindingLimits) -> tuple[Finding, ...]:
+    """What is found after the last pass of a job; none where all is as it should be.
+
+    Args:
+        series: with that pass (`followed`).
+        job: what this job's passes showed, in time order; those that were interrupted are not among them.
+        limits: how far each may go.
+    """
+    shown = job[-1]
+    of_tool = [found for found in (_rate(series, shown, limits), _spot(shown, limits)) if found is not None]
+    stall = None if of_tool else _stall(job, limits)  # a tool that changed is why
+    return tuple(of_tool) if stall is None else (stall,)
+
+
+def _rate(series: PassSeries, shown: PassIndicators, limits: FindingLimits) -> Finding | None:
+    """A rate that changed within the pass, or since the series' first passes."""
+    since = _change(series, shown)
+    if shown.fade is not None and _beyond(shown.fade, limits.max_rate_drift):
+        word = f"the removal rate changed by {_percent(shown.fade)} during one pass of {_hours(shown.contact_s / 3600)}"
+        return _tool(word, falls=shown.fade.value < 0, within=True)
+    if since is None or series.rated <= REFERENCE or not _beyond(since, limits.max_rate_drift):
+        return None
+    over = f"{series.passes} passes, {_hours(series.contact_h)} in contact"
+    word = f"the removal rate changed by {_percent(since)} in {over}"
+    return _tool(word, falls=since.value < 0, within=_by_wear(series, since.value))
+
+
+def _tool(word: str, *, falls: bool, within: bool | None) -> Finding:
+    if falls and within:
+        return Finding("wear", f"{word}, and it falls while the tool polishes: dress or change the tool", "cell")
+    within_words = {
+        True: "within the pass",
+        False: "and not within the passes",
+        None: "within the passes or between them",
+    }
+    advice = "look at slurry, temperature, force and speed; then the tool"
+    return Finding("drift", f"{word}, {within_words[within]}: {advice}", "cell")
+
+
+def _by_wear(series: PassSeries, change: float) -> bool | None:
+    """Whether what was lost within the passes explains a fall between them; None: they do not show it."""
+    if change >= 0:
+        return False
+    if not series.faded_h:
+        return None
+    scale = series.contact_h / series.faded_h  # passes that showed no fade wore the tool, too
+    lost, sigma = scale * series.faded, scale * math.sqrt(series.faded_variance)
+    share = BY_WEAR * math.log1p(max(change, -0.99))
+    if lost < -2 * sigma and lost <= share:
+        return True
+    return False if lost - 2 * sigma > share else None
+
+
+def _spot(shown: PassIndicators, limits: FindingLimits) -> Finding | None:
+    if shown.width is None or not _beyond(shown.width, limits.max_spot_change):
+        return None
+    if abs(shown.width.value) - 2 * _sigma(shown.width) <= limits.max_spot_change:
+        return None  # a part of few spots across reads widths that scatter as far as the limit
+    word = "wider" if shown.width.value > 0 else "narrower"
+    size = f"{100 * abs(shown.width.value):.0f} +- {100 * _sigma(shown.width):.0f} %"
+    advice = "look at tool, pressure and dip, and calibrate the spot"
+    return Finding("spot", f"the spot is {size} {word} than the plans count with: {advice}", "cell")
+
+
+def _stall(job: Sequence[PassIndicators], limits: FindingLimits) -> Finding | None:
+    last = job[-STALLED:]
+    if not limits.least_gain or len(last) < STALLED or not all(_gains_little(one, limits) for one in last):
+        return None
+    first, shown = last[0], last[-1]
+    word = (
+        f"the last {STALLED} passes brought the RMS from {first.before_nm:.2f} to {shown.after_nm:.2f} nm, and "
+        f"{first.predicted_nm:.2f} and {shown.predicted_nm:.2f} were predicted"
+    )
+    if shown.within_reach_nm is not None:
+        word += f"; {shown.within_reach_nm:.2f} nm of what is left has periods that this spot corrects"
+    reach = shown.within_reach_nm is None or shown.within_reach_nm >= BY_REACH * shown.after_nm
+    todo = "look in the report where predicted and measured differ" if reach else "take another tool, or tolerance"
+    return Finding("stall", f"{word}: {todo}", "job")
+
+
+def _gains_little(shown: PassIndicators, limits: FindingLimits) -> bool:
+    if shown.predicted_nm is None:
+        return False
+    promised, gained = shown.before_nm - shown.predicted_nm, shown.before_nm - shown.after_nm
+    return promised < LEAST_PROMISE * shown.before_nm or gained < limits.least_gain * promised
+
+
+def _change(series: PassSeries, shown: PassIndicators) -> Estimate | None:
+    """Of the rate against the series' reference, relative."""
+    if shown.rate is None or series.reference is None:
+        return None
+    ratio = shown.rate.value / series.reference.value
+    error = math.hypot(_sigma(shown.rate) / shown.rate.value, _sigma(series.reference) / series.reference.value)
+    return Estimate(ratio - 1, ratio * error)
+
+
+def _beyond(change: Estimate, limit: float) -> bool:
+    """Beyond its limit, and surely no chance."""
+    return abs(change.value) > limit and abs(change.value) > SIGMAS * _sigma(change)
+
+
+def _mean(known: Estimate | None, new: Estimate) -> Estimate:
+    if known is None:
+        return new
+    a, b = (1 / max(_sigma(one), 1e-6) ** 2 for one in (known, new))
+    return Estimate((a * known.value + b * new.value) / (a + b), (a + b) ** -0.5)
+
+
+def _sigma(belief: Estimate) -> float:
+    return math.inf if belief.sigma is None else belief.sigma
+
+
+def _percent(change: Estimate) -> str:
+    return f"{100 * change.value:+.0f} +- {100 * _sigma(change):.0f} %"
+
+
+def _hours(hours: float) -> str:
+    return f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.0f} min"
+
+
+# What a pass's removal shows of the tool beside its rate: that it wore while it polished, or that its spot changed.
+
+
+@dataclass(frozen=True, slots=True)
+class WearIndicators:
+    """Each relative, with its standard error; infinite where the pass does not show it."""
+
+    fade: float = 0.0
+    """By how much the removal rate changed from the pass's begin to its end, of its mean."""
+    fade_sigma: float = float("inf")
+    width: float = 0.0
+    """By how much the spot is wider than the predicted one, volume aside."""
+    width_sigma: float = float("inf")
+
+
+def traces(
+    predicted_nm: FloatArray,
+    late_nm: FloatArray,
+    measured_nm: FloatArray,
+    mask: BoolArray,
+    *,
+    pitch_mm: float,
+    spot_mm: float,
+) -> WearIndicators:
+    """Both by least squares, beside rate, shift and plane: ``measured = rate (predicted + fade late + width s^2 L)``.
+
+    A spot that is wider by a little smooths what it removes, as diffusion does: L is the prediction's Laplacian. All
+    are smoothed by the spot's size first: what is shorter is noise, and ripple of the raster, which grids take unlike.
+
+    Args:
+        predicted_nm: (ny, nx) removal predicted of what was executed, positive = removed; also beside the mask.
+        late_nm: (ny, nx) the same, each point's time weighted with its place in the pass, -1/2 at the begin, 1/2 at the
+            end.
+        measured_nm: (ny, nx) map before less map after.
+        mask: (ny, nx) samples to compare.
+        pitch_mm: of the grid.
+        spot_mm: the spot's RMS half width along one direction, s.
+    """
+    signal = levelled(predicted_nm, mask)[mask]
+    if mask.sum() < FEWEST or np.sqrt(np.mean(signal**2)) < MIN_SIGNAL_NM:
+        return WearIndicators()
+    reach = spot_mm / pitch_mm
+    predicted, late, measured = (
+        scipy.ndimage.gaussian_filter(height, reach) for height in (predicted_nm, late_nm, measured_nm)
+    )
+    bent = scipy.ndimage.laplace(predicted, mode="nearest") * reach**2
+    slopes = [np.gradient(predicted, axis=axis) for axis in (0, 1)]
+
+    def figures(factors: FloatArray) -> FloatArray:
+        return np.asarray(factors[..., 1:3] / factors[..., :1], dtype=np.float64)
+
+    found = regressed([predicted, late, bent, *slopes], measured, mask, figures)
+    (fade, width), (fade_sigma, width_sigma) = figures(found.factors), found.sigma
+    return WearIndicators(float(fade), float(fade_sigma), float(width), float(width_sigma))
+
+
+def half_width_mm(transfer: SpotTransferFunction) -> float:
+    """RMS half width of a spot along one direction: a transfer function falls from 1 by ``(2 pi s f)^2 / 2``."""
+    frequency, modulus = transfer.frequency_per_mm, transfer.modulus
+    few = (frequency > 0) & (modulus > 0.9)
+    if not few.any():
+        return 0.0
+    return float(np.sqrt(np.mean(2 * (1 - modulus[few]) / (2 * np.pi * frequency[few]) ** 2)))

@@ -1,0 +1,1 @@
+"""Maps: conditioning, registration, resampling, Zernike, spectra, statistics, tolerances, uncertainty."""

@@ -1,0 +1,215 @@
+"""How the part lies in each map, and what that makes of its Zernike terms.
+
+A pose is a turn about the axis, then a lateral shift: the part's point p is seen at ``R(angle) p + shift``. Angles are
+counter-clockwise as the map is displayed (row 0 at the top, x right, y up).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from polishd.model.errors import MapError
+from polishd.model.surface import FloatArray
+from polishd.process.metrology.zernike import order, values
+
+LEVEL = 3
+"""Piston and tilts, the first terms of any map: each map has its own, so that they tell nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartPose:
+    """Of the part in one map."""
+
+    angle_deg: float
+    """Counter-clockwise as displayed."""
+    x_mm: float = 0.0
+    """By which the part lies further to the right ..."""
+    y_mm: float = 0.0
+    """... and up, after the turn."""
+
+    def __str__(self) -> str:
+        shift = f", shifted {self.x_mm:g},{self.y_mm:g} mm" if self.x_mm or self.y_mm else ""
+        return f"{self.angle_deg:g} deg{shift}"
+
+    def on_part(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coordinates on the part of points in the map, all from the axis."""
+        turn = np.radians(self.angle_deg)
+        x, y = x_mm - self.x_mm, y_mm - self.y_mm
+        return np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+
+    def in_map(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The inverse: where points of the part are seen."""
+        turn = np.radians(self.angle_deg)
+        x, y = np.cos(turn) * x_mm - np.sin(turn) * y_mm, np.sin(turn) * x_mm + np.cos(turn) * y_mm
+        return x + self.x_mm, y + self.y_mm
+
+
+def terms(degree: int) -> tuple[tuple[int, int], ...]:
+    """(n, m) of all Zernike terms up to this radial order, piston and tilts first."""
+    return order("ansi", (degree + 1) * (degree + 2) // 2)
+
+
+def moved(degree: int, pose: PartPose, radius_mm: float) -> FloatArray:
+    """What a pose makes of terms, (k, k): ``seen = moved @ part``, both of RMS norm over the unit circle.
+
+    Exact: a polynomial that is turned and shifted is one of the same degree. Solved on a lattice of points.
+    """
+    x, y, inverse = _lattice(degree)
+    there = (along / radius_mm for along in pose.on_part(x * radius_mm, y * radius_mm))
+    return np.asarray(inverse @ values(terms(degree), "rms", *there).T)
+
+
+@cache
+def _lattice(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(p,) x and y of points in the unit circle, and (k, p) what finds the terms of values there."""
+    radius = np.sqrt((np.arange(degree + 2) + 0.5) / (degree + 2))[:, None]
+    angle = 2 * np.pi * np.arange(2 * degree + 3)[None, :] / (2 * degree + 3)
+    x: FloatArray = (radius * np.cos(angle)).ravel()
+    y: FloatArray = (radius * np.sin(angle)).ravel()
+    return x, y, np.asarray(np.linalg.pinv(values(terms(degree), "rms", x, y).T), dtype=np.float64)
+
+
+# Zernike terms in words of optics, and what would tell one that no pose does.
+
+FOLDS = {2: "astigmatism", 3: "trefoil", 4: "tetrafoil", 5: "pentafoil", 6: "hexafoil"}
+RANKS = ("", "secondary ", "tertiary ")
+RADIUS = "a reference of known radius or a flat of known power"
+OTHER_FOLDS = "more angles that share no fold, and a lateral shift"
+ROUND = "a lateral shift of the part, or a reference"
+
+
+def name_of(n: int, m: int) -> str:
+    """The family's name of a term, without its direction: astigmatism for (2, 2) and (2, -2)."""
+    fold = abs(m)
+    if (n, fold) == (2, 0):
+        return "power"
+    first = 4 if fold == 0 else 3 if fold == 1 else fold
+    rank = (n - first) // 2
+    family = {0: "spherical", 1: "coma"}.get(fold) or FOLDS.get(fold, f"{fold}-foil")
+    return f"{RANKS[rank]}{family}" if rank < len(RANKS) else f"{family} of order {n}"
+
+
+def term_name(n: int, m: int) -> str:
+    """A single term: its family, and cos or sin where it has a direction."""
+    return name_of(n, m) + (" cos" if m > 0 else " sin" if m < 0 else "")
+
+
+def families(pairs: Iterable[tuple[int, int]]) -> list[str]:
+    """Names of terms, each family once, lowest order first."""
+    ordered = sorted({(n, abs(m)) for n, m in pairs}, key=lambda pair: (pair[0] + pair[1], pair[1]))
+    return list(dict.fromkeys(name_of(n, m) for n, m in ordered))
+
+
+def reference_for(n: int, m: int, angles_deg: Iterable[float] = ()) -> str:
+    """What tells a term that the poses do not: power only a reference, m = 0 a shift, the rest another angle."""
+    if (n, m) == (2, 0):
+        return RADIUS
+    if m == 0:
+        return ROUND
+    used = ", ".join(f"{angle:g}" for angle in angles_deg)
+    turn = 180 / abs(m)
+    return f"one more angle, {turn:g} deg from one of {used or 'those measured'}"
+
+
+# What a set of poses can tell, before anything is measured: the null space of part and instrument together.
+
+MOST_GAIN = 30.0
+"""Noise of a direction, in that of one map, beyond which it counts as unknown."""
+UNKNOWN_SHARE = 0.01
+"""Share of a term that lies in the unknown directions, from which on it is named."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnobservedTerm:
+    """A term of the instrument that the poses do not tell."""
+
+    n: int
+    m: int
+    share: float
+    """Of its square that is unknown: 1 all of it, less where only a mixture with other terms is."""
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        return term_name(self.n, self.m)
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Poses, and what they tell."""
+
+    poses: tuple[PartPose, ...]
+    degree: int
+    radius_mm: float
+    """Of the unit circle."""
+    terms: tuple[tuple[int, int], ...]
+    """(n, m) of the j terms above tilt; RMS norm, m > 0 cosine, angles from x towards y."""
+    moves: FloatArray
+    """(maps, j, j) the T_k."""
+    null: FloatArray
+    """(2 j, q) orthonormal: changes of part and instrument that no map shows."""
+    hidden: FloatArray
+    """(j, r) orthonormal: changes of the instrument among them."""
+
+    @property
+    def unknown(self) -> tuple[UnobservedTerm, ...]:
+        """The instrument's terms that are unknown, in whole or in part."""
+        share = (self.hidden**2).sum(axis=1)
+        return tuple(
+            UnobservedTerm(n, m, min(float(part), 1.0))
+            for (n, m), part in zip(self.terms, share, strict=True)
+            if part > UNKNOWN_SHARE
+        )
+
+    @property
+    def freedom(self) -> int:
+        """Equations more than unknowns that can be found: what tells the noise."""
+        count, size, _ = self.moves.shape
+        return int(count * size - (2 * size - self.null.shape[1]))
+
+
+def design(poses: Sequence[PartPose], degree: int, radius_mm: float) -> Design:
+    """What poses tell of terms up to a radial order over a circle.
+
+    Raises:
+        BadMap: fewer than two poses, or all alike, if by a whole turn or by next to nothing.
+        ValueError: an order below 2.
+    """
+    if degree < 2:
+        raise ValueError(f"terms up to order {degree}: the lowest above tilt is 2")
+    moves = np.stack([moved(degree, pose, radius_mm)[LEVEL:, LEVEL:] for pose in poses])
+    size = moves.shape[1]
+    null = null_space(sum((information(move) for move in moves), np.zeros((2 * size, 2 * size))))
+    own, strength, _ = np.linalg.svd(null[size:], full_matrices=False)
+    hidden = own[:, strength > 1 / MOST_GAIN]
+    if hidden.shape[1] == size:
+        raise MapError("the part lies alike in all maps, which tells nothing of the instrument: turn it between them, "
+                     "by 90 deg say")  # fmt: skip
+    return Design(
+        poses=tuple(poses),
+        degree=degree,
+        radius_mm=radius_mm,
+        terms=terms(degree)[LEVEL:],
+        moves=moves,
+        null=null,
+        hidden=hidden,
+    )
+
+
+def information(move: FloatArray) -> FloatArray:
+    """(2 j, 2 j) what one map adds to the normal matrix of part and instrument, for noise of 1 a term."""
+    whole = np.hstack([move, np.eye(len(move))])
+    return whole.T @ whole
+
+
+def null_space(normal: FloatArray) -> FloatArray:
+    """(2 j, q) orthonormal directions of which the noise is more than ``MOST_GAIN`` times one map's.
+
+    A direction holds part and instrument in about equal shares: half of its variance is the instrument's.
+    """
+    value, vector = np.linalg.eigh(normal)
+    return np.asarray(vector[:, value < 0.5 / MOST_GAIN**2])

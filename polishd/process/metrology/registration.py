@@ -1,0 +1,291 @@
+"""Register a map as its instrument's profile asks, within the profile's limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from polishd.model.errors import MapError
+from polishd.model.instrument import Instrument
+from polishd.model.outline import Circle, Outline, Polygon
+from polishd.model.surface import FloatArray, SurfaceMap
+from polishd.process.metrology import fiducials
+from polishd.process.metrology.resampling import Registration
+
+# The part's place by its outline: a circle through the rim of the data, whatever is missing inside or cut off.
+
+TRIALS = 400
+"""Circles through three samples of the rim that are tried; the seed is fixed: the same map, the same answer."""
+WITHIN_PX = 1.0
+"""Distance from the circle up to which a sample of the rim belongs to it."""
+SECTORS = 72
+LEAST_RIM = 0.4
+"""Share of the circle that must be seen."""
+LEAST_ROUND = 0.75
+"""Share of the rim that lies on its best circle below which another diameter is that of no circle at all."""
+LEAST_PIECE = 0.05
+"""Size of a piece of the data, relative to the largest, below which it is a crumb."""
+STEPS = 20
+
+
+def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, tolerance_mm: float) -> Registration:
+    """Where the part's centre lies in a map, by the circle that its data end on. The turn cannot be seen: 0.
+
+    Args:
+        height_nm: (ny, nx), NaN = no data.
+        pitch_mm: of the map.
+        diameter_mm: of the outline.
+        tolerance_mm: how far the diameter may be off.
+
+    Raises:
+        BadMap: an outline that is no circle, another diameter, or too little of the rim in sight.
+    """
+    x, y = rim_px(height_nm)
+    require_rim(x)
+    centre_x, centre_y, radius = _trials(x, y)
+    for _ in range(STEPS):
+        held = abs(np.hypot(x - centre_x, y - centre_y) - radius) <= WITHIN_PX
+        moved = _step(x[held], y[held], centre_x, centre_y)
+        if np.hypot(moved[0] - centre_x, moved[1] - centre_y) < 1e-6:
+            break
+        centre_x, centre_y, radius = moved
+    diameter = 2 * radius * pitch_mm
+    gap = np.hypot(x - centre_x, y - centre_y) - radius
+    held = abs(gap) <= WITHIN_PX
+    if not abs(diameter - diameter_mm) <= tolerance_mm and held.mean() < LEAST_ROUND:
+        raise MapError(
+            f"the rim of the map's data is no circle: {held.mean():.0%} of it lies on the best one; only round"
+            " outlines are fitted, so register by fiducials, or mask what is not the part"
+        )
+    if not abs(diameter - diameter_mm) <= tolerance_mm:
+        raise MapError(f"the map's outline is {diameter:.3f} mm across, {diameter_mm:g} mm expected and "
+                     f"{tolerance_mm:g} mm allowed: the pitch is wrong, it is another part, or another aperture; mend "
+                     "instrument.aperture_mm or the pitch")  # fmt: skip
+    seen = _visible_turn(x[held] - centre_x, y[held] - centre_y)
+    if seen < LEAST_RIM:
+        raise MapError(f"only {seen:.0%} of the part's rim is seen, at least {LEAST_RIM:.0%} is needed to place it: "
+                     "centre the part in the frame, or register by fiducials")  # fmt: skip
+    shift = (centre_x * pitch_mm, centre_y * pitch_mm)
+    residual = float(np.sqrt(np.mean(gap[held] ** 2))) * pitch_mm
+    return Registration(0.0, shift, residual, int(held.sum()), "aperture", diameter / diameter_mm)
+
+
+def require_rim(x: FloatArray) -> None:
+    """BadMap unless so many samples of a rim (n,) can place a part."""
+    if x.size < SECTORS:
+        raise MapError(f"the map shows {x.size} samples of the part's rim, too few to place it: the part fills the "
+                     "frame, or hardly has data; register by fiducials, or measure with the rim in view")  # fmt: skip
+
+
+def rim_px(height_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """X right and y up, px from the centre of the array: the middle of each pixel side between part and outside.
+
+    Holes are no rim, nor is the edge of the array; crumbs of data beside the part do not count.
+    """
+    valid = np.isfinite(height_nm)
+    labels, count = scipy.ndimage.label(valid)
+    if not count:
+        return np.empty(0), np.empty(0)
+    size = np.bincount(labels.ravel())
+    size[0] = 0
+    part = scipy.ndimage.binary_fill_holes((size >= LEAST_PIECE * size.max())[labels])
+    row, column = np.nonzero(part[:, 1:] != part[:, :-1])
+    row_2, column_2 = np.nonzero(part[1:] != part[:-1])
+    ny, nx = part.shape
+    x = np.concatenate([column + 0.5, column_2]) - (nx - 1) / 2
+    y = (ny - 1) / 2 - np.concatenate([row, row_2 + 0.5])
+    return x, y
+
+
+def _trials(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
+    """The circle through three samples that most others lie on."""
+    rng = np.random.default_rng(0)
+    three = rng.integers(0, x.size, (TRIALS, 3))
+    (xa, xb, xc), (ya, yb, yc) = x[three].T, y[three].T
+    twice = 2 * ((xb - xa) * (yc - ya) - (xc - xa) * (yb - ya))
+    fine = abs(twice) > x.size  # else nearly in line, or the same sample
+    xa, xb, xc, ya, yb, yc, twice = (v[fine] for v in (xa, xb, xc, ya, yb, yc, twice))
+    b2, c2 = (xb - xa) ** 2 + (yb - ya) ** 2, (xc - xa) ** 2 + (yc - ya) ** 2
+    u, v = ((yc - ya) * b2 - (yb - ya) * c2) / twice, ((xb - xa) * c2 - (xc - xa) * b2) / twice
+    centre_x, centre_y, radius = xa + u, ya + v, np.hypot(u, v)
+    if not radius.size:
+        raise MapError("the rim of the map's data is no circle: mask what is not the part, or register by fiducials")
+    some = slice(None, None, 1 + x.size // 2000)
+    away = abs(np.hypot(x[some] - centre_x[:, None], y[some] - centre_y[:, None]) - radius[:, None])
+    best = int((away <= WITHIN_PX).sum(axis=1).argmax())
+    return float(centre_x[best]), float(centre_y[best]), float(radius[best])
+
+
+def _step(x: FloatArray, y: FloatArray, centre_x: float, centre_y: float) -> tuple[float, float, float]:
+    """One Gauss-Newton step to the circle of least squared distances (not of least algebraic ones, which is biased)."""
+    dx, dy = x - centre_x, y - centre_y
+    distance = np.hypot(dx, dy)
+    terms = np.column_stack([dx / distance, dy / distance, np.ones(x.size)])
+    step = np.linalg.lstsq(terms, distance, rcond=None)[0]
+    return float(centre_x + step[0]), float(centre_y + step[1]), float(step[2])
+
+
+def _visible_turn(dx: FloatArray, dy: FloatArray) -> float:
+    """Share of the sectors of the circle that hold a sample of the rim."""
+    sector = np.floor((np.arctan2(dy, dx) + np.pi) / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS
+    return np.unique(sector).size / SECTORS
+
+
+# The part's place by its outline where that is a polygon: its sides through the rim of the data.
+
+LEAST_KNOWN = 0.005
+"""Of the rim's samples, those that would move if the part were shifted or turned: where fewer, nobody sees how far."""
+PLACES = 400
+"""Along the outline, at which it is looked for."""
+
+
+def fit_polygon(height_nm: FloatArray, pitch_mm: float, part: Polygon, tolerance_mm: float) -> Registration:
+    """Where the part lies in a map, by the sides that its data end on.
+
+    The turn is the one nearest to none: half a turn of a rectangle cannot be seen.
+
+    Args:
+        height_nm: (ny, nx), NaN = no data.
+        pitch_mm: of the map.
+        part: the outline, about the part's centre.
+        tolerance_mm: how much larger or smaller across it may be.
+
+    Raises:
+        BadMap: another outline, or too little of the rim in sight to say where the part lies.
+    """
+    x, y = rim_px(height_nm)
+    require_rim(x)
+    rim = np.stack([x, y]) * pitch_mm
+    lever, within = part.radius_mm, WITHIN_PX * pitch_mm
+    low, high = part.corners().min(axis=0), part.corners().max(axis=0)
+    middle = (rim.min(axis=1) + rim.max(axis=1) - low - high) / 2
+    found = _fitted(np.array([0.0, *middle, 0.0]), rim, part, within)
+    held = np.abs(_gap_mm(found.x, rim, part)) <= within
+    if not held.mean() >= LEAST_ROUND:
+        raise MapError(
+            f"the rim of the map's data is not that of {part}: {held.mean():.0%} of it lies on the best fit; "
+            "name the right map, mend the part's outline, mask what is not the part, or register by "
+            "fiducials"
+        )
+    found = _fitted(found.x, rim[:, held], part, within)
+    guess = found.x
+    turn, shift, grown = float(guess[0]) / lever, (float(guess[1]), float(guess[2])), float(guess[3])
+    if not abs(2 * grown) <= tolerance_mm:
+        raise MapError(
+            f"the map's outline is {abs(2 * grown):.3f} mm {'larger' if grown > 0 else 'smaller'} across than "
+            f"{part}, {tolerance_mm:g} mm allowed: the pitch is wrong, or it is another part; mend the part's "
+            "outline or the pitch"
+        )
+    known = found.jac[:, :3].T @ found.jac[:, :3] / len(found.jac)
+    seen = _visible_share(part, turn, shift, rim[:, held].T, 2 * pitch_mm + abs(grown))
+    if seen < LEAST_RIM or np.linalg.eigvalsh(known)[0] < LEAST_KNOWN:
+        raise MapError(f"{seen:.0%} of the part's rim is seen, and it does not say where the part lies in all "
+                     "directions: centre the part in the frame, or register by fiducials")  # fmt: skip
+    residual = float(np.sqrt(np.mean(_gap_mm(guess, rim[:, held], part) ** 2)))
+    scale = 1 + 2 * grown / min(part.size_mm)
+    return Registration(np.degrees(turn), shift, residual, int(held.sum()), "aperture", scale)
+
+
+def _fitted(guess: FloatArray, rim: FloatArray, part: Polygon, within_mm: float) -> Any:
+    """What scipy finds; a few samples far off, of a clamp or a chip, draw little."""
+    return scipy.optimize.least_squares(_gap_mm, guess, args=(rim, part), loss="soft_l1", f_scale=within_mm / 2)
+
+
+def _gap_mm(place: FloatArray, rim: FloatArray, part: Polygon) -> FloatArray:
+    """(n,) distance of the rim (2, n) from the outline, which is turned, shifted and moved outwards.
+
+    ``place``: way of the farthest corner by the turn, shift along x and y, way outwards; all mm.
+    """
+    turn = place[0] / part.radius_mm
+    right, up = rim[0] - place[1], rim[1] - place[2]
+    x, y = np.cos(turn) * right + np.sin(turn) * up, np.cos(turn) * up - np.sin(turn) * right
+    return np.asarray(part.inside_mm(x, y) + place[3], dtype=np.float64)
+
+
+def _visible_share(part: Polygon, turn: float, shift: tuple[float, float], rim: FloatArray, within_mm: float) -> float:
+    """Share of the outline's length that has a sample (n, 2) of the rim beside it."""
+    corner = np.vstack([part.corners(), part.corners()[:1]])
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1))])
+    at = (np.arange(PLACES) + 0.5) * way[-1] / PLACES
+    x, y = (np.interp(at, way, corner[:, k]) for k in (0, 1))
+    seen_at = np.stack([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y], axis=1) + shift
+    away, _ = scipy.spatial.cKDTree(rim).query(seen_at, distance_upper_bound=within_mm)
+    return float(np.mean(np.isfinite(away)))
+
+
+def register(
+    surface: SurfaceMap, instrument: Instrument | None, part: Outline, last: Registration | None = None
+) -> Registration:
+    """Where the part lies in a map that has been turned as its profile says.
+
+    Args:
+        surface: the map (`process.instrument.as_profiled`).
+        instrument: the profile; None: the centre of the array is the part's centre, as without a profile's wish.
+        part: its outline, which maps show where the profile gives no other.
+        last: the last map's registration of the same part; None: no drift is judged.
+
+    Raises:
+        BadMap: nothing to register by, or the part lies too far off, too far turned, or has moved too much.
+        ConfigError: the profile's fiducials are too few, or symmetric.
+    """
+    if instrument is None or instrument.register_by == "none":
+        return Registration()
+    if surface.pitch_mm is None:
+        raise MapError("the map has no lateral scale: give the instrument's profile a pitch")
+    found = {
+        "aperture": lambda: _by_aperture(surface, instrument, part),
+        "fiducials": lambda: _by_fiducials(surface, instrument),
+        "both": lambda: _by_both(surface, instrument, part),
+    }[instrument.register_by]()
+    _within_limits(found, instrument)
+    if last is not None and last.by != "none":
+        drift = found.drift_mm(last)
+        if drift > instrument.max_drift_mm:
+            raise MapError(f"the part's centre lies {drift:.3f} mm from where the last map had it, "
+                         f"{instrument.max_drift_mm:g} mm allowed: it has moved in its fixture, or the "
+                         "instrument was set anew; seat the part, measure again, or begin a new job")  # fmt: skip
+    return found
+
+
+def _by_aperture(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Registration:
+    height, pitch, tolerance = surface.height_nm, surface.grid.pitch_mm, instrument.aperture_tolerance_mm
+    seen = part if instrument.aperture_mm is None else Circle(instrument.aperture_mm / 2)
+    if isinstance(seen, Circle):
+        return fit_circle(height, pitch, 2 * seen.radius_mm, tolerance)
+    return fit_polygon(height, pitch, seen, tolerance)
+
+
+def _by_fiducials(surface: SurfaceMap, instrument: Instrument) -> Registration:
+    """By the marks that the file lists; where it lists too few, by those seen in the map."""
+    listed, pitch = surface.fiducials_px, surface.grid.pitch_mm
+    found = listed if len(listed) >= fiducials.FEWEST else fiducials.find(surface.height_nm, pitch)
+    shape = surface.grid.shape
+    return fiducials.fit(found, instrument.fiducials_mm, shape, pitch, instrument.fiducial_tolerance_mm)
+
+
+def _by_both(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Registration:
+    """By the fiducials; the outline must have the centre in the same place."""
+    found, seen = _by_fiducials(surface, instrument), _by_aperture(surface, instrument, part)
+    apart = found.drift_mm(seen)
+    if apart > instrument.fiducial_tolerance_mm:
+        raise MapError(f"by its fiducials the part has its {found}, by its outline its {seen}: {apart:.3f} mm apart, "
+                     f"{instrument.fiducial_tolerance_mm:g} mm allowed; check instrument.fiducials_mm, and that "
+                     "nothing covers the rim")  # fmt: skip
+    return replace(found, by="both")
+
+
+def _within_limits(found: Registration, instrument: Instrument) -> None:
+    if abs(found.rotation_deg) > instrument.max_turn_deg:
+        raise MapError(
+            f"the part is turned by {found.rotation_deg:.2f} deg in the map, {instrument.max_turn_deg:g} deg "
+            "allowed: seat it as the fixture has it, or mend the profile's rotation_deg"
+        )
+    if found.distance_mm > instrument.max_shift_mm:
+        x, y = found.shift_mm
+        raise MapError(
+            f"the part's centre lies at ({x:.3f}, {y:.3f}) mm in the map, {instrument.max_shift_mm:g} mm from "
+            "its centre allowed: centre the part before the instrument and measure again"
+        )

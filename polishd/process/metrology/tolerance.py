@@ -1,0 +1,216 @@
+"""A surface judged by its drawing: each line's figure on the map's own pixels in the clear aperture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from polishd.model.errors import MapError
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
+from polishd.model.tolerance import NORMS, Judged, ToleranceLine
+from polishd.process.metrology import iso10110
+from polishd.process.metrology.resampling import Registration
+from polishd.process.metrology.spectra import RadialPsd, radial_psd, split_bands
+from polishd.process.metrology.statistics import Removal, fitted, pv_rms, slope, without
+
+SLOPE_LENGTHS = 1.5
+"""Most by which the shortest length that a map has, two pitches, may be longer than a slope's integration length."""
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """A surface, and what its lines have in common."""
+
+    height_nm: FloatArray
+    mask: BoolArray
+    pitch_mm: float
+
+    @cached_property
+    def iso(self) -> iso10110.Iso10110Figures:
+        """Figures of ISO 10110-5."""
+        return iso10110.irregularity(self.height_nm, self.mask)
+
+    def band(self, line: ToleranceLine) -> FloatArray:
+        """(ny, nx) what has the line's periods."""
+        edges = [edge for edge in (line.below_mm, line.above_mm) if edge]
+        if not edges:
+            return self.height_nm
+        return split_bands(self.height_nm, self.mask, self.pitch_mm, edges)[0 if line.below_mm is None else 1]
+
+
+def judge(
+    lines: Iterable[ToleranceLine],
+    height_nm: FloatArray,
+    mask: BoolArray,
+    pitch_mm: float,
+    repeatability_nm: float | None = None,
+) -> tuple[Judged, ...]:
+    """What was measured of each line.
+
+    Args:
+        lines: of the drawing.
+        height_nm: (ny, nx) the figure on the map's own pixels, without what is alignment; finite inside ``mask``.
+        mask: (ny, nx) the clear aperture.
+        pitch_mm: distance of samples.
+        repeatability_nm: RMS of the instrument's noise in one map; None: not known.
+
+    Raises:
+        BadMap: a line counts what a map of this pitch cannot show, or the mask is empty.
+    """
+    surface = _Surface(height_nm, mask, pitch_mm)
+    found = []
+    for line in lines:
+        _require_seen(line, pitch_mm)
+        uncertainty = repeatability_nm if line.figure in NORMS else None
+        found.append(Judged(line.what, _figure(line, surface), line.limit, line.unit, uncertainty))
+    return tuple(found)
+
+
+def seen(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
+    """(ny, nx) what of a surface has the line's periods; arguments as for `judge`."""
+    return _Surface(height_nm, mask, pitch_mm).band(line)
+
+
+def notes_of(judged: Iterable[Judged]) -> tuple[str, ...]:
+    """What a person should know of figures that are nearer to their limits than the instrument repeats."""
+    return tuple(
+        f"{one}: it {'holds' if one.holds else 'does not hold'}, and the instrument's repeatability could have it "
+        "the other way"
+        for one in judged
+        if one.unsure
+    )
+
+
+def out_of_reach(
+    lines: Sequence[ToleranceLine], height_nm: FloatArray, mask: BoolArray, pitch_mm: float, cutoff_period_mm: float
+) -> tuple[Judged, ...]:
+    """The lines that a spot cannot make hold: they do not of what is left where all periods above its cut-off are gone.
+
+    Arguments as for `judge`. On a grid that averages over the map's pixels less is left than on the map: a line that is
+    named here is out of reach, one that is not may be. Those that the grid cannot show are left out.
+    """
+    if cutoff_period_mm <= 2 * pitch_mm:
+        return ()
+    beyond = split_bands(height_nm, mask, pitch_mm, (cutoff_period_mm,))[1]
+    some = [line for line in lines if _unseen(line, pitch_mm) is None and line.above_mm < cutoff_period_mm]
+    return tuple(one for one in judge(some, beyond, mask, pitch_mm) if not one.holds)
+
+
+def only_beyond(lines: Iterable[ToleranceLine], cutoff_period_mm: float) -> tuple[ToleranceLine, ...]:
+    """Lines that count no period above a spot's cut-off: it changes nothing of them for the better."""
+    return tuple(line for line in lines if line.below_mm is not None and line.below_mm <= cutoff_period_mm)
+
+
+def _figure(line: ToleranceLine, surface: _Surface) -> float:
+    match line.figure:
+        case "rms":
+            return pv_rms(surface.band(line), surface.mask)[1]
+        case "pv":
+            return pv_rms(surface.band(line), surface.mask)[0]
+        case "slope_rms" | "slope_max":
+            found = slope(surface.band(line), surface.mask, surface.pitch_mm, line.integration_mm)
+            return found.rms_urad if line.figure == "slope_rms" else found.max_urad
+        case "psd":
+            return _above_line(line, radial_psd(surface.height_nm, surface.mask, surface.pitch_mm))
+        case "A" | "B" | "C":
+            return float(getattr(surface.iso, f"{line.figure.lower()}_nm"))
+        case _:
+            return float(getattr(surface.iso, f"rms_{line.figure[-1]}_nm"))
+
+
+def _above_line(line: ToleranceLine, psd: RadialPsd) -> float:
+    """The factor A of the lowest line ``A / f**exponent`` that no ring of the periods is above."""
+    frequency = psd.frequency_per_mm
+    counted = (frequency >= 1 / (line.below_mm or np.inf)) & (frequency <= 1 / line.above_mm)
+    if not counted.any():
+        raise MapError(
+            f"the map has no frequency in {line.what}: it is too small, or the periods too near to each other"
+        )
+    return float((psd.density_nm2_mm2 * frequency**line.exponent)[counted].max())
+
+
+def _require_seen(line: ToleranceLine, pitch_mm: float) -> None:
+    problem = _unseen(line, pitch_mm)
+    if problem is not None:
+        raise MapError(
+            f"{line.what} cannot be judged on this map: {problem}; measure with a finer pitch, or mend the line"
+        )
+
+
+def _unseen(line: ToleranceLine, pitch_mm: float) -> str | None:
+    """Why a map of this pitch does not show what a line counts; None where it does.
+
+    A band without a lower end counts what the map shows; one with an end must be shown to that.
+    """
+    shortest = 2 * pitch_mm
+    if line.above_mm and line.above_mm < shortest:
+        return f"it shows periods above {shortest:.3g} mm only"
+    if line.below_mm is not None and line.below_mm <= shortest:
+        return f"it shows periods above {shortest:.3g} mm only"
+    if line.integration_mm is not None and shortest > SLOPE_LENGTHS * line.integration_mm:
+        return f"its shortest slope is over {shortest:.3g} mm"
+    return None
+
+
+# What of a map is alignment: said where it is large, or where it is polished.
+
+LARGE_NM = 50.0
+"""PV of a tilt that a person should know of where the figure is smaller than it: a sixth of a fringe."""
+
+
+def alignment_notes(height_nm: FloatArray, mask: BoolArray, removal: Removal, tolerance_nm: float) -> tuple[str, ...]:
+    """What a person should know of a map's tilt: that much was taken off, or that it was left in and is polished.
+
+    Args:
+        height_nm: (ny, nx) the map as measured, finite inside ``mask``.
+        mask: (ny, nx) clear aperture.
+        removal: what is taken off as alignment.
+        tolerance_nm: RMS of the figure that is wanted: less tilt than this is not worth a word.
+    """
+    figure_nm = float(without(height_nm, mask, removal)[mask].std())
+    tilt = fitted(height_nm, mask, "tilt" if removal == "piston" else removal)
+    pv, rms = pv_rms(tilt, mask)
+    if removal == "piston" and rms > tolerance_nm:
+        note = (
+            f"of the figure's {figure_nm:.3g} nm RMS a tilt makes {rms:.3g} ({pv:.3g} nm PV), and it is polished away: "
+            'part.alignment = "piston" says so, "tilt" takes it for alignment'
+        )
+        return (note,)
+    if removal != "piston" and pv > LARGE_NM and rms > figure_nm:
+        terms = "tilt" if removal == "tilt" else "tilt and power"
+        note = (
+            f"{terms} of {pv:.4g} nm PV in the clear aperture taken off as alignment (part.alignment), "
+            f"which leaves {figure_nm:.3g} nm RMS of figure"
+        )
+        return (note,)
+    return ()
+
+
+# The form that is wanted: maps are measured against it.
+
+
+def less_nominal(surface: SurfaceMap, nominal: SurfaceMap, lies: Registration) -> SurfaceMap:
+    """The map less the form wanted, so that what is left is the error to polish away.
+
+    Args:
+        surface: the map.
+        nominal: the form, its array centred on the part and in the part's own directions; finite all over the part.
+        lies: where the part lies in the map.
+
+    Returns:
+        The map on its own samples; NaN where the form says nothing.
+
+    Raises:
+        BadMap: either has no pitch.
+    """
+    if surface.pitch_mm is None or nominal.pitch_mm is None:
+        raise MapError(f"{nominal.path or 'the nominal form'}: it and the map need a lateral scale to be compared")
+    grid = nominal.grid
+    x, y = lies.on_part_mm(surface.grid)
+    places = [(grid.y_mm[0] - y) / grid.pitch_mm, (x - grid.x_mm[0]) / grid.pitch_mm]
+    wanted = scipy.ndimage.map_coordinates(nominal.height_nm, places, order=1, cval=np.nan)
+    return surface.with_height(surface.height_nm - wanted)

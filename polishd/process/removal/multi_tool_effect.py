@@ -1,0 +1,100 @@
+"""Several tools over the same part as one effect: the points of one follow those of the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from polishd.model.errors import ComputeError
+from polishd.model.surface import FloatArray, Grid
+from polishd.process.removal.effect import Effect, SparseEffect
+from polishd.process.removal.spread_effect import SpreadEffect
+
+# An effect's products to float32, by what is the quickest for its size.
+
+COMPILED_BLOCKS = 10_000
+"""From which on compiled code, loaded in half a second, is the quicker way."""
+
+
+def quick(effect: SpreadEffect) -> Effect:
+    """The same, right to about 1e-6 of the peak."""
+    if effect.n < COMPILED_BLOCKS:
+        return effect.single()
+    from polishd.process.removal.spread_effect_compiled import compiled_spread
+
+    return compiled_spread(effect)
+
+
+@dataclass(frozen=True, slots=True)
+class SeveralEffects:
+    """The sum of effects on the same samples (paper eq. 47 with ``R = [R_1, R_2, ...]``); made by `together`."""
+
+    parts: tuple[Effect, ...]
+
+    @property
+    def grid(self) -> Grid:
+        """The process grid of the rows, which all have."""
+        return self.parts[0].grid
+
+    @property
+    def n(self) -> int:
+        """Number of timed points, of all together."""
+        return sum(part.n for part in self.parts)
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(n,) s -> (ny, nx) nm."""
+        own = zip(self.parts, split(time_s, [part.n for part in self.parts]), strict=True)
+        return np.asarray(sum(part.removal_nm(times) for part, times in own), dtype=np.float64)
+
+    def adjoint(self, weight: FloatArray) -> FloatArray:
+        """(ny, nx) -> (n,)."""
+        return np.concatenate([part.adjoint(weight) for part in self.parts])
+
+
+def together(effects: Sequence[Effect]) -> Effect:
+    """One effect of all; a matrix where each has one.
+
+    Raises:
+        ComputeError: there is none, or they are not on the same samples.
+    """
+    if not effects:
+        raise ComputeError("there is no tool")
+    first = effects[0]
+    for number, effect in enumerate(effects[1:], 2):
+        if effect.grid != first.grid:
+            raise ComputeError(f"tool {number} acts on {effect.grid}, the first on {first.grid}: give one grid to all")
+    if len(effects) == 1:
+        return first
+    matrices = [effect.matrix for effect in effects if isinstance(effect, SparseEffect)]
+    if len(matrices) == len(effects):
+        return SparseEffect(first.grid, sparse.csr_array(sparse.hstack(matrices, format="csr")))
+    return SeveralEffects(tuple(effects))
+
+
+def split(values: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
+    """Of (n,) values of all points those of each tool, whose points are so many."""
+    return np.split(values, np.cumsum(lengths)[:-1])
+
+
+def single(effect: Effect) -> Effect:
+    """The same with products to float32 where those are quicker, else itself."""
+    if isinstance(effect, SeveralEffects):
+        return SeveralEffects(tuple(single(part) for part in effect.parts))
+    return quick(effect) if isinstance(effect, SpreadEffect) else effect
+
+
+def note(effect: Effect) -> str | None:
+    """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
+    if isinstance(effect, SeveralEffects):
+        return "; ".join(told for part in effect.parts if (told := note(part)) is not None) or None
+    return effect.note if isinstance(effect, SpreadEffect) else None
+
+
+def off(effect: Effect) -> float:
+    """By which share of its peak the removal is off at most, at samples, of an effect without a matrix; 0 of one."""
+    if isinstance(effect, SeveralEffects):
+        return max(off(part) for part in effect.parts)
+    return effect.error if isinstance(effect, SpreadEffect) else 0.0

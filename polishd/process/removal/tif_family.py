@@ -1,0 +1,256 @@
+"""The family of one spot over a range of depths and azimuths, as few cell averages as a stated tolerance needs.
+
+On a dwell point that lies on a node of the grid a spot is a window of cell averages. The windows of all depth ratios
+and azimuths lie near a space of few dimensions: its basis comes from a singular value decomposition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from polishd.model.surface import FloatArray
+from polishd.process.checks import refuse_where, require_number
+from polishd.process.removal.blocks import Indices
+from polishd.process.removal.tif import Spot, cell_shares, tilt_spot
+
+RATIOS = 33
+"""Depth ratios that the basis is taken from, evenly over their range."""
+AZIMUTH_STEP = np.radians(2.0)
+"""And azimuths, at most this far apart."""
+CHUNK = 128
+"""Windows worked on at a time: bounds memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class TifFamily:
+    """A basis of the windows of a spot, and how near each point's own window comes to it."""
+
+    kernels: FloatArray
+    """(k, m, m) orthonormal windows, m odd, row 0 the top."""
+    coefficients: FloatArray
+    """(n, k) nm/s: the window of point i is about ``sum_k coefficients[i, k] kernels[k]``."""
+    truncation: float
+    """Largest relative error of a point's window (Euclidean norm), over all n points: at most the tolerance."""
+
+
+def tif_family(
+    spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray, tolerance: float
+) -> TifFamily:
+    """The smallest basis that holds the spot within ``tolerance`` over the range of the points' ratios and azimuths.
+
+    ``depth_ratio`` and ``azimuth_rad`` (n,). The basis is taken from a mesh over the range; where a point's own window
+    is still missed by more than the tolerance, what is missed is added to it.
+    """
+    require_number("the tolerance of the TIF's family", tolerance, "", above=0.0, below=1.0)
+    require_number("the grid's pitch", pitch_mm, "mm", above=0.0)
+    impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
+    refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")
+    reach = reach_cells(spot, pitch_mm, depth_ratio, azimuth_rad)
+    size = 2 * reach + 1
+    if depth_ratio.size == 0:
+        return TifFamily(np.zeros((1, size, size)), np.zeros((0, 1)), 0.0)
+
+    def project(basis: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+        """Coefficients, the largest relative error, and what is left, relative, of windows missed by too much."""
+        parts, worst, missed = [], 0.0, []
+        for part in chunks(depth_ratio.size):
+            window = windows(spot, pitch_mm, depth_ratio[part], azimuth_rad[part], reach)
+            parts.append(window @ basis)
+            left = (window - parts[-1] @ basis.T) / np.linalg.norm(window, axis=1)[:, None]
+            error = np.linalg.norm(left, axis=1)
+            worst = max(worst, float(error.max()))
+            missed.append(left[error > tolerance])
+        return np.concatenate(parts), worst, np.concatenate(missed)
+
+    ratio, azimuth = _samples(depth_ratio, azimuth_rad)
+    mesh = np.concatenate([windows(spot, pitch_mm, ratio[p], azimuth[p], reach) for p in chunks(ratio.size)])
+    basis = smallest_basis(mesh / np.linalg.norm(mesh, axis=1)[:, None], tolerance)
+    coefficients, worst, missed = project(basis)
+    if len(missed):
+        # what was missed is orthogonal to the basis only as far as rounding allows
+        basis = np.linalg.qr(np.hstack([basis, smallest_basis(missed, tolerance)]))[0]
+        coefficients, worst, _ = project(basis)
+    return TifFamily(basis.T.reshape(-1, size, size), coefficients, worst)
+
+
+def patches(spot: Spot, depth_ratio: FloatArray, azimuth_rad: FloatArray, bent: FloatArray | None) -> FloatArray:
+    """(n, squares, squares) of a spot, on a curved part askew; ``bent`` as of `Blocks`."""
+    patch = spot.patch(depth_ratio, azimuth_rad)
+    return patch if bent is None else tilt_spot(patch, bent[:, 2])
+
+
+def windows(
+    spot: Spot,
+    pitch_mm: float,
+    depth_ratio: FloatArray,
+    azimuth_rad: FloatArray,
+    reach: int,
+    *,
+    bent: FloatArray | None = None,
+) -> FloatArray:
+    """(n, (2 reach + 1)^2) nm/s averages over cells round a point that lies in the middle of one, row 0 the top.
+
+    ``bent`` (n, 3) as of `Blocks`.
+    """
+    half, wider = spot.half_width_mm(depth_ratio), np.ones((len(depth_ratio), 2)) if bent is None else bent[:, :2]
+    offset = spot.offset_mm(depth_ratio, azimuth_rad)
+    patch = np.ascontiguousarray(patches(spot, depth_ratio, azimuth_rad, bent))
+    size, middle = 2 * reach + 1, (reach + 0.5) * pitch_mm
+    across = cell_shares(middle + offset[:, 0], half * wider[:, 0], pitch_mm, size, patch.shape[2])
+    down = cell_shares(middle - offset[:, 1], half * wider[:, 1], pitch_mm, size, patch.shape[1])
+    return np.asarray(down @ patch @ across.transpose(0, 2, 1) / pitch_mm**2).reshape(len(patch), -1)
+
+
+def reach_cells(
+    spot: Spot, pitch_mm: float, depth_ratio: FloatArray, azimuth_rad: FloatArray, wider: float = 1.0
+) -> int:
+    """Cells on either side of a point that hold every spot, whichever way it lies, so many times as wide."""
+    offset = np.linalg.norm(spot.offset_mm(depth_ratio, azimuth_rad), axis=1)
+    return int(np.ceil((wider * spot.half_width_mm(depth_ratio) + offset).max(initial=0.0) / pitch_mm - 0.5 + 1e-9))
+
+
+def _samples(depth_ratio: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Depth ratios and azimuths, (s,) each, of a mesh over the range of the points'."""
+    mean = np.angle(np.exp(1j * azimuth_rad).sum())
+    turn = np.angle(np.exp(1j * (azimuth_rad - mean)))
+    count = 1 + int(np.ceil(np.ptp(turn) / AZIMUTH_STEP - 1e-9))
+    ratios = RATIOS if np.ptp(depth_ratio) > 1e-12 else 1
+    ratio = np.linspace(depth_ratio.min(), depth_ratio.max(), ratios)
+    azimuth = mean + np.linspace(turn.min(), turn.max(), count)
+    return np.repeat(ratio, count), np.tile(azimuth, ratios)
+
+
+def smallest_basis(shape: FloatArray, tolerance: float) -> FloatArray:
+    """(m^2, k) orthonormal columns with which each of the (s, m^2) shapes is held within the tolerance (absolute)."""
+    square = np.linalg.qr(shape, mode="r")  # has the shapes' right singular vectors, and no more rows than it needs
+    vectors = np.linalg.svd(square, full_matrices=False)[2].T
+    # what is left of a shape after k vectors, summed from the small end: no cancellation
+    left = np.sqrt(np.cumsum((shape @ vectors)[:, ::-1] ** 2, axis=1)[:, ::-1])
+    enough = np.append(left[:, 1:].max(axis=0), 0.0) <= tolerance
+    return np.asarray(vectors[:, : int(enough.argmax()) + 1], dtype=np.float64)
+
+
+def chunks(n: int) -> Iterator[slice]:
+    """Slices of at most CHUNK that make up n."""
+    for first in range(0, n, CHUNK):
+        yield slice(first, min(first + CHUNK, n))
+
+
+# The family of a spot for very many blocks: its basis and their coefficients from a mesh of depths and azimuths.
+
+LEAST = 9
+"""Ratios or azimuths over a range, at least."""
+MOST_RATIOS = 65
+STEP_CELLS = 0.25
+"""How far the spot's rim moves from one ratio to the next."""
+TURN_STEP = np.radians(4.0)
+MOST_SHAPES = 500
+"""Of the mesh, that the basis is taken from: its cost grows with their square."""
+NO_RANGE = 1e-12
+NO_BEND = 1e-4
+"""Half a range of widths, over a flat's, and of how askew contacts are, below which their middle is taken for all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """A basis of a spot's windows, and how n blocks are made of it."""
+
+    kernels: FloatArray
+    """(k, m, m) orthonormal windows, m odd, row 0 the top."""
+    coefficients: FloatArray
+    """(n, k) nm/s: the window of block i is about ``sum_k coefficients[i, k] kernels[k]``."""
+
+    def part(self, which: Indices) -> Family:
+        """Of some of the blocks."""
+        return Family(self.kernels, self.coefficients[which])
+
+
+def meshed_family(
+    spot: Spot,
+    pitch_mm: float,
+    depth_ratio: FloatArray,
+    azimuth_rad: FloatArray,
+    tolerance: float,
+    *,
+    bent: FloatArray | None = None,
+) -> Family:
+    """The family of n > 0 blocks of a spot, on a grid of this pitch.
+
+    ``depth_ratio`` and ``azimuth_rad`` (n,), ``bent`` (n, 3) as of `Blocks`. A window of the mesh is held within
+    ``tolerance`` of its Euclidean norm.
+    """
+    mean = np.angle(np.exp(1j * azimuth_rad).sum())
+    turn = np.angle(np.exp(1j * (azimuth_rad - mean)))
+    ratios, turns = _ratios(spot, pitch_mm, depth_ratio), _turns(turn)
+    ratio, azimuth = (a.ravel() for a in np.meshgrid(ratios, mean + turns, indexing="ij"))
+    bends, share = (np.empty((1, 0)), np.ones((len(turn), 1))) if bent is None else _star(bent)
+    reach = reach_cells(spot, pitch_mm, ratio, azimuth, 1.0 if bent is None else float(bends[:, :2].max()))
+
+    def shapes(which: Indices) -> Iterator[FloatArray]:
+        """Windows of the mesh, that of one bend after that of the other."""
+        for p in chunks(which.size):
+            bend, at = np.divmod(which[p], ratio.size)
+            yield windows(spot, pitch_mm, ratio[at], azimuth[at], reach, bent=None if bent is None else bends[bend])
+
+    every = np.arange(len(bends) * ratio.size)
+    some = np.union1d(np.random.default_rng(0).permutation(every)[:MOST_SHAPES], [0, ratio.size - 1])
+    shape = np.concatenate(list(shapes(some)))
+    basis = smallest_basis(shape / np.linalg.norm(shape, axis=1)[:, None], tolerance)
+    on_mesh = np.concatenate([window @ basis for window in shapes(every)])
+    on_mesh = on_mesh.reshape(len(bends), ratios.size, turns.size, -1)
+    coefficients = np.zeros((len(turn), basis.shape[1]))
+    for bend, own in zip(on_mesh, share.T, strict=True):
+        coefficients += own[:, None] * _between((ratios, turns), bend, (depth_ratio, turn))
+    size = 2 * reach + 1
+    return Family(basis.T.reshape(-1, size, size), coefficients)
+
+
+def _star(bent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(q, 3) bends that stand for those of n blocks, and (n, q) each one's share in each: quadratic along each axis.
+
+    The axes are how wide in the mean, how much wider along x than along y, and how askew: all are small beside one, so
+    that what two of them do together is left out; the error that is sampled knows.
+    """
+    axes = np.stack([bent[:, :2].mean(axis=1), (bent[:, 0] - bent[:, 1]) / 2, bent[:, 2]], axis=1)
+    middle, half = (axes.max(axis=0) + axes.min(axis=0)) / 2, np.ptp(axes, axis=0) / 2
+    found, shares = [middle], [np.ones(len(axes))]
+    for axis in np.flatnonzero(half > NO_BEND):
+        place = (axes[:, axis] - middle[axis]) / half[axis]
+        for way in (-1, 1):
+            found.append(middle + way * half * (np.arange(3) == axis))
+            shares.append(place * (place + way) / 2)
+        shares[0] = shares[0] - place**2
+    wide, longer, askew = np.transpose(found)
+    return np.stack([wide + longer, wide - longer, askew], axis=1), np.stack(shares, axis=1)
+
+
+def _ratios(spot: Spot, pitch_mm: float, depth_ratio: FloatArray) -> FloatArray:
+    """Depth ratios over the range of the blocks', so near that the spot's rim moves by STEP_CELLS."""
+    ends = np.array([depth_ratio.min(), depth_ratio.max()])
+    if np.ptp(ends) <= NO_RANGE:
+        return ends[:1]
+    steps = int(np.ceil(np.ptp(spot.half_width_mm(ends)) / (STEP_CELLS * pitch_mm)))
+    return np.linspace(ends[0], ends[1], min(max(steps + 1, LEAST), MOST_RATIOS))
+
+
+def _turns(turn: FloatArray) -> FloatArray:
+    """Azimuths over the range of the blocks', rad."""
+    if np.ptp(turn) <= NO_RANGE:
+        return turn[:1]
+    return np.linspace(turn.min(), turn.max(), max(1 + int(np.ceil(np.ptp(turn) / TURN_STEP)), LEAST))
+
+
+def _between(mesh: tuple[FloatArray, ...], value: FloatArray, at: tuple[FloatArray, ...]) -> FloatArray:
+    """(n, k) by cubic splines along each axis of the mesh that has a range; ``value`` (ratios, turns, k)."""
+    wide = [axis for axis, points in enumerate(mesh) if points.size > 1]
+    if not wide:
+        return np.repeat(value.reshape(1, -1), at[0].size, axis=0)
+    flat = value.reshape(*(mesh[axis].size for axis in wide), value.shape[-1])
+    found = scipy.interpolate.RegularGridInterpolator(tuple(mesh[axis] for axis in wide), flat, method="cubic")
+    # rounding may leave a block a hair outside of its own range
+    place = [np.clip(at[axis], mesh[axis][0], mesh[axis][-1]) for axis in wide]
+    return np.asarray(found(np.stack(place, axis=1)), dtype=np.float64)

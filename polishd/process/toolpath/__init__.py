@@ -1,0 +1,1 @@
+"""Tool paths, their spacing, and the apertures that they cover."""

@@ -1,0 +1,1 @@
+"""`polishd program` and `polishd plan`: make, rewrite, verify and plan a part program without a cell."""

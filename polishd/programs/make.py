@@ -1,0 +1,308 @@
+"""``polishd program make``: a raster or a spiral over an aperture, as an NC program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from scipy.spatial.transform import Rotation
+
+from polishd.config.cell import CellConfig
+from polishd.config.cell_sections import InstrumentSection
+from polishd.config.table_files import read_polygon
+from polishd.maps.map_files import MapSource
+from polishd.model.errors import ProgramError
+from polishd.model.outline import hexagon
+from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
+from polishd.model.program import Encoding, Program
+from polishd.model.surface import FloatArray
+from polishd.pipeline import precheck
+from polishd.pipeline.build_recipe import make_recipe
+from polishd.plugin_loader import Hooks, load_cell
+from polishd.plugins.rnc_robot.dialect import DEFAULT
+from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
+from polishd.plugins.rnc_robot.formats import path_program, read
+from polishd.process.optic_surface import unit_normals
+from polishd.process.removal import contact
+from polishd.process.robot.compliance import compliance_at, depth_ratio
+from polishd.process.toolpath import apertures
+from polishd.process.toolpath.apertures import Aperture, largest_turn_deg, over_outline, tool_axes
+from polishd.process.toolpath.paths import quiet_step_mm, raster, spiral
+from polishd.programs.options import MakeOptions
+from polishd.programs.rewrite import not_over, target_file
+from polishd.programs.show import path_picture
+from polishd.rendering.plots import save_picture
+from polishd.rendering.terminal import emit, key_table, stderr
+
+SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
+    "circle": (1, apertures.circle),
+    "annulus": (2, apertures.annulus),
+    "ellipse": (2, apertures.ellipse),
+    "rectangle": (2, apertures.rectangle),
+    "hexagon": (1, lambda flats_mm: apertures.over_outline(hexagon(flats_mm))),
+}
+"""Apertures by name: how many lengths, and what makes one of them."""
+UNCHECKED = (
+    "the robot's reach and singular poses",
+    "the machine's range and feeds",
+    "whether the landing points lie beside the part",
+)
+"""What nobody can say of a program without the cell that it is for."""
+UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
+
+
+@dataclass(frozen=True, slots=True)
+class MadePath:
+    """A path in the part's frame."""
+
+    aperture: Aperture
+    optic: Optic
+    points_mm: FloatArray
+    axis: FloatArray
+    largest_turn_deg: float
+
+    @property
+    def length_mm(self) -> FloatArray:
+        """(n,) of each move."""
+        return np.asarray(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class MadeProgram:
+    """A program of a path."""
+
+    path: MadePath
+    text: bytes
+    answer: dict[str, Any]
+    """What ``polishd program make`` says of it."""
+
+
+def make_verb(options: MakeOptions, *, as_json: bool) -> None:
+    """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
+    config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
+    with stderr.status("making the path"):
+        program = make_program(options, config, hooks)
+    _write(options, program.path, program.text)
+    answer = program.answer
+    emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
+
+
+def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> MadeProgram:
+    """The program's text and what it is; nothing is written.
+
+    ComputeError or ProgramError where it cannot be, or where the cell's `plan` or `run` would refuse it.
+    """
+    encoding = _encoding(options)
+    dialect = options.dialect or (DEFAULT if config is None else dialect_of(config))
+    made = make_path(options, config)
+    feed, time_s = _timing(options, encoding, made.length_mm)
+    points, axis = in_program_frame(config, made.points_mm, made.axis)
+    text = path_program(
+        points, axis, feed, _title(options), encoding=encoding, dwell_s=options.dwell_s or 0.0, to=dialect
+    )
+    if config is not None and hooks is not None:
+        _require_cell_takes(config, hooks, read(dialect_named(dialect), text, options.out.name))
+    answer = {
+        "shape": options.shape,
+        "dialect": dialect_named(dialect).name,
+        "encoding": encoding,
+        "points": len(points) - 1,
+        "length_mm": float(made.length_mm.sum()),
+        "duration_s": float(time_s.sum()),
+        "bounds_mm": {name: [float(c.min()), float(c.max())] for name, c in zip("xyz", points.T, strict=True)},
+        "largest_turn_deg": made.largest_turn_deg,
+        "out": str(options.out),
+        "not_checked": list(UNCHECKED) if config is None else [],
+    }
+    return MadeProgram(made, text, answer)
+
+
+def dialect_of(config: CellConfig) -> str:
+    """The cell's: a shipped name, or the path of a profile of its own."""
+    own = {dialect_named(path).name: str(path) for path in config.dialect_paths}
+    return own.get(config.program.format, config.program.format)
+
+
+def _encoding(options: MakeOptions) -> Encoding:
+    """Where the time is written; BadParameter for times that are none."""
+    for name, value in (("--feed", options.feed_mm_min), ("--dwell", options.dwell_s)):
+        if value is not None and not 0 < value < np.inf:
+            raise typer.BadParameter(f"{name} {value:g}: must be above 0")
+    if options.encoding == "dwell" and options.dwell_s is None:
+        raise typer.BadParameter("--encoding dwell needs --dwell: how long at each point")
+    return options.encoding or ("feed" if options.dwell_s is None else "dwell")
+
+
+def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
+    kind, _, rest = (options.aperture or "").partition(":")
+    aperture = rest if kind in ("mask", "polygon") else ""
+    not_over(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
+    with target_file(options.out) as file:
+        file.write(text)
+    if options.picture is not None:
+        normals = unit_normals(made.optic, made.points_mm[:, :2])
+        save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
+
+
+def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
+    """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
+    aperture, optic = _aperture(options, config), _optic(options, config)
+    lengths = (options.pitch_mm, options.step_mm)
+    beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
+    if options.shape == "raster":
+        points = raster(aperture, *lengths, **beyond, optic=optic, direction_deg=options.direction_deg)
+    else:
+        points = spiral(aperture, *lengths, **beyond, optic=optic, inwards=options.inwards)
+    dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
+    placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
+    if lean is None or options.azimuth_deg is not None:
+        lean = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=options.azimuth_deg or 0.0)
+    axis = tool_axes(points, optic, dip_deg, lean, placement)
+    return MadePath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
+
+
+def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
+    if options.aperture is None:
+        if config is None:
+            raise typer.BadParameter("name an --aperture, or a --cell that has one")
+        return apertures.over_outline(config.outline())
+    name, _, rest = options.aperture.partition(":")
+    if name == "mask" and rest:
+        measured = MapSource.of(options.cell).read(Path(rest))
+        return apertures.over_mask(measured.grid, measured.valid)
+    if name == "polygon" and rest:
+        return apertures.over_outline(read_polygon(Path(rest)))
+    count, make = SHAPES.get(name, (0, apertures.circle))
+    values = _numbers("--aperture", rest)
+    if not count or len(values) != count:
+        raise typer.BadParameter(
+            f"--aperture {options.aperture!r} is none of circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, "
+            "hexagon:W, polygon:FILE, mask:MAP"
+        )
+    return make(*values)
+
+
+def _optic(options: MakeOptions, config: CellConfig | None) -> Optic:
+    nominal = FLAT if config is None else config.optic()
+    if options.optic is not None:
+        name, _, rest = options.optic.partition(":")
+        values = _numbers("--optic", rest)
+        most = {"flat": 0, "sphere": 1, "conic": 2, "asphere": len(values)}.get(name, -1)
+        if len(values) != most or (name == "asphere" and len(values) < 3):
+            raise typer.BadParameter(
+                f"--optic {options.optic!r} is none of flat, sphere:R, conic:R,K, asphere:R,K,A4,A6,..."
+            )
+        radius, conic, *even = [*values, 0.0, 0.0][: max(len(values), 2)]
+        nominal = Optic(radius if values else None, conic, tuple(even))
+    return nominal if options.offset_mm is None else replace(nominal, offset_mm=options.offset_mm)
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")] if text else []
+    except ValueError:
+        raise typer.BadParameter(f"{option}: {text!r} is no list of numbers") from None
+
+
+def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Feed (n,) mm/min and time (n,) s of each move: a dwell that sits in the feed is the time of its move."""
+    feed = np.full(len(length_mm), options.feed_mm_min)
+    if encoding == "dwell":
+        return feed, 60 * length_mm / feed + (options.dwell_s or 0.0)
+    if options.dwell_s is not None:
+        feed = 60 * length_mm / options.dwell_s
+    return feed, 60 * length_mm / feed
+
+
+def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """From the part's frame to the one that the cell's programs are written in."""
+    if config is None:
+        return points, axis
+    back = Rotation.from_euler("z", -config.program.rotation_deg, degrees=True)
+    return back.apply(points - np.asarray(config.program.offset_mm)), back.apply(axis)
+
+
+def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
+    """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
+    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
+    recipe = make_recipe(config.model_copy(update=without_map), hooks)
+    found = precheck.precheck_plan(recipe, program, hooks.check_plan)
+    if found:
+        says = "\n".join(f"  {line}" for line in found)
+        raise ProgramError(
+            f"nothing was written: plan or run would refuse it in {config.path}:\n{says}\n"
+            "To do: other --aperture, --landing, --dip or --azimuth, or move the part (part.origin_mm) in the cell"
+        )
+
+
+def _title(options: MakeOptions) -> str:
+    over = options.aperture or "the cell's aperture"
+    return f"{options.shape}, {over}, pitch {options.pitch_mm:g} mm, step {options.step_mm:g} mm"
+
+
+def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
+    bounds = ", ".join(f"{name} {low:.3f} to {high:.3f}" for name, (low, high) in answer["bounds_mm"].items())
+    rows = [
+        ("points", f"{answer['points']}, time in: {answer['encoding']}"),
+        ("length", f"{answer['length_mm']:.1f} mm"),
+        ("duration", f"{answer['duration_s']:.1f} s"),
+        ("bounds", f"{bounds} mm"),
+        ("largest turn of the wrist", f"{answer['largest_turn_deg']:.3g} deg in a move"),
+        *(("not checked without --cell", what) for what in answer["not_checked"]),
+    ]
+    return key_table(f"{_title(options)} ({answer['dialect']})", rows)
+
+
+# How wide a cell's contact is: the distance of a path's lines follows from it.
+
+
+def contact_radius_mm(config: CellConfig) -> float:
+    """Radius of the contact that acts at the part's centre."""
+    centre, process, placement = np.zeros((1, 3)), config.tool_process(), config.placement()
+    options, optic = config.compliance_options(), config.optic()
+    axes = tool_axes(centre, optic, config.process.dip_deg, options, placement)
+    found = compliance_at(
+        centre,
+        axes,
+        process,
+        config.robot_model(),
+        placement,
+        options=options,
+        optic=optic,
+    )
+    depth = contact.hertz_depth_mm(process)
+    gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
+    return float(contact.contact_radius_mm(process, gamma * depth)[0])
+
+
+# A raster that suits a cell: over its part and a little more, quiet for its spot, dipped as its tool dips.
+
+RASTER_MM = 1.0
+"""Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
+OVERRUN_MM = 1.0
+"""How far the raster is larger than the part: its turns, where the machine stops, lie on the ring around it."""
+LANDING_MM = 6.0
+"""How far outside the part the tool lands, on the ring that the part sits in."""
+FEED_MM_MIN = 900.0
+
+
+def own_program(config: CellConfig, name: str) -> bytes:
+    """That raster as RNC text, timed by feeds."""
+    return path_program(*own_path(config), FEED_MM_MIN, name)
+
+
+def own_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) points of that raster, mm, and the tool axes there.
+
+    ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
+    """
+    covered = over_outline(config.outline()).larger(OVERRUN_MM)
+    step = quiet_step_mm(contact_radius_mm(config), dwells_mm or RASTER_MM)
+    along = step if dwells_mm else RASTER_MM
+    points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
+    axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
+    return points, axes

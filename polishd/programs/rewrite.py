@@ -1,0 +1,260 @@
+"""Programs from file to file: of any size, whole or not at all, in parts where the controller limits their lines."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import BytesIO
+from itertools import chain, islice
+from pathlib import Path
+from typing import BinaryIO, cast
+
+import numpy as np
+
+from polishd import __version__
+from polishd.model.errors import ProgramError
+from polishd.model.program import Encoding, Program
+from polishd.model.surface import FloatArray
+from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
+from polishd.plugins.rnc_robot.formats import read, rewrite
+from polishd.plugins.rnc_robot.gcode.rewrite import look_through, rewrite_stream
+from polishd.plugins.rnc_robot.languages import split
+from polishd.plugins.rnc_robot.verify import verify
+from polishd.util.files import whole_file
+
+# A CSV of dwells: one number in seconds a row, no header, one row a point.
+
+_PIECE = 1 << 20
+"""Bytes read at a time: a table of any length needs no more memory."""
+_PLAIN = b"0123456789+-.eE \t\r\n"
+
+
+class DwellTable:
+    """The rows of a table of dwells, taken in order; never many more of them in memory than are asked for at once."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.total_s = 0.0
+        """Sum of what was taken."""
+        self._rows = chain.from_iterable(rows.tolist() for rows in dwell_rows(path))
+        self._taken = 0
+
+    def take(self, count: int) -> FloatArray:
+        """The next so many, (count,) s. ProgramError where there are fewer, or where a row is no dwell."""
+        rows = np.fromiter(islice(self._rows, count), np.float64)
+        self._taken += len(rows)
+        if len(rows) < count:
+            raise ProgramError(f"{self.path}, row {self._taken + 1} is missing: the program has more points. {_COUNT}")
+        self.total_s += math.fsum(rows)
+        return rows
+
+    def finish(self) -> None:
+        """ProgramError where there are more rows."""
+        if next(self._rows, None) is not None:
+            raise ProgramError(
+                f"{self.path}, row {self._taken + 1} is one too many: the program has {self._taken} points. {_COUNT}"
+            )
+
+
+_COUNT = "To do: write one row a point; polishd program inspect counts them."
+
+
+def dwell_rows(path: Path) -> Iterator[FloatArray]:
+    """The rows of a table of dwells, s, as arrays of (k,), in order. Lines end in LF or CRLF.
+
+    Raises:
+        ProgramError: The file cannot be read, or a row is not one number of seconds, 0 or more; names the row.
+    """
+    done = 0
+    try:
+        with path.open("rb") as file:
+            rows = file.readlines(_PIECE)
+            if rows:
+                rows[0] = rows[0].removeprefix(b"\xef\xbb\xbf")
+            while rows:
+                yield _values(path, rows, done)
+                done += len(rows)
+                rows = file.readlines(_PIECE)
+    except OSError as error:
+        raise ProgramError(f"{path}: cannot be read: {error.strerror}. To do: check the path of the dwells.") from error
+    if not done:
+        raise ProgramError(f"{path}: the table of dwells is empty. To do: write one dwell in seconds a row.")
+
+
+def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
+    """The numbers of some rows, of which ``before`` rows came before."""
+    with suppress(ValueError):  # whose fault it is, is found out below
+        values = np.array(list(map(float, rows)), dtype=np.float64) + 0.0  # no -0.0
+        if not b"".join(rows).translate(None, _PLAIN) and np.isfinite(values).all() and (values >= 0).all():
+            return values
+    for number, row in enumerate(rows, before + 1):
+        reason = _reason(row, number)
+        if reason is not None:
+            shown = row.decode("utf-8", "backslashreplace").strip()[:60]
+            raise ProgramError(
+                f'{path}, row {number} {reason}: "{shown}". To do: write one dwell in seconds a row, and no header.'
+            )
+    raise ProgramError(f"{path}: cannot be read as numbers from row {before + 1} on.")
+
+
+def _reason(row: bytes, number: int) -> str | None:
+    """What is wrong with a row; None: nothing is."""
+    text = row.strip()
+    if not text:
+        return "is empty"
+    if b"," in text or b";" in text:
+        return "holds a comma or semicolon: one number a row, with a decimal point"
+    try:
+        value = float(text)
+    except ValueError:
+        return "is a header" if number == 1 and text[:1].isalpha() else "is not a number"
+    if not np.isfinite(value):
+        return "is not finite"
+    if value < 0:
+        return "is below zero"
+    return "is not a plain number" if text.translate(None, _PLAIN) else None
+
+
+Progress = Callable[[int], None]
+"""Hears of bytes read."""
+
+_FIRST_LINES = re.compile(rb"(?:[ \t]*(?:%|;\$PATH|[Oo:][0-9]).*\n|[ \t]*\r?\n)*")
+"""Tape marks, program numbers and paths stand before everything else."""
+
+
+@dataclass(frozen=True, slots=True)
+class RewriteResult:
+    """What was written; times are read back from it."""
+
+    out: tuple[Path, ...]
+    encoding: Encoding
+    points: int
+    rows: int
+    """Times asked for; fewer than points where moves without a dwell now carry their time, too."""
+    asked_total_s: float
+    dwell_total_s: float
+
+
+def rewrite_file(
+    file: Path,
+    table: DwellTable,
+    out: Path,
+    dialect: AnyDialect,
+    encoding: Encoding | None = None,
+    *,
+    comment: bool = False,
+    progress: Progress | None = None,
+) -> RewriteResult:
+    """Write the program in ``file`` to ``out`` with the times of ``table``.
+
+    NC text whose encoding stays goes through in bounded memory and is read back before it gets its name. Everything
+    else is held in memory and proved to move as before. Where the controller limits the lines of a program, ``out``
+    is the first of several files: ``out_2``, ``out_3``, ...
+
+    Raises:
+        ProgramError: Anything is wrong with program, table or output. Nothing was written.
+    """
+    not_over(out, file, table.path)
+    mark = _comment(dialect) if comment else b""
+    if isinstance(dialect, GcodeDialect) and encoding is None:
+        return _streamed(file, table, out, dialect, mark=mark, progress=progress)
+    return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
+
+
+def not_over(out: Path, *sources: Path) -> None:
+    """ProgramError where ``out`` is one of the files that are read, under whatever name."""
+    for source in sources:
+        with suppress(OSError):  # what is not there, or cannot be looked at, is refused where it is opened
+            if out.samefile(source):
+                raise ProgramError(f"{out}: is what is read. To do: name another file.")
+
+
+def content(file: Path) -> bytes:
+    """The bytes of a program's file; ProgramError where there are none to be had."""
+    with opened(file) as source:
+        return source.read()
+
+
+@contextmanager
+def opened(file: Path) -> Iterator[BinaryIO]:
+    """A program's file, for reading, more than once; ProgramError where it cannot be read."""
+    try:
+        with file.open("rb") as source:
+            yield source if source.seekable() else BytesIO(source.read())  # a pipe is held in memory
+    except OSError as error:
+        raise ProgramError(f"{file}: cannot be read: {error.strerror or error}. To do: check the path.") from error
+
+
+def _streamed(
+    file: Path, table: DwellTable, out: Path, dialect: GcodeDialect, *, mark: bytes, progress: Progress | None
+) -> RewriteResult:
+    with opened(file) as source, target_file(out) as target:
+        sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
+        passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
+        found = look_through(dialect, target, out.name)
+    return RewriteResult((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
+
+
+def _held(
+    program: Program, table: DwellTable, out: Path, dialect: AnyDialect, encoding: Encoding | None, *, mark: bytes
+) -> RewriteResult:
+    times = table.take(program.n)
+    table.finish()
+    text = _marked(rewrite(dialect, program, times, encoding), mark)
+    proof = verify(program.text, text, dialect)
+    if proof.difference is not None:
+        raise ProgramError(f"{program.name}: cannot be written in other words without a change: {proof.difference}.")
+    parts = [text] if isinstance(dialect, GcodeDialect) else split(dialect, text, program.name)
+    outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
+    with ExitStack() as stack:  # all are on the disk before the first gets its name
+        for path, part in zip(outs, parts, strict=True):
+            stack.enter_context(target_file(path)).write(part)
+    written = program.encoding if encoding is None else encoding
+    return RewriteResult(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
+
+
+@contextmanager
+def target_file(path: Path) -> Iterator[BinaryIO]:
+    """A file that gets its name when the block ends; ProgramError where it cannot be written."""
+    try:
+        with whole_file(path) as file:
+            yield file
+    except OSError as error:
+        raise ProgramError(f"{path}: cannot be written: {error.strerror}. To do: name another --out.") from error
+
+
+def _comment(dialect: AnyDialect) -> bytes:
+    """The line that says what was done, in the dialect's comment."""
+    if not isinstance(dialect, GcodeDialect):
+        raise ProgramError(
+            f"in {dialect.name} a line of comment has no place that is sure everywhere. To do: leave --comment out."
+        )
+    words = f"polishd {__version__}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC: dwell rewritten"
+    return (f"({words})" if "()" in dialect.text.comments else f"; {words}").encode("ascii")
+
+
+class _Marked:
+    """Puts a line of comment before the first piece of a program that goes by."""
+
+    def __init__(self, target: BinaryIO, mark: bytes) -> None:
+        self._target = target
+        self._mark = mark
+
+    def write(self, piece: bytes) -> int:
+        """As a file's."""
+        text, self._mark = _marked(piece, self._mark), b""
+        return self._target.write(text)
+
+
+def _marked(text: bytes, mark: bytes) -> bytes:
+    """The text with the mark in a line of its own, behind tape marks and program number."""
+    if not mark:
+        return text
+    found = _FIRST_LINES.match(text)
+    at = 0 if found is None else found.end()
+    stop = b"\r\n" if b"\r\n" in text[: text.find(b"\n") + 1] else b"\n"
+    return text[:at] + mark + stop + text[at:]

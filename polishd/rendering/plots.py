@@ -1,0 +1,106 @@
+"""How the pictures look: one quiet style, colours that colour-blind people can tell apart, and PNG bytes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from polishd.model.errors import ConfigError
+from polishd.util.files import write_atomic
+
+INK = "#24292f"
+MUTED = "#6e7781"
+RULE = "#d8dee4"
+NO_DATA = "#d3d6da"
+# Okabe and Ito's set
+BLUE = "#0072b2"
+ORANGE = "#d55e00"
+GREEN = "#009e73"
+
+DIVERGING = "RdBu_r"
+"""For heights: red high, blue low, white at 0."""
+SEQUENTIAL = "cividis"
+"""For what has no sign."""
+
+DPI = 110
+
+RC: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.7,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlepad": 7.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "figure.constrained_layout.h_pad": 0.06,
+    "figure.constrained_layout.w_pad": 0.06,
+    "agg.path.chunksize": 20000,
+}
+
+
+@contextmanager
+def polishd_style() -> Iterator[None]:
+    """Draw in polishd's style inside the block."""
+    with mpl.rc_context():
+        mpl.rcParams.update(RC)
+        yield
+
+
+def figure(width_in: float, height_in: float) -> Figure:
+    """An empty figure that no global state knows of."""
+    fig = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(fig)
+    return fig
+
+
+def png(fig: Figure, dpi: int = DPI) -> bytes:
+    """The figure as PNG bytes."""
+    target = io.BytesIO()
+    fig.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
+    return target.getvalue()
+
+
+def ruled(axes: Axes, axis: str = "y") -> None:
+    """Light rules behind the data."""
+    if axis in ("x", "both"):
+        axes.xaxis.grid(visible=True)
+    if axis in ("y", "both"):
+        axes.yaxis.grid(visible=True)
+
+
+def save_picture(path: Path, picture: bytes) -> None:
+    """Write a PNG whole; ConfigError where it cannot be written."""
+    try:
+        write_atomic(path, picture)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; name a file with --out") from error

@@ -1,0 +1,1 @@
+"""The certificate of a part: its content, PDF and JSON, and the signature over both."""

@@ -1,0 +1,254 @@
+"""The shop's API: cells report and ask by their tokens, people and programs add parts, look, and release them."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import json
+import time
+from collections.abc import Awaitable, Callable, Iterable
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from polishd.config.server_sections import ShopFile
+from polishd.model.errors import ConfigError, PolishdError
+from polishd.shop import database as feed
+from polishd.shop import parts as shop_parts
+from polishd.shop.database import Database, DatabaseTransaction
+from polishd.shop.parts import digests, part_of
+from polishd.util.serialization import json_object, require_unicode
+from polishd.web.http import server as door
+from polishd.web.http.certificates import Certificate
+from polishd.web.http.server import HANDLERS, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.users import Role, SessionStore, UserFile, address_of, forged
+
+# What a shop knows, for people and programs.
+
+UNHEARD_S = 60.0
+"""A cell that has said nothing for so long is told to be away."""
+
+
+def status_view(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
+    """Its cells, what each does and for how long it has said nothing, and how many parts are where.
+
+    ``names``: of cells that have a token; one that has never reported has None in the place of ``heard_s``.
+    """
+    now_s = time.time()
+    cells = [
+        {
+            "cell": row["name"],
+            "heard_s": round(max(now_s - row["heard"], 0.0), 1),
+            "away": now_s - row["heard"] > UNHEARD_S,
+            **json.loads(row["now"]),
+            "claims": _count(sql, "SELECT count(*) AS n FROM claim WHERE cell = ? AND ended IS NULL", row["name"]),
+            "passes": _count(sql, "SELECT count(*) AS n FROM pass WHERE cell = ?", row["name"]),
+        }
+        for row in sql.rows("SELECT name, heard, now FROM cell ORDER BY name")
+    ]
+    silent = set(names) - {cell["cell"] for cell in cells}
+    cells += [{"cell": name, "heard_s": None, "away": True, "claims": 0, "passes": 0} for name in silent]
+    parts = {row["state"]: row["n"] for row in sql.rows("SELECT state, count(*) AS n FROM part GROUP BY state")}
+    return {"cells": sorted(cells, key=itemgetter("cell")), "parts": parts}
+
+
+def parts_view(sql: DatabaseTransaction) -> dict[str, Any]:
+    """All parts in the order in which they came, and whose each is; then what was decided, and who wanted it."""
+    rows = sql.rows(
+        "SELECT part.job, part.part_id, part.state, part.added, part.by, part.verdict, part.reason, part.ended, "
+        "claim.cell, claim.given, claim.back FROM part LEFT JOIN claim ON claim.part = part.id "
+        "AND claim.request = (SELECT request FROM claim AS last WHERE last.part = part.id AND last.how NOT IN "
+        "('refused', 'given back', 'gone', 'gone, and had begun') ORDER BY given DESC LIMIT 1) ORDER BY part.id"
+    )
+    why = {row["part"]: row["why"] for row in sql.rows(
+        "SELECT part.job AS part, group_concat(not_for.cell || ': ' || not_for.why, '; ') AS why FROM not_for "
+        "JOIN part ON part.id = not_for.part WHERE part.state = 'waiting' GROUP BY part.id"
+    )}  # fmt: skip
+    return {"parts": [{**row, "not_for": why.get(row["job"], "")} for row in rows]}
+
+
+def words(sql: DatabaseTransaction, most: int = 1000) -> list[dict[str, Any]]:
+    """What the shop decided, and who wanted it, the last ones."""
+    return sql.rows("SELECT * FROM (SELECT * FROM word ORDER BY id DESC LIMIT ?) ORDER BY id", most)
+
+
+def history(sql: DatabaseTransaction) -> dict[str, Any]:
+    """All jobs of all cells, in the order in which they began."""
+    maps: dict[tuple[str, ...], list[float]] = {}
+    for row in sql.rows("SELECT cell, journal, job, stats FROM map ORDER BY cell, journal, job, cycle"):
+        maps.setdefault((row["cell"], row["journal"], row["job"]), []).append(json.loads(row["stats"]).get("rms_nm"))
+    jobs = sql.rows(
+        "SELECT cell, journal, job AS number, name, part_id, started, ended, ifnull(outcome, '') AS outcome, "
+        "(SELECT count(*) FROM pass WHERE pass.cell = job.cell AND pass.journal = job.journal AND pass.job = job.job "
+        "AND how = 'done') AS passes FROM job ORDER BY started"
+    )
+    for job in jobs:
+        job["rms_nm"] = maps.get((job["cell"], job["journal"], job.pop("number")), [])
+        del job["journal"]
+    return {"jobs": jobs}
+
+
+def lessons(sql: DatabaseTransaction) -> dict[str, Any]:
+    """What each cell has learned last of each recipe."""
+    return {"lessons": sql.rows("SELECT * FROM lesson ORDER BY recipe, at_s")}
+
+
+def _count(sql: DatabaseTransaction, query: str, *values: Any) -> int:
+    return int(sql.rows(query, *values)[0]["n"])
+
+
+BODY_BYTES = 16 << 20
+"""Of a report, or of a job with its files."""
+
+Work = Callable[[DatabaseTransaction, str, dict[str, Any]], Any]
+"""One whole transaction: (it, who asks, what was sent) -> what is answered."""
+
+
+def cells_of(shop: ShopFile) -> UserFile:
+    """Names of its cells, and hashes of their tokens."""
+    return UserFile(shop.state_dir / "shop-cells.json")
+
+
+def people_of(shop: ShopFile) -> UserFile:
+    """The same of its people and programs."""
+    return UserFile(shop.state_dir / "shop-users.json" if shop.web.users is None else shop.resolve(shop.web.users))
+
+
+def application(shop: ShopFile, database: Database, certificate: Certificate | None = None) -> RequestGuard:
+    """Of that shop; ``certificate``: the one by which it is served."""
+    cells, people, rate = SessionStore(cells_of(shop)), SessionStore(people_of(shop)), RateLimiter()
+
+    def of_cell(path: str, work: Work) -> Route:
+        return Route(f"/api/cell/{path}", _endpoint(database, cells, rate, Role.WATCH, work), methods=["POST"])
+
+    def of_people(path: str, work: Work, role: Role = Role.WATCH) -> Route:
+        method = "GET" if role is Role.WATCH else "POST"
+        return Route(f"/api/{path}", _endpoint(database, people, rate, role, work), methods=[method])
+
+    def status(sql: DatabaseTransaction, _who: str, _said: dict[str, Any]) -> Any:
+        tls = None if certificate is None else certificate.facts()
+        return {"shop": shop.shop.name, "certificate": tls, **status_view(sql, cells_of(shop))}
+
+    routes = [
+        of_cell("report", _report),
+        of_cell("claim", lambda sql, cell, said: shop_parts.claim(sql, cell, _text(said, "request"))),
+        of_cell("refuse", _refuse),
+        of_cell("file", _file),
+        of_people("status", status),
+        of_people("parts", lambda sql, _who, _said: {**parts_view(sql), "words": words(sql)}),
+        of_people("history", lambda sql, _who, _said: history(sql)),
+        of_people("lessons", lambda sql, _who, _said: lessons(sql)),
+        of_people("add", _add, Role.OPERATE),
+        of_people("release", _release, Role.OPERATE),
+        of_people("remove", _remove, Role.OPERATE),
+    ]
+    return RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), hosts_of(shop.web), BODY_BYTES)
+
+
+def serve(shop: ShopFile) -> None:
+    """Until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer and nobody has a token."""
+    if not shop.web.loopback and not (people_of(shop) or cells_of(shop)):
+        raise shop.error("web.address", "is beyond this computer, and nobody has a token; make one: polishd shop serve "
+                         "SHOP.toml --add-cell NAME")  # fmt: skip
+    certificate = Certificate.of(shop, shop.web)
+    with Database.open(shop.state_dir) as database:
+        door.serve(application(shop, database, certificate), shop.web, certificate)
+
+
+def _endpoint(
+    database: Database, sessions: SessionStore, rate: RateLimiter, role: Role, work: Work
+) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        try:
+            session = sessions.of(request)
+        except PolishdError as error:
+            return refusal(503, str(error))
+        if not rate.takes(f"address {address_of(request)}" if session is None else f"user {session.user.name}"):
+            return refusal(429, "too many requests")
+        if session is None:
+            return refusal(401, "bring a token of this shop: Authorization: Bearer TOKEN")
+        if not session.user.role.may(role):
+            return refusal(403, f"needs the role {role.value}")
+        if request.method != "GET" and (why := forged(request, session)):
+            return refusal(403, why)
+        return await answered(_worked(database, work, session.user.name, await request.body()))
+
+    return answer
+
+
+async def _worked(database: Database, work: Work, who: str, body: bytes) -> Any:
+    def transaction() -> Any:
+        said = _json(body)
+        with database.transaction() as sql:
+            return work(sql, who, said)
+
+    found = await asyncio.to_thread(transaction)
+    return found if isinstance(found, Response) else {"ok": True, **found}
+
+
+def _report(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
+    try:
+        report = feed.CellReport(**said)
+        upto = feed.take(sql, cell, report)
+        word = shop_parts.report(sql, cell, report.journal, report.claims)
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise ConfigError(f"that is no report of a cell: {type(error).__name__}; are both of one polishd?") from error
+    told = {"stands": word.stands, "back": word.back, "lost": word.lost}
+    return {"upto": upto, **told, "offers": feed.offers(sql, cell)}
+
+
+def _refuse(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
+    shop_parts.refuse(sql, cell, _text(said, "request"), _text(said, "why")[:2000])
+    return {}
+
+
+def _file(sql: DatabaseTransaction, _cell: str, said: dict[str, Any]) -> Any:
+    found = sql.row("SELECT content FROM file WHERE sha256 = ?", _text(said, "sha256"))
+    if found is None:
+        raise ConfigError("there is no file of that hash")
+    return Response(found["content"], media_type="application/octet-stream")
+
+
+def _add(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
+    files = said.get("files", {})
+    if not isinstance(files, dict):
+        raise ConfigError("files is an object: base64 of each content by its name")
+    try:
+        part = part_of(
+            _text(said, "content"),
+            {str(Path(name)): base64.b64decode(one, validate=True) for name, one in files.items()},
+        )
+    except (binascii.Error, TypeError, ValueError) as error:
+        raise ConfigError("files is an object: base64 of each content by its name") from error
+    shop_parts.add(sql, [part], who, [digests(part)])
+    return {"added": part.job}
+
+
+def _release(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
+    gone = said.get("cell_is_gone", False) is True
+    return {"said": shop_parts.release(sql, _text(said, "job"), who, str(said.get("why", ""))[:500], gone=gone)}
+
+
+def _remove(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
+    shop_parts.remove(sql, _text(said, "job"), who, str(said.get("why", ""))[:500])
+    return {}
+
+
+def _json(body: bytes) -> dict[str, Any]:
+    found = json_object(body)
+    if b"\\u" in body:  # without such an escape there is nothing but Unicode in it
+        require_unicode(json.dumps(found, ensure_ascii=False), "the body")
+    return found
+
+
+def _text(said: dict[str, Any], key: str) -> str:
+    found = said.get(key)
+    if not isinstance(found, str) or not found:
+        raise ConfigError(f"{key} must be given, as text")
+    return found

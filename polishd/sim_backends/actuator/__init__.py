@@ -1,1 +1,0 @@
-"""The simulated voice-coil actuator: behaviour, and the two protocols that it speaks."""

@@ -1,0 +1,1 @@
+"""What simulated devices share: runtime, wires, framing, faults, mechanics."""

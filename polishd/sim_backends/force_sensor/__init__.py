@@ -1,1 +1,0 @@
-"""The simulated force sensor: a load cell that feels what truly acts, and its amplifier."""

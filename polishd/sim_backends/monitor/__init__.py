@@ -1,1 +1,0 @@
-"""The simulated monitor: a box of inputs, and what happens to them."""

@@ -1,0 +1,260 @@
+"""The controller's mind: variables in, motion, variables out. Pure of I/O but for the file; wall times are handed in.
+
+It reads the file when it is told to load, a part of it in each cycle: however long the program, the cycle goes on. It
+shows what it does once every report, and stops by itself when nobody counts the heartbeat up. Whoever stands at it may
+hold the feed: it goes on by itself when he lets go.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from polishd.config.simulator import SimRobotSection
+from polishd.model.surface import FloatArray
+from polishd.sim_backends.robot.motion import SimMotion
+from polishd.sim_backends.robot.program_reader import Intake, Reach
+from polishd.sim_backends.robot.trajectory import BlockColumns as Blocks
+
+# A program file as the controller has it, and which of its lines are the program's own.
+
+OURS = b"(polishd)"
+"""Lines that polishd puts in end with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlcProgram:
+    """A file, and what the plant is to know of it."""
+
+    lines: tuple[bytes, ...]
+    sha256: str
+    """Of the program without the lines that were put in."""
+    blocks: int
+    inserted: FloatArray
+    """(m,) 0-based lines that were put in."""
+
+    @classmethod
+    def of(cls, text: bytes) -> PlcProgram:
+        """Take the text apart."""
+        lines = text.removesuffix(b"\n").split(b"\n")
+        inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]
+        own = [line for line in lines if not line.endswith(OURS)] if inserted else lines
+        return cls(tuple(lines), hashlib.sha256(b"\n".join(own)).hexdigest(), len(own), np.array(inserted, dtype=float))
+
+    def blocks_of(self, lines: FloatArray) -> FloatArray:
+        """0-based blocks of the program (n,) of 0-based lines (n,)."""
+        blocks = lines - np.searchsorted(self.inserted, lines)
+        return np.asarray(np.minimum(blocks, max(self.blocks - 1, 0)), dtype=np.float64)
+
+
+def sha256_of(lines: Sequence[bytes]) -> str:
+    """What the intake hashes."""
+    return hashlib.sha256(b"".join(line + b"\n" for line in lines)).hexdigest()
+
+
+IDLE, READY, RUNNING, PAUSED, HELD, DONE, FAULT = range(7)
+Value = bool | int | float | str
+INPUTS: dict[str, Value] = {
+    "start": False, "hold": False, "reset": False, "load": False, "program": "", "heartbeat": 0,
+}  # fmt: skip
+BAD_PROGRAM, NO_PROGRAM, EMERGENCY_STOP = 1, 2, 99
+LINES_A_CYCLE = 500
+"""Read of a program that is being loaded."""
+
+
+@dataclass(slots=True)
+class Loading:
+    """A program on its way in."""
+
+    name: str
+    program: PlcProgram
+    intake: Intake
+    blocks: Blocks
+    longest_turn_s: float = 0.0
+    """Between two cycles, from the order on."""
+
+
+@dataclass(slots=True)
+class Plc:
+    """What the servers show."""
+
+    config: SimRobotSection
+    motion: SimMotion
+    folder: Path
+    reach: Reach
+    report: Callable[..., None]
+    """Tells the witness: (event, at_s=now, **data)."""
+    boot_id: str
+    inputs: dict[str, Value] = field(default_factory=lambda: dict(INPUTS))
+    shown: dict[str, Value] = field(default_factory=dict)
+    """What the controller tells, as of its last report."""
+    feed_held: bool = False
+    program: PlcProgram | None = None
+    _before: dict[str, Value] = field(default_factory=lambda: dict(INPUTS))
+    _alarm: tuple[int, str] = (0, "")
+    _loaded: str = ""
+    _was: str = "idle"
+    _heard_s: float = 0.0
+    _next_s: float = 0.0
+    _beats: int = 0
+    _goes_on: bool = False
+    """The feed was held while it ran."""
+    _loading: Loading | None = None
+    _ticked_s: float | None = None
+
+    def tick(self, now_s: float) -> None:
+        """One cycle of the controller's program."""
+        self.motion.advance(now_s)
+        turn_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
+        self._ticked_s = now_s
+        inputs, before = dict(self.inputs), self._before
+        self._before = inputs
+        if inputs["heartbeat"] != before["heartbeat"]:
+            self._heard_s = now_s
+        if self._rises("reset", before):
+            self._reset(now_s)
+        if self._loading is not None:
+            self._go_on_loading(self._loading, turn_s)
+        if self._rises("load", before):
+            self._load(str(inputs["program"]))
+        if inputs["hold"] and self.motion.state == "running":
+            self.motion.hold(now_s, "hold")
+        elif self._rises("start", before) and not inputs["hold"]:
+            self._start(now_s)
+        if self.motion.state == "running" and now_s - self._heard_s > self.config.watchdog_s:
+            if not self.motion.stopping:
+                self.report("watchdog", silent_s=round(now_s - self._heard_s, 3))
+            self.motion.hold(now_s, "watchdog")
+        self._changes()
+        if now_s >= self._next_s:
+            self._next_s = max(self._next_s + self.config.report_ms / 1e3, now_s)
+            self._show(now_s)
+
+    def press(self, button: str, now_s: float) -> None:
+        """``emergency stop``, or ``feed hold``: pressed again it lets go."""
+        self.motion.advance(now_s)
+        if button == "emergency stop":
+            self._alarm, self._loading = (EMERGENCY_STOP, button), None
+            self.motion.hold(now_s, button)
+        else:
+            self.feed_held = not self.feed_held
+            if self.feed_held:
+                self._goes_on = self.motion.state == "running"
+                self.motion.hold(now_s, button)
+            elif self._goes_on and self.motion.state == "held":
+                self.motion.resume(now_s, None)
+        self._changes()
+
+    def blocks_of(self, lines: FloatArray) -> FloatArray:
+        """The program's blocks (n,) of lines of the file (n,)."""
+        return lines if self.program is None else self.program.blocks_of(lines)
+
+    def _rises(self, name: str, before: dict[str, Value]) -> bool:
+        return bool(self.inputs[name]) and not before[name]
+
+    def _reset(self, now_s: float) -> None:
+        self.motion.hold(now_s, "reset")
+        if self.motion.state != "running" and self._alarm[0] != EMERGENCY_STOP:
+            self._alarm = (0, "")
+            self._unload()
+
+    def _unload(self) -> None:
+        """It has no program from now on, and none is on its way."""
+        self.motion.forget()
+        self._was, self._loaded, self.program, self._loading = "idle", "", None, None
+
+    def _load(self, name: str) -> None:
+        """The order: what was there is gone, and the file is read from the next cycle on."""
+        if self.motion.state == "running" or self._alarm[0]:
+            return
+        self._unload()
+        path = self.folder / Path(name).name
+        try:
+            program = PlcProgram.of(path.read_bytes())
+        except OSError as error:
+            self._alarm = (NO_PROGRAM, f"{name}: {error.strerror}")
+            return
+        lines = list(program.lines)
+        intake = Intake(self.config, self.reach, len(lines), sha256_of(lines), self.motion.pose)
+        self._loading = Loading(name, program, intake, Blocks(len(lines), self.motion.pose, self.motion.limits))
+
+    def _go_on_loading(self, loading: Loading, turn_s: float) -> None:
+        """A cycle's part of the program; with its last line it is loaded."""
+        program, intake, blocks = loading.program, loading.intake, loading.blocks
+        loading.longest_turn_s = max(loading.longest_turn_s, turn_s)
+        first = blocks.accepted
+        taken = intake.take(first, list(program.lines[first : first + LINES_A_CYCLE]))
+        if refusal := intake.refusal():
+            self._alarm, self._loading = (BAD_PROGRAM, refusal[1]), None
+            return
+        blocks.append(taken)
+        if blocks.accepted < blocks.blocks:
+            return
+        self._loading = None
+        self.motion.load(blocks)
+        self.program, self._loaded = program, loading.name
+        longest_turn_s = round(loading.longest_turn_s, 4)
+        self.report("program_loaded", sha256=program.sha256, blocks=program.blocks, longest_turn_s=longest_turn_s)
+
+    def _start(self, now_s: float) -> None:
+        if self._alarm[0] or self.feed_held or self.program is None or self.motion.state != "held":
+            return
+        self._heard_s = now_s
+        self.motion.resume(now_s, None)
+
+    def _changes(self) -> None:
+        """Report starts and stops."""
+        motion = self.motion
+        while (state := motion.state) != (was := self._was):
+            self._was = state
+            name = "motion_started" if state == "running" else "motion_stopped"
+            if "running" in {state, was}:
+                self.report(name, motion.changed_s, detail=motion.detail or state, executed=len(motion.executed))
+
+    def _show(self, now_s: float) -> None:
+        line, began_s = self._line(now_s)
+        self._beats = (self._beats + 1) & 0xFFFFFFFF
+        self.shown = {
+            "state": self._state(),
+            "line": line,
+            "line_began": began_s * self.motion.limits.speed,
+            "state_began": self.motion.changed_s * self.motion.limits.speed,
+            "clock": now_s * self.motion.limits.speed,
+            "loaded": self._loaded,
+            "feed_override": 100.0 * self.motion.reported_pace,
+            "feed_hold": self.feed_held,
+            "in_motion": self.motion.state == "running",
+            "alarm": self._alarm[0],
+            "alarm_text": self._alarm[1],
+            "controller_heartbeat": self._beats,
+            "session": self.boot_id,
+        }
+
+    def _state(self) -> int:
+        motion = self.motion
+        if self._alarm[0]:
+            return FAULT
+        if motion.state == "held":
+            if motion.detail == "loaded":
+                return READY
+            return PAUSED if motion.detail == "pause" else HELD
+        return {"idle": IDLE, "running": RUNNING, "done": DONE}[motion.state]
+
+    def _line(self, now_s: float) -> tuple[int, float]:
+        """1-based line under way, or of the pause that it stands at, and the wall time at which that began."""
+        motion, executed = self.motion, self.motion.executed
+        stands_s = now_s if motion.state == "running" else motion.changed_s
+        done = len(executed)
+
+        def wall(process_s: float) -> float:
+            return stands_s - (motion.process_s - process_s) / motion.limits.speed
+
+        if self._state() == PAUSED and executed:
+            return done, wall(executed[-1][1])
+        began_s = wall(executed[-1][2]) if executed else motion.changed_s
+        ahead = self.config.reads_ahead if motion.state == "running" else 0
+        return min(done + 1 + ahead, max(motion.path.blocks, 1)), began_s

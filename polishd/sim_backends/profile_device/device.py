@@ -1,0 +1,337 @@
+"""A profile's requests and answers, as a device on lines of text has them."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import struct
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from string import Formatter
+from typing import Any, Protocol
+
+from polishd.sim_backends.common import framing as numbered
+from polishd.sim_backends.common.device_profile import SimDeviceProfile
+from polishd.sim_backends.common.framing import RtuSlave, TcpSlave
+from polishd.sim_backends.common.runtime import SimRuntime
+from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
+from polishd.sim_backends.profile_device.machine import Inverter, ProfileDeviceModel
+
+FORMATS = ("{:.3f}", "{:.2f}", "{:.1f}", "{:.0f}", "{:+.3f}", "{:+.2f}", "{:+.1f}")
+NUMBER = r"([-+]?\d+(?:\.\d+)?)"
+TEXTS = {"range": "value out of range", "fault": "a fault is set", "unknown": "no such request"}
+
+
+@dataclass(slots=True)
+class LineSlave:
+    """Answers each line by one line, or none where the profile says so."""
+
+    sheet: SimDeviceProfile
+    machine: ProfileDeviceModel
+    _buffer: bytes = b""
+    _asked: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        """``[lines]``."""
+        table: Mapping[str, Any] = self.sheet.raw["lines"]
+        return table
+
+    def feed(self, data: bytes, _now_s: float) -> Iterable[tuple[int, bytes]]:
+        """(bytes of the request, answer) for each whole request."""
+        end = self.table.get("ending", "\r\n").encode()[-1:]
+        self._buffer += data
+        while end in self._buffer:
+            raw, self._buffer = self._buffer.split(end, 1)
+            answer = self._framed(raw.strip(b"\r\n"))
+            if answer is not None:
+                yield len(raw) + 1, answer
+        self._buffer = self._buffer[-numbered.MAX_LINE :]
+
+    def _framed(self, raw: bytes) -> bytes | None:
+        if self.table.get("framing") != "numbered":
+            answer = self._answer(raw.decode("latin-1"))
+            return None if answer is None else answer.encode() + self.table.get("answer_ending", "\r\n").encode()
+        number, _, request = (numbered.body(raw) or "").partition(",")
+        answer = self._answer(request) if number.isdigit() else None
+        return None if answer is None else numbered.line(f"{number},{answer}")
+
+    def _answer(self, request: str) -> str | None:
+        machine = self.machine
+        machine.heard()
+        for ask in self.sheet.raw["asks"].values():
+            if ask["send"] == request:
+                words = self.sheet.words(machine.values(), machine.state(), silent=machine.watchdog_fault())
+                return spoken(ask["answer"], words)
+        refusal = self._order(request)
+        if refusal:
+            why = TEXTS[refusal]
+            refused = self.table.get("refused", "")
+            return spoken(refused, {"why": f"{refusal},{why}"}) if refused else f"?{why}"
+        accepted = self.table.get("accepted", "OK")
+        return spoken(accepted, {}) if accepted else None
+
+    def _order(self, request: str) -> str:
+        """Do what the request orders; why not, where it does not."""
+        for name, steps in sorted(self.sheet.orders(), key=lambda one: "{" in one[1][-1]):
+            for at, step in enumerate(steps):
+                match = re.fullmatch(pattern(step), request)
+                if match is None:
+                    continue
+                if match.groups():
+                    self._asked[name] = float(match[1])
+                if at == len(steps) - 1:
+                    return self.machine.order(name, self._asked.get(name, 0.0))
+                return ""
+        return "unknown"
+
+
+def pattern(step: str) -> str:
+    """A regular expression of what a step sends."""
+    parts = Formatter().parse(step)
+    return "".join(re.escape(text) + (NUMBER if slot is not None else "") for text, slot, _, _ in parts)
+
+
+def spoken(regex: str, words: Mapping[str, float | str]) -> str:
+    """A text that the expression fits, with these words in its named groups; all else in it must be plain."""
+    said, at = "", 0
+    while at < len(regex):
+        if regex.startswith("(?P<", at):
+            end = _closed(regex, at)
+            name, inner = regex[at + 4 : end].split(">", 1)
+            said += _formatted(words.get(name, 0), inner)
+            at = end + 1
+        elif regex[at] == "\\":
+            said += regex[at + 1]
+            at += 2
+        elif regex[at] in "([{*+?|.":
+            raise ValueError(f"the simulator cannot make up a text that {regex!r} fits")
+        else:
+            said += regex[at]
+            at += 1
+    return said
+
+
+def _closed(regex: str, start: int) -> int:
+    """Where the bracket that opens there closes."""
+    depth, at = 0, start
+    while True:
+        if regex[at] == "\\":
+            at += 1
+        elif regex[at] in "()":
+            depth += 1 if regex[at] == "(" else -1
+            if depth == 0:
+                return at
+        at += 1
+
+
+def _formatted(value: float | str, inner: str) -> str:
+    texts = [value] if isinstance(value, str) else [form.format(value) for form in FORMATS]
+    fitting = [text for text in texts if re.fullmatch(inner, text)]
+    if not fitting:
+        raise ValueError(f"the simulator cannot say {value!r} as {inner!r}")
+    return fitting[0]
+
+
+# A profile's registers, as a Modbus slave has them.
+
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
+CODES = {"range": ILLEGAL_VALUE, "fault": DEVICE_FAILURE}
+TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 5: "coil", 6: "holding", 15: "coil", 16: "holding"}
+FORMAT = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
+WORDS = {"u32": 2, "i32": 2, "f32": 2}
+
+
+@dataclass(slots=True)
+class ProfileRegisters:
+    """Answers requests by what the machine is, and turns writes into its orders."""
+
+    sheet: SimDeviceProfile
+    machine: ProfileDeviceModel
+    stored: dict[str, float] = field(default_factory=dict)
+    """What was written last, by register."""
+
+    def answer(self, pdu: bytes) -> bytes:
+        """The answer to a request PDU."""
+        self.machine.heard()
+        function = pdu[0]
+        if function in {1, 2, 3, 4} and len(pdu) == 5:
+            result = self._read(function, *struct.unpack(">HH", pdu[1:]))
+        elif function in {5, 6} and len(pdu) == 5:
+            address, value = struct.unpack(">HH", pdu[1:])
+            result = self._write(TABLES[function], address, [value != 0 if function == 5 else value]) or pdu
+        elif function in {15, 16} and len(pdu) == 6 + pdu[5]:
+            address, count = struct.unpack(">HH", pdu[1:5])
+            many = _bits(pdu[6:], count) if function == 15 else list(struct.unpack(f">{count}H", pdu[6:]))
+            result = self._write(TABLES[function], address, many) or pdu[:5]
+        else:
+            result = ILLEGAL_FUNCTION
+        return bytes([function | 0x80, result]) if isinstance(result, int) else result
+
+    @property
+    def _map(self) -> Mapping[str, Mapping[str, Any]]:
+        registers: Mapping[str, Mapping[str, Any]] = self.sheet.raw["registers"]
+        return registers
+
+    def _read(self, function: int, address: int, count: int) -> bytes | int:
+        table = self._cells(TABLES[function])
+        values = [table.get(address + at) for at in range(count)]
+        if not 1 <= count <= self.sheet.raw["modbus"].get("most", 125) or None in values:
+            return ILLEGAL_ADDRESS
+        words = [value or 0 for value in values]
+        if function > 2:
+            return bytes([function, 2 * count]) + struct.pack(f">{count}H", *words)
+        packed = sum(bool(word) << at for at, word in enumerate(words)).to_bytes(-(-count // 8), "little")
+        return bytes([function, len(packed)]) + packed
+
+    def _cells(self, table: str) -> dict[int, int]:
+        """Word (or bit) by address."""
+        machine = self.machine
+        said = self.stored | self.sheet.words(machine.values(), machine.state(), silent=machine.watchdog_fault())
+        cells: dict[int, int] = {}
+        for name, register in self._map.items():
+            if register.get("table", "holding") == table:
+                for at, word in enumerate(self._words(register, said.get(name, 0))):
+                    cells[register["address"] + at] = word
+        return cells
+
+    def _words(self, register: Mapping[str, Any], value: float | str) -> list[int]:
+        kind = register.get("type", "u16")
+        if kind == "bit":
+            return [int(bool(value))]
+        if kind == "text":
+            size = 2 * register.get("words", 1)
+            data = str(value).encode()[:size].ljust(size, b"\0")
+        else:
+            number = float(value)
+            data = struct.pack(FORMAT[kind], number if kind == "f32" else round(number))
+        words = list(struct.unpack(f">{len(data) // 2}H", data))
+        return words[::-1] if self._low_first(register) and kind != "text" else words
+
+    def _write(self, table: str, address: int, values: list[int]) -> int:
+        """0, or the exception code of the first refusal."""
+        while values:
+            found = [
+                (name, register)
+                for name, register in self._map.items()
+                if (register.get("table", "holding"), register["address"]) == (table, address)
+            ]
+            if not found or len(values) < (size := WORDS.get(found[0][1].get("type", ""), 1)):
+                return ILLEGAL_ADDRESS
+            code = self._store(*found[0], values[:size])
+            if code:
+                return code
+            values, address = values[size:], address + size
+        return 0
+
+    def _store(self, name: str, register: Mapping[str, Any], words: list[int]) -> int:
+        kind = register.get("type", "u16")
+        if kind == "bit":
+            number = float(words[0])
+        else:
+            ordered = words[::-1] if self._low_first(register) else words
+            data = struct.pack(f">{len(ordered)}H", *ordered)
+            number = float(struct.unpack(FORMAT[kind], data)[0])
+        before = self.stored.get(name)
+        self.stored[name] = number
+        order = self.sheet.written(name, self.stored)
+        refusal = self.machine.order(*order) if order else self._foreign(name)
+        if refusal and before is not None:
+            self.stored[name] = before
+        if order and order[0] == "beat":
+            self.stored["beat_echo"] = number
+        return CODES[refusal] if refusal else 0
+
+    def _foreign(self, name: str) -> str:
+        """A value that makes no order whole: fine where an order has it, where it is 0, or where no order writes."""
+        steps = [step for _, all_steps in self.sheet.orders() for step in all_steps]
+        values = [step.split("=")[1].strip() for step in steps if step.split("=")[0].strip() == name]
+        known = not values or self.stored[name] == 0.0
+        known = known or any(
+            value in {"asked", "count"} or float(int(value, 0)) == self.stored[name] for value in values
+        )
+        return "" if known else "range"
+
+    def _low_first(self, register: Mapping[str, Any]) -> bool:
+        order = register.get("word_order", self.sheet.raw["modbus"].get("word_order", "high_first"))
+        return bool(order == "low_first")
+
+
+def _bits(data: bytes, count: int) -> list[int]:
+    whole = int.from_bytes(data, "little")
+    return [whole >> at & 1 for at in range(count)]
+
+
+# What answers for a profile's device, by its link.
+
+
+class Slave(Protocol):
+    """Takes bytes, gives answers."""
+
+    def feed(self, data: bytes, now_s: float, /) -> Iterable[tuple[int, bytes]]:
+        """(bytes of the request, answer) for each whole request."""
+        ...
+
+
+def by_profile(sheet: SimDeviceProfile, machine: ProfileDeviceModel, unit: int, *, tcp: bool) -> Slave:
+    """For one connection."""
+    if "lines" in sheet.raw:
+        return LineSlave(sheet, machine)
+    answer = ProfileRegisters(sheet, machine).answer
+    return TcpSlave(unit, answer) if tcp else RtuSlave(unit, answer)
+
+
+# The process of a spindle that speaks what a profile says.
+
+TICK_S = 0.01
+
+
+async def main(runtime: SimRuntime) -> None:
+    """The device coroutine."""
+    whole, speed = runtime.start.config, runtime.start.speed
+    config = whole.spindle
+    sheet = SimDeviceProfile.read(whole.resolve(config.profile), config.pole_pairs)
+    drive = Inverter(
+        report=runtime.link.event,
+        now_s=time.monotonic(),
+        max_rpm=float(config.max_rpm),
+        ramp_rpm_s=1000.0 / config.spin_s * speed,
+        stop_rpm_s=1000.0 / config.stop_s * speed,
+        watchdog_s=config.watchdog_s,
+        identity={"vendor": "polishd", "model": "simulated inverter", "boot": str(runtime.boot_count)},
+    )
+    runtime.script.suffer = drive.suffer
+    tcp = config.kind == "profile_tcp"
+    line = sheet.raw.get("serial", {})
+    baud, parity = int(line.get("baud", 115200)), str(line.get("parity", "none"))
+    byte_s = 0.0 if tcp else 10.0 / baud
+
+    unit = int(sheet.raw.get("modbus", {}).get("unit", 1)) if config.unit is None else config.unit
+
+    def connected(outlet: FaultyLink) -> Feed:
+        slave = by_profile(sheet, drive, unit, tcp=tcp)
+
+        def feed(data: bytes) -> None:
+            now = time.monotonic()
+            drive.step(now)
+            for size, answer in slave.feed(data, now):
+                outlet.send(answer, size * byte_s)
+
+        return feed
+
+    wire = SimWire(runtime, connected)
+    if tcp:
+        wire.ready(f"tcp://{await wire.open_tcp(config.port)}")
+    else:
+        wire.open_pty(baud)
+        wire.ready(f"serial:{runtime.start.state / runtime.name}?baud={baud}&parity={parity}")
+    await _tick(runtime, drive)
+
+
+async def _tick(runtime: SimRuntime, drive: Inverter) -> None:
+    while True:
+        drive.step(time.monotonic())
+        runtime.link.samples(drive.samples, drive.now_s)
+        drive.samples = []
+        await asyncio.sleep(TICK_S)

@@ -1,1 +1,0 @@
-"""The simulated spindle drive: behaviour, CAN frames, slcan and socketcand."""

@@ -1,0 +1,1 @@
+"""Studies: simulations, sweeps and closed loops against simulated plants, described by a file."""

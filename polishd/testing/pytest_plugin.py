@@ -1,0 +1,144 @@
+"""The pytest plugin: it has the suites' tests run on a module's ``CASES``, and tells what a port demands.
+
+With ``--cell`` suites without cases run on the devices of that cell. Every pytest beside an installed polishd loads
+this: it imports nothing of polishd before a suite, or a cell, asks for it.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Generator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SUITES = "polishd.testing.suites"
+FIXTURES = ("any_device", "robot", "actuator", "spindle", "loader", "force_sensor", "monitor")
+"""The suites' fixtures that give the rig of a case; ``any_device`` is for what all devices have in common."""
+MARKS = {
+    "polishd_cuts": "cuts the link",
+    "polishd_mutes": "has the peer fall silent",
+    "polishd_fresh": "needs a device that was just powered up",
+    "polishd_moves": "moves something, or could, and presses nothing",
+    "polishd_presses": "puts the tool on the part",
+    "polishd_cycles": "polishes",
+}
+
+LEVELS = ("identify", "no-contact", "contact", "cycle")
+BENCH = pytest.StashKey[Any]()
+"""The cell, a ``bench.Bench``."""
+
+pytest.register_assert_rewrite(SUITES)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """What ``polishd hil`` takes, too."""
+    group = parser.getgroup("polishd", "polishd: a real cell under the suites (docs/hil.md)")
+    group.addoption("--cell", type=Path, metavar="CELL.toml", help="the cell whose devices are tried")
+    group.addoption("--hil-level", choices=LEVELS, default="identify", help="how far: %(choices)s (%(default)s)")
+    group.addoption("--hil-max-force", type=float, metavar="N", help="nothing is pressed harder; from contact on")
+    group.addoption("--hil-simulate", default="", metavar="NAME,...", help="devices that are simulated instead")
+    group.addoption("--hil-motion", type=Path, metavar="PROGRAM", help="blocks that the robot may run in the air")
+    group.addoption("--hil-record", type=Path, metavar="FILE|DIR", help="records what passes on the devices' links")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The marks of the suites' tests; and the cell, nobody else's until the end."""
+    for mark, meaning in MARKS.items():
+        config.addinivalue_line("markers", f"{mark}: {meaning}")
+    if config.getoption("--cell") is None:
+        return
+    from polishd.model.errors import PolishdError
+    from polishd.testing.hil_bench import asked_in, bench
+
+    stack = ExitStack()
+    config.add_cleanup(stack.close)
+    try:
+        config.stash[BENCH] = stack.enter_context(bench(asked_in(config)))
+    except PolishdError as error:
+        raise pytest.UsageError(str(error)) from error
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    """What will move, before it does."""
+    if BENCH not in config.stash:
+        return []
+    from polishd.testing.hil_bench import words
+
+    return list(words(config.stash[BENCH]))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(obj: object) -> None:
+    """The suites' tests are coroutines, whatever the mode of pytest-asyncio is."""
+    marks = getattr(obj, "pytestmark", [])
+    if _of_suites(obj) and inspect.iscoroutinefunction(obj) and "asyncio" not in {mark.name for mark in marks}:
+        pytest.mark.asyncio(obj)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Each of the module's ``CASES``, or of the cell's devices, is a case of every test of the suites in the module."""
+    if not _of_suites(metafunc.function):
+        return
+    given, cell = getattr(metafunc.module, "CASES", None), metafunc.config.stash.get(BENCH, None)
+    for name in (name for name in FIXTURES if name in metafunc.fixturenames):
+        cases = cell.cases(name) if given is None and cell is not None else given
+        if cases is not None:
+            metafunc.parametrize(name, cases, indirect=True, ids=_name)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of a cell's tests those that go too far for the level are left out."""
+    cell = config.stash.get(BENCH, None)
+    if cell is None:
+        return
+    too_far = [
+        item for item in items if _on_cell(item) and not cell.allows({mark.name for mark in item.iter_markers()})
+    ]
+    items[:] = [item for item in items if item not in too_far]
+    config.hook.pytest_deselected(items=too_far)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Links that a test opens are of the device of the cell that it tries: for whoever records."""
+    device = _device(item)
+    if device is None or BENCH not in item.config.stash:
+        return (yield)
+    from polishd.util.wire_recording import record_sent
+
+    with record_sent(device):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A failure comes with what the port demands."""
+    report = yield
+    function: Any = getattr(item, "function", None)
+    if report.failed and _of_suites(function):
+        report.sections.insert(0, ("what the port demands", inspect.getdoc(function) or ""))
+    return report
+
+
+def _of_suites(obj: object) -> bool:
+    return str(getattr(obj, "__module__", "")).startswith(SUITES)
+
+
+def _on_cell(item: pytest.Item) -> bool:
+    """It is a suite's test on the cell that ``--cell`` names, or on a device of it."""
+    of_cell = "cell" in getattr(item, "fixturenames", ()) or _device(item) is not None
+    return of_cell and _of_suites(getattr(item, "function", None))
+
+
+def _device(item: pytest.Item) -> str | None:
+    """The device of the cell that it tries; None where it tries none."""
+    given = getattr(getattr(item, "callspec", None), "params", {})
+    return next((case.device for case in map(given.get, FIXTURES) if hasattr(case, "device")), None)
+
+
+def _name(case: object) -> str:
+    return str(getattr(case, "__name__", case))

@@ -1,0 +1,1 @@
+"""Files, threads, compiled functions, secrets, wire recording: what knows nothing of polishing."""

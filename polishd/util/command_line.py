@@ -1,0 +1,58 @@
+"""What several verbs of the command line take, said once; and commands whose options are the fields of a record."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import pwd
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+from typer import Argument, Option
+
+Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration.")]
+Json = Annotated[bool, Option("--json", help="One JSON object on stdout, for programs.")]
+Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, too.")]
+
+
+def spread(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the fields of its parameter that is a dataclass as options: typer sees each field by itself.
+
+    So an option's name, unit, default and help stand in one place, and what the command does is handed one record.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    records: dict[str, Any] = {
+        p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)
+    }
+    ((given, record),) = records.items()
+    hints = get_type_hints(record, include_extras=True)
+    options = [p.replace(annotation=hints[p.name]) for p in inspect.signature(record).parameters.values()]
+    shown = [p for own in signature.parameters.values() for p in (options if own.name == given else [own])]
+
+    @wraps(command)
+    def with_record(**values: Any) -> None:
+        asked = {field.name: values.pop(field.name) for field in fields(record)}
+        command(**values, **{given: record(**asked)})
+
+    by_name = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in shown]
+    with_record.__signature__ = signature.replace(parameters=by_name)  # type: ignore[attr-defined]
+    return with_record
+
+
+# Who sits at the terminal: for the journal, which names whoever gives an order.
+
+
+def account(number: int) -> str:
+    """The name of an account; its number where it has none here."""
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:  # of a folder from another computer
+        return str(number)
+
+
+def at_the_terminal() -> str:
+    """The present account, and that it spoke at a terminal."""
+    return f"{account(os.getuid())} (command line)"

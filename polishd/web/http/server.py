@@ -1,0 +1,383 @@
+"""The server of an application: one process, one address, and the errors that all applications answer alike."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import json
+import logging
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import h11
+import uvicorn
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
+
+from polishd.config.server_sections import WebSection
+from polishd.model.errors import ConfigError, JournalDamage, PolishdError
+from polishd.util.serialization import finite
+from polishd.web.http.certificates import Certificate, Watch
+
+# Connections that cost: how many one address may hold open, and how long the head of a request may take to come.
+
+HEAD_S = 10.0
+"""Within so long of its first byte, or of the connection, the head of a request must have come."""
+MOST_OF_ADDRESS = 300
+"""Open at once from one address: each page that watches has two or three."""
+MOST = 1000
+"""Open at once from all."""
+
+
+class Bounded(H11Protocol):
+    """Uvicorn's, with these bounds; what breaks them is closed without a word."""
+
+    _head: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take it, or close it where there are too many."""
+        super().connection_made(transport)
+        host = self.client[0] if self.client else ""
+        of_it = sum(1 for one in self.connections if isinstance(one, Bounded) and one.client and one.client[0] == host)
+        if len(self.connections) > MOST or of_it > MOST_OF_ADDRESS:
+            transport.abort()
+        else:
+            self._await_head()
+
+    def data_received(self, data: bytes) -> None:
+        """Of a request whose head has come nothing more is asked here: its body is the guard's business."""
+        super().data_received(data)
+        if self.conn.their_state is not h11.IDLE:
+            self._rest()
+        elif self._head is None:
+            self._await_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is awaited any more."""
+        self._rest()
+        super().connection_lost(exc)
+
+    def _await_head(self) -> None:
+        self._head = self.loop.call_later(HEAD_S, self._too_slow)
+
+    def _rest(self) -> None:
+        if self._head is not None:
+            self._head.cancel()
+            self._head = None
+
+    def _too_slow(self) -> None:
+        self._head = None
+        cycle: RequestResponseCycle | None = self.cycle  # before a first request there is none, whatever its type says
+        if not self.transport.is_closing() and (cycle is None or cycle.response_complete):
+            self.transport.abort()
+
+
+# What stands before every handler: names by which it is asked for, how large and slow a body may be, and headers.
+
+BODY_BYTES = 1 << 16
+BODY_S = 5.0
+"""Within so long all of a body must have come."""
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "x-frame-options": "DENY",
+    "cache-control": "no-store",
+}
+
+
+def hosts_of(web: WebSection) -> set[str]:
+    """Names by which it may be asked for, without ports."""
+    return {"localhost", "127.0.0.1", "::1", web.address.lower(), *(host.lower() for host in web.hosts)}
+
+
+class RequestGuard:
+    """An ASGI application around another one."""
+
+    def __init__(self, app: ASGIApp, hosts: Collection[str], most_bytes: int = BODY_BYTES) -> None:
+        self._app, self._hosts, self._most_bytes = app, hosts, most_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse it, or hand it on with its body whole."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers[name] = value
+            await send(message)
+
+        headers = Headers(scope=scope)
+        if host_name(headers.get("host", "")) not in self._hosts:
+            await refusal(421, "this is not one of this server's names; see web.hosts")(scope, receive, with_headers)
+            return
+        body = await _taken(scope["method"], headers, receive, self._most_bytes)
+        if isinstance(body, JSONResponse):
+            await body(scope, receive, with_headers)
+            return
+        handed = False
+
+        async def whole() -> Message:
+            nonlocal handed
+            if handed:
+                return await receive()
+            handed = True
+            return {"type": "http.request", "body": body, "more_body": False}
+
+        await self._app(scope, whole, with_headers)
+
+
+async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: int) -> bytes | JSONResponse:
+    """The whole body, or the refusal of it."""
+    if method in {"GET", "HEAD"}:
+        return b""
+    try:
+        return await _body(headers, receive, most_bytes)
+    except TimeoutError:
+        return refusal(408, f"the body did not come within {BODY_S:g} s")
+    except ValueError as error:
+        return refusal(413, str(error))
+
+
+class Json(JSONResponse):
+    """JSON in ASCII: all text has an encoding, and shown as it came, as by curl, it moves no terminal."""
+
+    def render(self, content: Any) -> bytes:
+        """See JSONResponse."""
+        return json.dumps(content, allow_nan=False, separators=(",", ":")).encode("ascii")
+
+
+def refusal(status: int, error: str) -> JSONResponse:
+    """In the form that all errors have."""
+    return Json({"ok": False, "error": error}, status)
+
+
+def host_name(value: str) -> str:
+    """Of a ``Host`` header, without its port."""
+    name = value.strip().lower()
+    if name.startswith("["):
+        name = name[1:].partition("]")[0]
+    elif name.count(":") == 1:
+        name = name.partition(":")[0]
+    try:
+        return str(ipaddress.ip_address(name))
+    except ValueError:
+        return name
+
+
+async def _body(headers: Headers, receive: Receive, most_bytes: int) -> bytes:
+    told = headers.get("content-length", "0")
+    if not told.isdecimal() or int(told) > most_bytes:
+        raise ValueError(f"the body is more than {most_bytes} bytes")
+    body, more = b"", True
+    async with asyncio.timeout(BODY_S):
+        while more:
+            message = await receive()
+            if message["type"] == "http.disconnect":
+                return b""
+            body += message.get("body", b"")
+            more = message.get("more_body", False)
+            if len(body) > most_bytes:
+                raise ValueError(f"the body is more than {most_bytes} bytes")
+    return body
+
+
+log = logging.getLogger(__name__)
+
+LEAVE_S = 2
+"""For so long the process waits at its end for those who watch."""
+NONE = ("none of that job", "no such map")
+"""Words of what is not there, and was not asked for wrongly."""
+
+
+def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> None:
+    """Until Ctrl-C or SIGTERM, where that section says; ``certificate``: the one that it names."""
+    settings = uvicorn.Config(
+        app,
+        host=web.address,
+        port=web.port,
+        access_log=False,  # of whoever watches; who ordered what is in a journal
+        log_config=None,  # so that what it logs reaches the terminal as all else does
+        log_level="warning",
+        server_header=False,
+        date_header=False,
+        proxy_headers=False,
+        timeout_keep_alive=30,
+        timeout_graceful_shutdown=LEAVE_S,
+        http=Bounded,
+        ws="none",
+    )
+    settings.load()
+    settings.ssl = None if certificate is None else certificate.context()
+    watch = None if certificate is None else Watch(certificate)
+    try:
+        _Server(settings).run()
+    finally:
+        if watch is not None:
+            watch.end()
+
+
+class _Server(uvicorn.Server):
+    """Says where it listens, once it does."""
+
+    async def startup(self, sockets: list[Any] | None = None) -> None:
+        await super().startup(sockets)
+        scheme = "https" if self.config.ssl is not None else "http"
+        for server in self.servers:
+            for socket in server.sockets:
+                host, port = socket.getsockname()[:2]
+                name = f"[{host}]" if ":" in host else host
+                print(f"{scheme}://{name}:{port}/", flush=True)  # noqa: T201 - whoever started it waits for this line
+
+
+async def answered(work: Awaitable[Any]) -> Response:
+    """What a handler gives, as JSON; an error of the tree as a refusal."""
+    try:
+        found = await work
+    except JournalDamage as error:
+        return refusal(503, str(error))
+    except ConfigError as error:
+        return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
+    except PolishdError as error:
+        return refusal(502, str(error))
+    return found if isinstance(found, Response) else Json(finite(found))
+
+
+async def _no_such(_request: Request, error: Exception) -> Response:
+    status = error.status_code if isinstance(error, HTTPException) else 500
+    said = refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
+    said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 says what can be done
+    return said
+
+
+async def _fault(request: Request, error: Exception) -> Response:
+    """It is in the log; nobody outside is told what the source looks like."""
+    log.error("%s %s failed: %s", request.method, request.url.path, type(error).__name__)
+    return refusal(500, "a fault of polishd; its log says more")
+
+
+HANDLERS: Mapping[Any, Any] = {HTTPException: _no_such, Exception: _fault}
+"""Of a Starlette application: how it answers what nobody foresaw."""
+
+
+# How much one may ask, and how often be wrong.
+
+PER_S, BURST = 50.0, 100.0
+"""Requests of one user, or of one address that has not signed in."""
+WRONG, LOCKED_S = 5, 60.0
+"""Wrong tokens of one user at one address, and the time for which this user is then locked out there."""
+BUDGET = 30
+"""Wrong tokens of one address, whatever users they name, within ``LOCKED_S``."""
+MOST_KEPT = 10_000
+"""Addresses, and users at addresses, that are remembered."""
+
+
+class RateLimiter:
+    """A bucket for each name, which fills by ``PER_S``."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._left: dict[str, tuple[float, float]] = {}
+
+    def takes(self, name: str) -> bool:
+        """Whether one more fits."""
+        now_s = self._clock()
+        left, at_s = self._left.pop(name, (BURST, now_s))
+        left = min(BURST, left + PER_S * (now_s - at_s))
+        self._left[name] = (left - 1.0 if left >= 1.0 else left, now_s)
+        _forget(self._left)
+        return left >= 1.0
+
+
+class LoginLockout:
+    """Counts wrong tokens, by user and address and by address alone.
+
+    A user who has signed in from an address is not locked out there by the wrong tokens of others.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._wrong: dict[tuple[str, str], tuple[float, float]] = {}
+        self._spent: dict[str, tuple[float, float]] = {}
+        self._signed_in: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def knows(self, address: str, user: str) -> bool:
+        """Return whether that user has brought a right token from that address."""
+        return (address, user) in self._signed_in
+
+    def locked(self, address: str, user: str) -> bool:
+        """Return whether no token of that user is taken at that address now."""
+        key = address, user
+        count, at_s = self._wrong.get(key, (0, 0.0))
+        if count and self._clock() - at_s > LOCKED_S:
+            del self._wrong[key]
+            count = 0
+        return count >= WRONG or self._budget(address) < 1.0
+
+    def wrong(self, address: str, user: str) -> None:
+        """Count one more; what a locked user tries costs the address nothing."""
+        key = address, user
+        count, _ = self._wrong.pop(key, (0, 0.0))
+        self._wrong[key] = (count + 1, self._clock())
+        left = self._budget(address)
+        if count < WRONG:
+            self._spent.pop(address, None)
+            self._spent[address] = (max(left - 1.0, 0.0), self._clock())
+        _forget(self._wrong)
+        _forget(self._spent)
+
+    def right(self, address: str, user: str) -> None:
+        """Note that this user has a token and is at that address."""
+        key = address, user
+        self._wrong.pop(key, None)
+        self._signed_in.pop(key, None)
+        self._signed_in[key] = (0.0, self._clock())
+        _forget(self._signed_in)
+
+    def _budget(self, address: str) -> float:
+        left, at_s = self._spent.get(address, (float(BUDGET), 0.0))
+        return min(float(BUDGET), left + BUDGET / LOCKED_S * (self._clock() - at_s))
+
+
+class Shares:
+    """Streams that each user holds open, at most ``most`` each and ``in_all`` together."""
+
+    def __init__(self, most: int, in_all: int) -> None:
+        self._most, self._in_all = most, in_all
+        self._open: Counter[str] = Counter()
+
+    def refusal(self, user: str) -> tuple[int, str] | None:
+        """Return status and reason why one more does not fit; None where it fits."""
+        if self._open[user] >= self._most:
+            return 429, f"{user} holds {self._most} event streams open, the most for one user: close a page"
+        if self._open.total() >= self._in_all:
+            return 503, f"{self._in_all} event streams are open, the most for all users: close a page"
+        return None
+
+    @contextmanager
+    def one(self, user: str) -> Iterator[None]:
+        """Hold one of that user open inside this block."""
+        self._open[user] += 1
+        try:
+            yield
+        finally:
+            self._open[user] -= 1
+            self._open += Counter()  # those at zero are forgotten
+
+
+def _forget(kept: dict[Any, tuple[float, float]]) -> None:
+    while len(kept) > MOST_KEPT:
+        del kept[next(iter(kept))]

@@ -1,0 +1,217 @@
+"""Who may watch and order: names, roles, and hashes of tokens. A token is told once, when it is made."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import re
+import secrets
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from starlette.requests import Request
+
+from polishd.config.cell import CellConfig
+from polishd.model.errors import ConfigError
+from polishd.util.files import make_folder, write_atomic
+from polishd.util.secret_files import require_private
+from polishd.web.http.server import LoginLockout
+
+FILE_NAME = "web-users.json"
+MOST_CHARACTERS = 200
+"""Of a token that is looked at."""
+NAME = r"[\w.-]{1,64}"
+
+
+class Role(StrEnum):
+    """Each may what those before it may."""
+
+    WATCH = "watch"
+    OPERATE = "operate"
+    ENGINEER = "engineer"
+
+    def may(self, needed: Role) -> bool:
+        """Whether that suffices."""
+        return list(Role).index(self) >= list(Role).index(needed)
+
+
+@dataclass(frozen=True, slots=True)
+class User:
+    """Somebody who has a token."""
+
+    name: str
+    role: Role
+
+
+def users_path(config: CellConfig) -> Path:
+    """Where they are kept."""
+    return config.state_dir / FILE_NAME if config.web.users is None else config.resolve(config.web.users)
+
+
+class UserFile:
+    """Those of one file. It is read anew at each question: who was removed is out at once."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self._read())
+
+    def __iter__(self) -> Iterator[str]:
+        """Their names."""
+        return iter(sorted(self._read()))
+
+    def of_token(self, token: str) -> User | None:
+        """Whose token it is; all hashes are compared, in constant time each."""
+        digest, found = _digest(token[:MOST_CHARACTERS]), None
+        for name, facts in self._read().items():
+            if hmac.compare_digest(digest, facts["token_sha256"]):
+                found = User(name, Role(facts["role"]))
+        return found
+
+    def still(self, user: User) -> bool:
+        """Whether that user is there with that role."""
+        facts = self._read().get(user.name)
+        return facts is not None and facts["role"] == user.role
+
+    def add(self, name: str, role: Role) -> str:
+        """A new token for that name, in the place of an older one. ConfigError where the name is none."""
+        if not re.fullmatch(NAME, name, re.ASCII):
+            raise ConfigError(f"{name!r} is no name of a user: up to 64 letters, digits, '.', '_' and '-'")
+        token = f"{name}.{secrets.token_urlsafe(32)}"
+        self._write({**self._read(), name: {"role": role.value, "token_sha256": _digest(token)}})
+        return token
+
+    def remove(self, name: str) -> None:
+        """ConfigError where there is none."""
+        known = dict(self._read())
+        if known.pop(name, None) is None:
+            raise ConfigError(f"{self.path}: there is no user {name!r}")
+        self._write(known)
+
+    def _read(self) -> Mapping[str, Mapping[str, str]]:
+        try:
+            require_private(self.path)
+            found = json.loads(self.path.read_text(encoding="utf-8"))
+            return {str(name): {"role": Role(one["role"]).value, **one} for name, one in found.items()}
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigError(
+                f"{self.path}: cannot be read ({type(error).__name__}); mend it, or move it away"
+            ) from None
+
+    def _write(self, users: Mapping[str, Mapping[str, str]]) -> None:
+        make_folder(self.path.parent)
+        write_atomic(self.path, json.dumps(users, indent=1).encode() + b"\n", mode=0o600)
+
+
+def named_by(token: str) -> str:
+    """Return the user whom a token names; of one that names none, a short hash in the place of a name."""
+    name, _, _ = token.rpartition(".")
+    return name if re.fullmatch(NAME, name, re.ASCII) else f"#{_digest(token[:MOST_CHARACTERS])[:16]}"
+
+
+def _digest(token: str) -> str:
+    """Of 256 random bits no slow hash is needed: nobody guesses them. Text that is no Unicode has a hash, too."""
+    return hashlib.sha256(token.encode(errors="surrogatepass")).hexdigest()
+
+
+# Who asks: by the cookie of a browser that has signed in, or by the token of a program.
+
+COOKIE = "polishd"
+MOST_SESSIONS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class HttpSession:
+    """A browser that has signed in, or a program that brings its token with each request."""
+
+    user: User
+    csrf: str = ""
+    """What a page must send along with whatever changes something; empty: of a program, which no other site can use."""
+
+
+class SessionStore:
+    """Those of this process: with its end all are out."""
+
+    def __init__(self, users: UserFile) -> None:
+        self._users, self.lockout = users, LoginLockout()
+        self._of_cookie: dict[str, HttpSession] = {}
+
+    def of(self, request: Request, *, exempt: bool = False) -> HttpSession | None:
+        """Whose request it is; ``exempt``: a token is looked at also from where too many wrong ones came."""
+        bearer = request.headers.get("authorization", "")
+        if bearer[:7].lower() == "bearer ":
+            user = self.user_of(bearer[7:].strip(), address_of(request), exempt=exempt)
+            return None if user is None else HttpSession(user)
+        session = self._of_cookie.get(request.cookies.get(COOKIE, ""))
+        if session is None or not self._users.still(session.user):
+            return None
+        return session
+
+    def user_of(self, token: str, address: str, *, exempt: bool = False) -> User | None:
+        """Return whose token it is; a wrong one counts against the user that it names, at the address it came from."""
+        user = self._users.of_token(token)
+        if user is None:
+            self.lockout.wrong(address, named_by(token))
+            return None
+        if self._locked(user, token, address) and not exempt:
+            return None
+        self.lockout.right(address, user.name)
+        return user
+
+    def locked(self, token: str, address: str) -> bool:
+        """Return whether that token is not taken at that address now, right or wrong."""
+        return self._locked(self._users.of_token(token), token, address)
+
+    def bucket(self, token: str, address: str) -> str:
+        """Return to whose rate a request with that token counts: its user's, or its address's."""
+        user = self._users.of_token(token)
+        return f"address {address}" if user is None else f"user {user.name}"
+
+    def _locked(self, user: User | None, token: str, address: str) -> bool:
+        if user is None:
+            return self.lockout.locked(address, named_by(token))
+        return not self.lockout.knows(address, user.name) and self.lockout.locked(address, user.name)
+
+    def begin(self, user: User) -> tuple[str, HttpSession]:
+        """A new one, and its cookie's value."""
+        cookie, session = secrets.token_urlsafe(32), HttpSession(user, secrets.token_urlsafe(32))
+        self._of_cookie[cookie] = session
+        while len(self._of_cookie) > MOST_SESSIONS:
+            del self._of_cookie[next(iter(self._of_cookie))]
+        return cookie, session
+
+    def end(self, request: Request) -> None:
+        """That of this browser."""
+        self._of_cookie.pop(request.cookies.get(COOKIE, ""), None)
+
+
+def address_of(request: Request) -> str:
+    """Where it comes from; no header is believed on that."""
+    return "" if request.client is None else request.client.host
+
+
+def forged(request: Request, session: HttpSession) -> str:
+    """Why a request that changes something is not of our own page; empty where it is, or of a program."""
+    if foreign_origin(request):
+        return "it comes from another site's page"
+    if session.csrf and not hmac.compare_digest(
+        request.headers.get("x-csrf-token", "").encode(), session.csrf.encode()
+    ):
+        return "x-csrf-token is missing or wrong; GET /api/session tells it"
+    return ""
+
+
+def foreign_origin(request: Request) -> bool:
+    """A page of another site asks."""
+    origin = request.headers.get("origin")
+    if origin is None:
+        return request.headers.get("sec-fetch-site", "same-origin") not in {"same-origin", "none"}
+    return urlsplit(origin).netloc.lower() != request.headers.get("host", "").lower()

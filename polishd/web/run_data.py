@@ -1,0 +1,194 @@
+"""What a cell has on disk, read beside its daemon: jobs, maps, plans, alarms. Nothing waits for whoever writes it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polishd.daemon.journal.history import naming_damage, read_events, read_history, read_only
+from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME
+from polishd.daemon.journal.store import ArrayStore
+from polishd.model.errors import ConfigError
+from polishd.process.metrology.spectra import radial_psd
+from polishd.util.serialization import plain
+
+MOST_SAMPLES = 128
+"""Of a map along either side, as it is sent."""
+MOST_POINTS = 4000
+"""Of a path."""
+MOST_ROWS = 500
+"""Of events at once."""
+ALARMS: Mapping[str, tuple[str, str, str]] = {
+    "held": ("warning", "error", "mend what it names, then resume"),
+    "failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
+    "found": ("warning", "what", "look at the tool and the last pass"),
+    "signal_wrong": ("warning", "what", "see to that signal"),
+    "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
+    "gate_stopped": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
+    "part_wanted": ("warning", "part_id", "put that part in, then resume"),
+    "plan_waits": ("warning", "program_sha256", "look at the plan, then approve it"),
+    "notification_failed": ("warning", "error", "mend that notifier"),
+}
+"""By event: how severe, which of its fields says what, and what to do where the event itself does not say."""
+
+
+class RunData:
+    """Of one cell."""
+
+    def __init__(self, state_dir: Path) -> None:
+        self._state_dir = state_dir
+        self._store = ArrayStore(state_dir / ARRAYS_NAME)
+
+    def jobs(self) -> list[dict[str, Any]]:
+        """All, the newest last."""
+        rows = self._rows("SELECT id, name, part_id, started, ended, outcome FROM job ORDER BY id")
+        return [dict(zip(("number", "job", "part", "began_s", "ended_s", "outcome"), row, strict=True)) for row in rows]
+
+    def cycles(self, job: int) -> list[dict[str, Any]]:
+        """Of a job: each measurement, and the pass after it."""
+        sql = "SELECT cycle, facts, started, ended, how FROM pass WHERE job = ?"
+        with naming_damage(self._state_dir):
+            maps = {
+                row[0]: row for row in self._rows("SELECT cycle, stats, taken FROM map WHERE job = ? ORDER BY id", job)
+            }
+            passes = {row[0]: row for row in self._rows(sql, job)}
+            return [
+                {
+                    "cycle": cycle,
+                    "taken_s": taken,
+                    "measured": dict(json.loads(stats)),
+                    "run": None if cycle not in passes else _pass(passes[cycle]),
+                }
+                for cycle, stats, taken in maps.values()
+            ]
+
+    def certificate(self, job: int, cycle: int) -> dict[str, Any]:
+        """Of the plan of that cycle."""
+        with naming_damage(self._state_dir):
+            facts = self._one("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
+            return dict(json.loads(facts[0])["certificate"])
+
+    def map(self, job: int, cycle: int, kind: str) -> dict[str, Any]:
+        """A map as an array: ``measured``, ``predicted`` (what the plan leaves) or ``removal`` (what it takes)."""
+        name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
+        surface = self._store.get(name)
+        if kind == "measured":
+            height = surface["height_nm"]
+        else:
+            plan = self._plan(job, cycle)
+            height = plan["residual_nm" if kind == "predicted" else "predicted_removal_nm"]
+        mask = surface["metric_mask"]
+        return _picture(np.where(mask, height, np.nan), float(surface["pitch_mm"]))
+
+    def psd(self, job: int, cycle: int) -> dict[str, Any]:
+        """Of the measured map in its clear aperture, as everywhere: 1/mm and nm^2 mm^2."""
+        name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
+        surface = self._store.get(name)
+        found = radial_psd(surface["height_nm"], surface["metric_mask"], float(surface["pitch_mm"]))
+        density = _rounded(found.density_nm2_mm2, 6)
+        return {"frequency_per_mm": _rounded(found.frequency_per_mm, 5), "power_nm2_mm2": density}
+
+    def plan(self, job: int, cycle: int) -> dict[str, Any]:
+        """Of that cycle: its points in the part's frame, their dwell, and compliance and gamma along the path."""
+        plan = self._plan(job, cycle)
+        step = max(1, -(-plan["block"].size // MOST_POINTS))
+        chosen = slice(None, None, step)
+        return {
+            "block": plan["block"][chosen].tolist(),
+            "x_mm": _rounded(plan["end_mm"][chosen, 0], 3),
+            "y_mm": _rounded(plan["end_mm"][chosen, 1], 3),
+            "dwell_s": _rounded(plan["time_s"][chosen], 5),
+            "gamma": _rounded(plan["gamma"][chosen], 5),
+            "compliance_um_per_n": _rounded(plan["compliance_um_per_n"][chosen], 5),
+            "points": int(plan["block"].size),
+        }
+
+    def events(self, before: int | None = None) -> list[dict[str, Any]]:
+        """Of all jobs, the newest first: what happened, and who ordered what."""
+        return read_events(self._state_dir, MOST_ROWS, before)[::-1]
+
+    def alarms(self) -> list[dict[str, Any]]:
+        """Those that nobody has acknowledged, the first one first: it is often why the others came.
+
+        However long ago it was; at most ``MOST_ROWS`` of them, and the others once these were seen.
+        """
+        found: list[dict[str, Any]] = []
+        before, full = None, True
+        while full:
+            older = read_events(self._state_dir, MOST_ROWS, before, (*ALARMS, "acknowledged"))
+            full = len(older) == MOST_ROWS
+            found = [*older, *found]
+            before = found[0]["number"] if found else None
+        with naming_damage(self._state_dir):
+            seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
+            open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
+            return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
+
+    def history(self) -> list[dict[str, Any]]:
+        """What became of each part."""
+        if not (self._state_dir / JOURNAL_NAME).exists():
+            return []
+        found: list[dict[str, Any]] = json.loads(json.dumps(read_history(self._state_dir), default=plain))
+        return found
+
+    def tally(self) -> dict[str, Any]:
+        """How many parts ended how (``parts``) and passes (``passes``), and what the last map of the last job shows.
+
+        That is ``measured``, as the journal has it; None: that job has no map yet.
+        """
+        parts = self._rows("SELECT outcome, count(*) FROM job WHERE outcome IS NOT NULL GROUP BY outcome")
+        passes = self._rows("SELECT how, count(*) FROM pass WHERE how IS NOT NULL GROUP BY how")
+        sql = "SELECT stats FROM map WHERE job = (SELECT max(id) FROM job) ORDER BY id DESC LIMIT 1"
+        with naming_damage(self._state_dir):
+            measured = [dict(json.loads(stats)) for (stats,) in self._rows(sql)]
+        return {"parts": dict(parts), "passes": dict(passes), "measured": measured[0] if measured else None}
+
+    def _plan(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:
+        name = self._one("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)[0]
+        return self._store.get(name)
+
+    def _one(self, sql: str, *values: Any) -> tuple[Any, ...]:
+        found = self._rows(sql, *values)
+        if not found or not found[0][0]:
+            raise ConfigError("there is none of that job and cycle")
+        return found[0]
+
+    def _rows(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
+        if not (self._state_dir / JOURNAL_NAME).exists():
+            return []
+        with read_only(self._state_dir) as journal, closing(journal.execute(sql, values)) as rows:
+            return rows.fetchall()
+
+
+def _pass(row: tuple[Any, ...]) -> dict[str, Any]:
+    _, facts, started, ended, how = row
+    known = json.loads(facts)
+    wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "findings")
+    return {"began_s": started, "ended_s": ended, "how": how or "begun", **{key: known.get(key) for key in wanted}}
+
+
+def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
+    severity, field, todo = ALARMS[event["name"]]
+    data = event["data"]
+    known = {key: event[key] for key in ("number", "at_s", "cycle", "name")}
+    return {**known, "severity": severity, "what": str(data.get(field, "")), "todo": data.get("next") or todo}
+
+
+def _picture(height_nm: NDArray[np.float64], pitch_mm: float) -> dict[str, Any]:
+    """Row 0 is the top; null: no data. Thinned, never smoothed: a spike stays one, or is not shown."""
+    step = max(1, -(-max(height_nm.shape) // MOST_SAMPLES))
+    thin = height_nm[::step, ::step]
+    valid = thin[np.isfinite(thin)]
+    rows = [[None if np.isnan(one) else round(float(one), 3) for one in row] for row in thin]
+    spread = (float(valid.min()), float(valid.max())) if valid.size else (0.0, 0.0)
+    return {"height_nm": rows, "pitch_mm": pitch_mm * step, "low_nm": spread[0], "high_nm": spread[1]}
+
+
+def _rounded(values: NDArray[np.float64], digits: int) -> list[float | None]:
+    return [None if np.isnan(one) else float(one) for one in np.round(values, digits)]

@@ -1,1 +1,0 @@
-"""Interferometer maps: shown, compared, converted, averaged; an instrument commissioned."""

@@ -1,1 +1,0 @@
-"""The TIF and the compliance of a cell, as tables and pictures."""

@@ -1,1 +1,0 @@
-"""Part programs: shown, retimed, verified, made."""

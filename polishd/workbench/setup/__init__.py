@@ -1,1 +1,0 @@
-"""``polishd init``: a new cell from answers."""

@@ -1,1 +1,0 @@
-"""Studies: simulations without a cell, described by a file."""

@@ -1,0 +1,43 @@
+"""The workbench's command line: by itself, and mounted beside the verbs of a cell."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from polishd.cli import app
+from polishd.cli.app import offline_app as workbench
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
+VERBS = {"calibrate", "compliance", "device", "init", "map", "program", "study", "tif"}
+
+
+def test_every_verb_of_the_workbench_is_a_verb_of_polishd() -> None:
+    assert app._verbs(workbench) == VERBS
+    assert app._verbs(app.app) == set(get_command(app.app).commands) > VERBS  # type: ignore[attr-defined]
+
+
+def test_it_helps_by_itself() -> None:
+    said = CliRunner().invoke(workbench, ["--help"])
+    assert said.exit_code == 0
+    for verb in VERBS:
+        assert verb in said.output
+
+
+@pytest.mark.parametrize("words", [("map", "formats", "--json"), ("program", "dialects"), ("tif", str(EXAMPLE))])
+def test_it_needs_no_daemon(words: tuple[str, ...]) -> None:
+    """Nor the verbs of a cell: it can become a distribution of its own."""
+    code = (
+        f"import atexit, sys\nsys.argv = ['polishd', *{words!r}]\n"
+        "others = ('polishd.daemon', 'polishd.web', 'polishd.shop')\n"
+        "atexit.register(lambda: print(*(name for name in others if name in sys.modules), file=sys.stderr))\n"
+        "from polishd.cli.app import offline_app\noffline_app()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, timeout=60)
+    assert ended.stderr.decode().strip() == ""
+    assert ended.stdout

@@ -1,0 +1,369 @@
+"""``polishd sim --from``: what of a cell the simulator becomes, what it is not, and what is never touched."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polishd.cli.app import app
+from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text
+from polishd.commissioning.rehearsal.rehearsal import draft_rehearsal, write_rehearsal
+from polishd.config.cell import load_config
+from polishd.config.simulator import SimConfig, load_simulator
+from polishd.config.table_files import write_tif
+from polishd.config.toml_loader import TomlSource
+from polishd.model.errors import ConfigError
+from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, SerialRobot
+from polishd.plugin_loader import load_cell
+from tests.system.cell_rig import with_keys
+
+EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
+CELL = (EXAMPLES / "cell.toml").read_text()
+ROBOT = (
+    '[robot]                              # device sections: `type`, then the keys of that type\ntype = "robot_link"\n'
+)
+ROBOT += 'address = "tcp://127.0.0.1:28500"\n'
+LENS = {"part": {"id": "LENS-7", "aperture_mm": 150.0, "curvature_radius_mm": 800.0, "conic": -0.5}}
+ARM = {
+    "type": "serial",
+    "dh": [[0, 90, 400, 0], [500, 0, 0, 0], [400, 0, 0, 0], [0, 90, 120, 0], [0, -90, 100, 0], [0, 0, 80, 0]],
+    "joint_stiffness_n_mm_per_rad": [4e8, 4e8, 3e8, 1e8, 1e8, 8e7],
+    "joint_limits_deg": [[-360, 360]] * 6,
+    "home_deg": [0, -100, 100, -90, -90, 0],
+}
+
+
+def made(folder: Path, text: str, plugins: str = "") -> RehearsalDraft:
+    """What is gathered of such a cell; nothing is written."""
+    cell = folder / "cell.toml"
+    cell.write_text(text.replace('load = ["rnc_robot"', f'load = ["rnc_robot"{plugins}'))
+    (folder / "program.rnc").write_text("G21 G90 G94\nM2\n")
+    return draft_rehearsal(*load_cell(cell))
+
+
+def sim_of(draft: RehearsalDraft, folder: Path) -> SimConfig:
+    for name, content in draft.files.items():
+        (folder / name).write_bytes(content)
+    text = sim_text(draft)
+    return SimConfig.of(tomllib.loads(text), TomlSource(str(folder / "sim.toml"), text))
+
+
+def changed(draft: RehearsalDraft, folder: Path) -> dict[str, Any]:
+    """Dotted keys in which the rehearsal's cell is not the cell, and what they are there."""
+    own = folder / "rehearsal"
+    own.mkdir()
+    (own / "cell.toml").write_text(cell_text(draft))
+    return dict(_other(draft.config.effective(), load_config(own / "cell.toml").effective(), ""))
+
+
+def _other(before: Any, after: Any, key: str) -> list[tuple[str, Any]]:
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        names = sorted({*before, *after})
+        return [one for name in names for one in _other(before.get(name), after.get(name), f"{key}.{name}".strip("."))]
+    return [] if before == after else [(key, after)]
+
+
+def robot(section: str) -> str:
+    assert ROBOT in CELL
+    return CELL.replace(ROBOT, f"[robot]\n{section}\n").replace("watchdog_s = 8.0  ", "#")
+
+
+def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None:
+    """Also where a fragment of a calibration says it; and each value has its origin behind it."""
+    calibrated = {"limb_stiffness_n_per_mm": 16.5e3, "a_stiffness_n_mm_per_rad": 5.1e7}
+    lines = "\n".join(f"{key} = {value}" for key, value in calibrated.items())
+    (tmp_path / "calibration.toml").write_text(f"[kinematics]\n{lines}\n")
+    process = {"preston": "2.2e-9 cm2/N", "tool_radius_mm": 40.0, "normal_force": "resolved"}
+    text = with_keys(CELL, {**LENS, "process": process}).replace("# include =", "include =")
+    draft = made(tmp_path, text)
+    sim = sim_of(draft, tmp_path)
+    plant, tool = sim.plant, sim.process.tool()
+    assert (plant.part_id, plant.aperture_mm, plant.curvature_radius_mm, plant.conic) == ("LENS-7", 150.0, 800.0, -0.5)
+    assert (plant.origin_mm, plant.rotation_rpy_deg) == ((300.0, 220.0, 2315.0), (180.0, 0.0, 0.0))
+    assert (tool.preston_cm2_per_n, tool.tool_radius_mm, tool.normal_force) == (2.2e-9, 40.0, "resolved")
+    assert sim.robot_model() == replace(HybridRobot(), **calibrated) == draft.config.robot_model()
+    told = sim_text(draft)
+    assert "limb_stiffness_n_per_mm = 16500.0" in told
+    assert f"# kinematics.limb_stiffness_n_per_mm of {tmp_path / 'calibration.toml'}" in told
+    assert "conic = -0.5                                  # part.conic\n" in told
+    assert all("#" in line for line in told.splitlines() if " = " in line)
+
+
+@pytest.mark.parametrize(
+    "said", ["rectangle_mm = [40.0, 24.0]", "aperture_mm = 60.0\nhole_mm = 20.0", 'polygon_file = "corners.csv"']
+)
+def test_a_part_that_is_not_round_is_not_in_the_simulator_either(tmp_path: Path, said: str) -> None:
+    (tmp_path / "corners.csv").write_text("x_mm,y_mm\n20,12\n-20,12\n-20,-12\n9,-12\n")
+    draft = made(tmp_path, CELL.replace("aperture_mm = 100.0", said))
+    played, real = sim_of(draft, tmp_path).plant.outline, draft.config.outline()
+    assert played.corners().tolist() == real.corners().tolist()
+    assert played.area_mm2 == real.area_mm2
+    assert f"# part.{said.split(' ', maxsplit=1)[0]}\n" in sim_text(draft)
+
+
+def test_the_part_starts_as_one_that_the_job_may_polish(tmp_path: Path) -> None:
+    plant = sim_of(made(tmp_path, CELL), tmp_path).plant
+    assert (plant.rms_nm, plant.pv_nm) == (18.0, pytest.approx(149.4))
+    plant = sim_of(made(tmp_path, with_keys(CELL, {"job": {"tolerance_nm": 40.0}})), tmp_path).plant
+    assert (plant.rms_nm, plant.pv_nm) == (pytest.approx(60.2, abs=0.1), 500.0)
+
+
+def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_text("[kinematics]\ntool_length_mm = 419.0\n")
+    draft = made(tmp_path, CELL.replace("# include =", "include =").replace('"state"', '"daemon"'))
+    port = sim_of(draft, tmp_path).robot.port
+    assert changed(draft, tmp_path) == {
+        "cell.state_dir": "state",
+        "include": [],
+        "instrument.profile": "instrument.toml",
+        "program.path": str(tmp_path / "program.rnc"),
+        "robot.address": f"tcp://127.0.0.1:{port}",
+    }
+    assert "# the part's centre in the robot's base frame" in cell_text(draft), "comments stay"
+    assert draft.notes == ["instrument.profile: there is none; that of polishd demo stands in for it"]
+
+
+@pytest.mark.full
+def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None:
+    rate = np.zeros((9, 9))
+    rate[2:7, 2:7] = 30.0
+    write_tif(tmp_path / "spot.npz", MeasuredTif(rate, 0.4, 30.0, 0.9))
+    places = "\n".join(f"{x},{y},2315,{1.0 + x / 1000}" for x in (200, 400) for y in (100, 340))
+    (tmp_path / "load.csv").write_text(f"x_mm,y_mm,z_mm,compliance_um_per_n\n{places}\n")
+    process = {"removal_model": "measured_tif", "tif": "spot.npz", "force_n": 9.0}
+    text = with_keys(CELL, {"process": process, "kinematics": {"type": "measured", "table": "load.csv"}})
+    draft = made(tmp_path, text.replace("tool_length_mm = 420.0", ""))
+    sim = sim_of(draft, tmp_path)
+    tif, table = sim.measured_tif(), sim.robot_model()
+    assert tif is not None
+    assert (tif.rate_nm_s == rate).all()
+    assert sim.process.force_n == 9.0
+    assert isinstance(table, MeasuredCompliance)
+    assert table.compliance_um_per_n.tolist() == [1.2, 1.2, 1.4, 1.4]
+    assert any("the simulated one goes everywhere" in note for note in draft.notes)
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize(
+    ("profile", "address", "kind"),
+    [
+        ("twincat-nci", "ads://plc/5.1.2.3.1.1:851", "ads"),
+        ("plc-opcua", "opc.tcp://10.0.0.2:4840", "opcua"),
+        ("plc-modbus", "tcp://10.0.0.2:502", "modbus"),
+    ],
+)
+def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: str, kind: str) -> None:
+    keys = f'type = "handover"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
+    secrets = 'delivery_password = "env:SECRET"\nserver_certificate = "plc.der"'
+    draft = made(tmp_path, robot(f"{keys}\n{secrets}"), ', "handover"')
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert sim.robot.kind == kind
+    assert "127." in other["robot.address"]
+    assert other["robot.delivery"] == "folder:sim/programs"
+    assert other["robot.delivery_password"] is other["robot.server_certificate"] is None
+    stands_in = profile == "twincat-nci"
+    assert any("the simulated controller has the variables of plc-ads" in note for note in draft.notes) == stands_in
+    assert ("controller.toml" in draft.files) == stands_in
+
+
+def test_an_arm_of_universal_robots(tmp_path: Path) -> None:
+    text = robot('type = "universal_robots"\naddress = "tcp://10.0.0.2:30004"\nfirst_register = 30\nrate_hz = 500.0')
+    text = with_keys(text.replace('"rs274"', '"urscript"'), {"kinematics": ARM})
+    draft = made(tmp_path, text, ', "universal_robots"')
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.robot.cycle_hz, sim.plant.speed) == ("universal_robots", 500, 4.0)
+    assert isinstance(sim.robot_model(), SerialRobot)
+    assert sim.robot_model() == draft.config.robot_model()
+    assert other["robot.dashboard_port"] == sim.robot.dashboard_port
+    assert other["robot.first_register"] == 24
+    assert sum("first_register" in note for note in draft.notes) == 1
+
+
+@pytest.mark.full
+def test_linuxcnc_is_a_real_one_in_real_time(tmp_path: Path) -> None:
+    draft = made(tmp_path, robot('type = "linuxcnc"\naddress = "tcp://10.0.0.2:5007"\nprogram_dir = "/mnt/cnc"'))
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.plant.speed) == ("linuxcnc", 1.0)
+    assert (other["robot.program_dir"], other["robot.controller_dir"]) == ("sim/linuxcnc/nc", "/mnt/nc")
+
+
+def test_drives_by_profile_and_on_canopen_and_what_the_simulated_ones_count_in(tmp_path: Path) -> None:
+    shutil.copy(EXAMPLES / "drive.eds", tmp_path)
+    actuator = (
+        '[actuator]\ntype = "cia402_actuator"\naddress = "slcan:/dev/ttyACM3?bitrate=500000"\neds = "drive.eds"\n'
+    )
+    actuator += "node = 9\nn_per_permille = 0.08\nmm_per_increment = 0.001\nbalance_n = 2.0\nstroke_mm = 20.0\n"
+    spindle = (
+        '[spindle]\ntype = "spindle_profile"\nprofile = "delta_ms300"\naddress = "serial:/dev/ttyUSB1"\nunit = 3\n'
+    )
+    spindle += "pole_pairs = 2\n"
+    head, _, rest = CELL.partition("[actuator]")
+    text = head + actuator + spindle + "[metrology]" + rest.partition("[metrology]")[2]
+    draft = made(tmp_path, text, ', "cia402", "device_profiles"')
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.actuator.kind, sim.actuator.node) == ("slcan", 9)
+    assert (sim.spindle.kind, sim.spindle.unit, sim.spindle.pole_pairs) == ("profile", 3, 2)
+    assert (tmp_path / sim.spindle.profile).read_text() == draft.files["spindle.profile.toml"].decode()
+    assert other["actuator.n_per_permille"] == 0.05
+    assert other["touch_off.position_mm"] == 5.0
+    assert other["actuator.address"] == "slcan:sim/actuator?bitrate=500000"
+    assert other["spindle.address"] == "serial:sim/spindle"
+    assert [note.partition(":")[0] for note in draft.notes[:2]] == ["actuator.n_per_permille", "touch_off.position_mm"]
+
+
+@pytest.mark.full
+def test_sensors_and_monitors_tell_what_lets_the_job_go_on(tmp_path: Path) -> None:
+    draft = made(tmp_path, (EXAMPLES / "monitored_cell.toml").read_text())
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert sim.monitor is not None
+    assert sim.force_sensor is not None
+    for name, signal in draft.config.signals.items():
+        value = sim.monitor.signals[signal.signal or name].value
+        for asked in (signal.before, signal.in_contact):
+            assert asked is not None
+            assert asked.state in {None, value}
+            assert (asked.min or value) <= value <= (asked.max or value)
+    assert other["monitor.slurry.address"] == other["monitor.cabinet.address"]
+    assert other["force_sensor.address"] == "serial:sim/force_sensor"
+
+
+@pytest.mark.full
+def test_of_several_devices_the_jobs_own_is_simulated_and_the_others_are_left_out_by_name(tmp_path: Path) -> None:
+    draft = made(tmp_path, (EXAMPLES / "two_robots.toml").read_text())
+    other = changed(draft, tmp_path)
+    assert other["robot.left.address"].startswith("tcp://127.0.0.1:")
+    assert other["robot.right"] is None
+    assert "robot.right: the simulator has one robot; it is left out" in draft.notes
+    assert draft.sim["robot"]["kind"][0] == "link"
+
+
+@pytest.mark.full
+def test_nothing_real_is_started_or_told(tmp_path: Path) -> None:
+    text = CELL.replace("# clean = { command", "clean = { command").replace(
+        '"run_report"', '"run_report", "notifications"'
+    )
+    text += '\n[notify.siren]\ntype = "command"\ncommand = ["./siren.sh"]\n'
+    draft = made(tmp_path, text)
+    other = changed(draft, tmp_path)
+    assert other["between.clean.command"] == ["true"]
+    assert other["notify.siren"] is None
+    assert any("./wash.sh would act on the real cell" in note for note in draft.notes)
+
+
+def test_maps_lie_as_the_cells_profile_says(tmp_path: Path) -> None:
+    profile = (EXAMPLES / "instrument.toml").read_text().replace("mirror = false", "mirror = true")
+    profile = profile.replace("rotation_deg = 0 ", "rotation_deg = 90").replace("factor = 1.0", "factor = 0.5")
+    profile = profile.replace("# serials", "serials").replace("# pitch_mm = 0.5", "pitch_mm = 0.4")
+    (tmp_path / "fizeau.toml").write_text(profile)
+    draft = made(tmp_path, CELL.replace('# profile = "instrument.toml"', 'profile = "fizeau.toml"'))
+    sim = sim_of(draft, tmp_path)
+    faults = sim.interferometer.faults
+    assert (faults.mirror, faults.rotation_deg, faults.factor) == (True, 90, 2.0)
+    assert sim.plant.pitch_mm == 0.4
+    assert "serials" not in tomllib.loads(draft.files["instrument.toml"].decode())
+    assert len(draft.notes) == 1
+    assert draft.notes[0].startswith("serials of instrument.profile: ")
+
+
+REFUSED = {
+    "program.format: no simulated controller": {"program": {"format": "krl"}},
+    "process.force_n: the simulated actuator presses with 50 N": {"process": {"force_n": 80.0}},
+    "part.id: is longer than": {"part": {"id": "L" * 40}},
+}
+
+
+@pytest.mark.full
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_nothing_can_stand_in_for_is_refused_with_its_place(tmp_path: Path, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as refused:
+        made(tmp_path, with_keys(CELL, REFUSED[said]))
+    assert "cell.toml:" in str(refused.value)
+
+
+def test_a_rehearsal_is_never_written_where_the_real_cell_writes(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "state")
+    text = CELL.replace("# run_dir", "run_dir").replace('"sim/maps"', '"incoming"')
+    draft = made(tmp_path, text.replace("# accept_unnamed = false", f'claimed = "{tmp_path}/archive" #'))
+    for folder in ("state", "state/sub", "link", "runs", "runs/today/x", "incoming", "archive", "incoming/quarantine"):
+        with pytest.raises(ConfigError, match=r"of the real cell .* name another folder with --out"):
+            require_apart(draft, tmp_path / folder)
+    with pytest.raises(ConfigError, match="is, holds or lies in the state folder"):
+        require_apart(draft, tmp_path)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "old").touch()
+    with pytest.raises(ConfigError, match=r"full: is there already; start that rehearsal with polishd sim .*sim\.toml"):
+        require_apart(draft, tmp_path / "full")
+    require_apart(draft, tmp_path / "apart")
+    assert not (tmp_path / "apart").exists()
+
+
+@pytest.mark.full
+def test_what_cannot_be_simulated_leaves_no_folder_behind(tmp_path: Path) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(with_keys(CELL, {"part": {"curvature_radius_mm": 22.0, "aperture_mm": 10.0}}))
+    with pytest.raises(
+        ConfigError, match=r"cell\.toml: there is no simulated cell like this: .*into a radius of 22 mm"
+    ):
+        write_rehearsal(cell)
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.toml"]
+
+
+@pytest.mark.full
+def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) -> None:
+    cell = tmp_path / "lens.toml"
+    cell.write_text(with_keys(CELL, LENS))
+    before = cell.read_bytes()
+    said = CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only"])
+    assert said.exit_code == 0, said.output
+    folder = tmp_path / "lens-rehearsal"
+    assert load_simulator(folder / "sim.toml").plant.curvature_radius_mm == 800.0
+    assert "[commissioned]" in (folder / "instrument.toml").read_text()
+    assert "polishd run" in said.stderr
+    assert str(folder / "lens-rehearsal.toml") in said.stderr
+    assert cell.read_bytes() == before
+    assert not (tmp_path / "state").exists()
+
+
+@pytest.mark.full
+def test_speed_and_seed_are_written_with_write_only(tmp_path: Path) -> None:
+    cell = tmp_path / "lens.toml"
+    cell.write_text(with_keys(CELL, LENS))
+    words = ["sim", "--from", str(cell), "--write-only", "--speed", "20", "--seed=7"]
+    said = CliRunner().invoke(app, words)
+    assert said.exit_code == 0, said.output
+    plant = load_simulator(tmp_path / "lens-rehearsal" / "sim.toml").plant
+    assert (plant.speed, plant.seed) == (20.0, 7)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--surface", "a.dat"], "--surface a.dat: goes to the simulator, which --write-only does not start"),
+        (["--speed", "fast"], "--speed fast: is no number"),
+    ],
+)
+def test_an_option_that_would_be_dropped_is_refused(tmp_path: Path, options: list[str], said: str) -> None:
+    cell = tmp_path / "lens.toml"
+    cell.write_text(with_keys(CELL, LENS))
+    with pytest.raises(ConfigError, match=said):
+        CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only", *options], catch_exceptions=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["lens.toml"]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--write-only"], ["sim.toml", "--out", "x"]])
+def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
+    assert CliRunner().invoke(app, ["sim", *arguments]).exit_code == 2
+
+
+def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--state and --artefact go without --from"):
+        CliRunner().invoke(app, ["sim", "--from", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)

@@ -1,0 +1,130 @@
+"""The chain of time limits: derived from what devices state, and refused where a watchdog is too short."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from polishd.daemon.cell.time_limits import TimeLimits, safe_within_s, stays_on, too_short
+from polishd.model.devices import ActuatorTimes, RobotTimes, SensorTimes, SpindleTimes
+
+IN_MS = {"watchdog_s": "watchdog_ms"}
+LIMITS = TimeLimits(ActuatorTimes(), RobotTimes(), SpindleTimes())
+
+
+def keys(limits: TimeLimits, lookahead_s: float = 8.0) -> list[str]:
+    return [key for key, _ in too_short(limits.chain(lookahead_s))]
+
+
+def test_the_shipped_times_hold() -> None:
+    assert keys(LIMITS) == []
+
+
+def test_the_tool_is_up_before_anything_stops_by_itself() -> None:
+    coil = LIMITS.actuator
+    assert coil.alone_s == coil.watchdog_s + coil.release_s + coil.retract_s == LIMITS.buffer_s
+    assert LIMITS.robot.watchdog_s >= coil.alone_s
+    assert safe_within_s(coil) > coil.lifted_s, "the daemon waits for longer than the lift takes"
+
+
+def test_what_goes_unseen_is_what_each_may_be_late_by_and_then_the_lift() -> None:
+    assert (
+        pytest.approx(LIMITS.robot.silence_s + 2 * LIMITS.reading_s + 2.2 + LIMITS.actuator.alone_s) == LIMITS.unseen_s
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "lookahead_s", "expected"),
+    [
+        ({"robot": RobotTimes(watchdog_s=2.0)}, 8.0, ["robot.watchdog_s"]),
+        ({"robot": RobotTimes(silence_s=3.0)}, 8.0, ["robot.watchdog_s"]),
+        ({"robot": RobotTimes(watchdog_s=math.inf)}, 8.0, []),
+        ({}, 1.0, ["job.lookahead_s"]),
+        ({"actuator": ActuatorTimes(retract_s=12.0)}, 8.0, ["robot.watchdog_s", "job.lookahead_s"]),
+        ({"actuator": ActuatorTimes(watchdog_s=0.3)}, 8.0, ["actuator.watchdog_s"]),
+        (
+            {"actuator": ActuatorTimes(watchdog_s=0.3, keys={"watchdog_s": "watchdog_ms"})},
+            8.0,
+            ["actuator.watchdog_ms"],
+        ),
+        ({"robot": RobotTimes(watchdog_s=2.0, keys={"watchdog_s": "profile"})}, 8.0, ["robot.profile"]),
+        ({"actuator": ActuatorTimes(silence_s=0.1)}, 8.0, ["actuator.silence_s"]),
+        ({"spindle": SpindleTimes(watchdog_s=0.2)}, 8.0, ["spindle.watchdog_s"]),
+    ],
+)
+def test_what_is_shorter_than_what_it_guards_is_named(
+    changed: dict[str, object], lookahead_s: float, expected: list[str]
+) -> None:
+    assert keys(replace(LIMITS, **changed), lookahead_s) == expected
+
+
+def test_what_is_wrong_says_how_long_is_needed_and_why() -> None:
+    (_, said), *_ = too_short(replace(LIMITS, robot=RobotTimes(watchdog_s=2.0)).chain(8.0))
+    assert "robot stops by itself: 2 s; at least 6.7 s until the tool is up" in said
+
+
+def test_a_time_that_never_comes_is_json() -> None:
+    chain = replace(LIMITS, robot=RobotTimes(watchdog_s=math.inf)).chain(8.0)
+    assert {row["what"]: row["seconds"] for row in (limit.row() for limit in chain)}["robot stops by itself"] is None
+
+
+# a force sensor
+
+
+@pytest.mark.parametrize(
+    ("sensor", "apart_s", "force_s", "expected"),
+    [
+        (SensorTimes(), 0.5, 0.3, []),
+        (SensorTimes(silence_s=0.1), 0.5, 0.3, ["force_sensor.silence_s"]),
+        (SensorTimes(), 0.3, 0.3, ["force_sensor.grace_s"]),
+        (SensorTimes(), 0.5, 0.2, ["limits.force_grace_s"]),
+        (SensorTimes(delay_s=0.5), 0.5, 0.3, ["force_sensor.grace_s", "limits.force_grace_s"]),
+    ],
+)
+def test_a_landing_must_not_look_like_a_disagreement(
+    sensor: SensorTimes, apart_s: float, force_s: float, expected: list[str]
+) -> None:
+    chain = replace(LIMITS, sensor=sensor).chain(8.0, apart_s=apart_s, force_s=force_s)
+    assert [key for key, _ in too_short(chain)] == expected
+
+
+def test_a_cell_without_a_sensor_has_no_limits_of_it() -> None:
+    assert not [limit for limit in LIMITS.chain(8.0) if limit.key.startswith("force_sensor")]
+
+
+# without power
+
+STAYS = ActuatorTimes(unpowered="stays")
+
+
+def test_a_tool_that_stays_is_taken_off_by_the_robot_while_it_still_moves() -> None:
+    limits = replace(LIMITS, actuator=STAYS, robot=RobotTimes(stop_s=7.0))
+    assert limits.buffer_s == limits.taken_off_s == limits.reading_s + 7.0
+    assert keys(limits, 7.7) == ["job.lookahead_s"]
+    assert keys(limits, 7.8) == []
+    assert keys(replace(limits, actuator=ActuatorTimes()), 7.7) == [], "one that lifts needs no robot for it"
+    whats = [limit.what for limit in limits.chain(8.0)]
+    assert "tool taken off by the robot where the actuator has no power" in whats
+
+
+def test_a_tool_that_stays_may_touch_until_the_robot_stops_by_itself() -> None:
+    alone_s = LIMITS.actuator.alone_s
+    assert replace(LIMITS, actuator=STAYS).unseen_s - LIMITS.unseen_s == pytest.approx(8.0 + 5.0 - alone_s)
+
+
+@pytest.mark.parametrize(
+    ("unpowered", "lifts", "why"),
+    [
+        ("lifts", False, ""),
+        ("stays", True, ""),
+        ("stays", False, "needs a robot that takes it away, and the job's cannot"),
+        ("presses", True, "an actuator that presses without power is refused"),
+    ],
+)
+def test_what_an_actuator_does_without_power(unpowered: Any, lifts: bool, why: str) -> None:
+    found = stays_on(ActuatorTimes(unpowered=unpowered), RobotTimes(lifts=lifts))
+    assert bool(found) is bool(why)
+    assert why in found

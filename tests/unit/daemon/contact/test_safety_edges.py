@@ -1,0 +1,175 @@
+"""Ways out of contact that few cells ever see: what is asked of whom, and which error is told."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from polishd.daemon.cell import time_limits
+from polishd.daemon.contact.safety import contact, run_to_completion
+from polishd.model.devices import ActuatorTimes, RobotTimes
+from polishd.model.errors import DeviceFault, LinkError
+from tests.fakes.devices import FakeCell
+from tests.unit.daemon.contact.test_safety import LIMITS, Twins, forever, polish_for, until, untold
+
+
+@pytest.mark.parametrize("silent", [False, True])
+async def test_an_idle_robot_that_does_not_say_whether_it_moves_counts_as_moving(
+    silent: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is stopped once every tool has let go: one that stands loses nothing by that."""
+    twins = Twins()
+    twins.right.actuator.acts.fails["make_safe"] = LinkError("gone")
+    robot = twins.right.robot
+    if silent:
+        monkeypatch.setattr(time_limits, "ANSWERS_S", 0.02)
+        robot.times = RobotTimes(silence_s=0.02)
+        robot.acts.hangs.add("progress")
+    else:
+        robot.acts.fails["progress"] = LinkError("cut")
+    assert await twins.right_robot_stops_s() >= ActuatorTimes().alone_s - 0.1
+    assert "robot.right does not say whether it moves" in caplog.text
+
+
+async def test_what_is_cancelled_from_within_is_told_at_once() -> None:
+    """It is no order of ours that came meanwhile."""
+
+    async def ends_itself() -> None:
+        raise asyncio.CancelledError("from within")
+
+    with pytest.raises(asyncio.CancelledError):
+        await run_to_completion(ends_itself())
+
+
+async def test_an_error_of_what_must_not_be_cut_short_counts_more_than_an_order_that_came_meanwhile() -> None:
+    go_on = asyncio.Event()
+
+    async def fails() -> None:
+        await go_on.wait()
+        raise LinkError("gone")
+
+    task = asyncio.ensure_future(run_to_completion(fails()))
+    await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.sleep(0)
+    assert not task.done()
+    go_on.set()
+    with pytest.raises(LinkError, match="gone"):
+        await task
+
+
+async def test_an_error_that_comes_in_the_same_moment_as_an_order_counts_more() -> None:
+    go_on = asyncio.Event()
+
+    async def fails() -> None:
+        await go_on.wait()
+        raise LinkError("gone")
+
+    task = asyncio.ensure_future(run_to_completion(fails()))
+    for _ in range(3):
+        await asyncio.sleep(0)
+    go_on.set()
+    task.cancel()
+    with pytest.raises(LinkError, match="gone"):
+        await task
+
+
+@pytest.mark.parametrize("at", ["spindle.set_speed 1000", "spindle.set_speed 0"])
+async def test_an_order_does_not_take_the_place_of_a_spindle_that_refuses(at: str) -> None:
+    """Before anything is watched, and after nothing is any more."""
+    fake = FakeCell()
+
+    def refuses() -> None:
+        if fake.events[-1] == at:
+            fake.spindle.acts.fails["set_speed"] = DeviceFault("spindle: jammed")
+
+    fake.spindle.acts.before["set_speed"] = refuses
+    task = asyncio.ensure_future(polish_for(fake, 0.1))
+    fake.robot.acts.before["make_safe"] = task.cancel
+    with pytest.raises(DeviceFault, match="spindle: jammed"):
+        await task
+
+
+async def test_an_actuator_that_fell_silent_is_not_waited_for_before_the_robot_lifts() -> None:
+    fake, answers = FakeCell(), asyncio.Event()
+    fake.actuator.times = ActuatorTimes(silence_s=0.02)
+
+    async def safe() -> None:
+        try:
+            await answers.wait()
+        finally:
+            fake.events.append("answered, or given up")
+
+    fake.actuator.make_safe = safe  # type: ignore[method-assign]
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    fake.actuator.silent = True
+    await until(fake, "robot.make_safe")
+    assert fake.events[3:] == ["spindle.make_safe", "robot.lift 15", "robot.make_safe"]
+    answers.set()
+    with pytest.raises(LinkError, match="actuator: no sample"):
+        await task
+
+
+async def test_a_lift_of_the_normal_end_may_fail_and_the_tool_is_lifted_all_the_same() -> None:
+    fake, touch = FakeCell(), untold()
+    fake.actuator.acts.fails["retract"] = LinkError("cut")
+    with pytest.raises(LinkError, match="cut"):
+        async with contact(fake.cell, LIMITS, touch):
+            pass
+    assert fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
+    assert touch.off_s <= fake.clock.at_s
+
+
+async def test_landing_has_its_own_time_and_then_the_grace() -> None:
+    """A tool that lands just in time may still swing in."""
+    fake = FakeCell()
+    fake.actuator.times = ActuatorTimes(landing_s=0.001)
+    await polish_for(fake, 0.1, replace(LIMITS, grace_s=60.0))
+    assert "robot.make_safe" not in fake.events
+
+
+async def test_why_contact_is_left_is_told_before_anybody_has_confirmed() -> None:
+    """Seconds may pass until then, and whoever watches the cell wonders."""
+    fake, told = FakeCell(), list[tuple[str, list[str]]]()
+    fake.cell.on_broken = lambda error: told.append((str(error), [*fake.events]))
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    assert fake.cell.leaving == ""
+    fake.spindle.ends = True
+    with pytest.raises(LinkError, match="samples ended"):
+        await task
+    ((why, before),) = told
+    assert fake.cell.leaving == f"LinkError: {why}"
+    assert "spindle: its samples ended" in why
+    assert not [one for one in before if "make_safe" in one]
+    fake.spindle.ends = False
+    await polish_for(fake)
+    assert fake.cell.leaving == "", "of the contact before"
+
+
+async def test_an_order_is_no_error_over_which_contact_is_left() -> None:
+    fake, told = FakeCell(), list[BaseException]()
+    fake.cell.on_broken = told.append
+    task = asyncio.ensure_future(forever(fake))
+    await until(fake, "pressing")
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert (told, fake.cell.leaving) == ([], "")
+
+
+async def test_what_ends_while_nothing_presses_breaks_no_contact() -> None:
+    fake, told = FakeCell(), list[BaseException]()
+    fake.cell.on_broken = told.append
+
+    async def fails() -> None:
+        raise LinkError("before it went down")
+
+    task = asyncio.ensure_future(fails())
+    task.add_done_callback(fake.cell.ended)
+    with pytest.raises(LinkError):
+        await task
+    assert (told, fake.cell.leaving) == ([], "")

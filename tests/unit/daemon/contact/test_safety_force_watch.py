@@ -1,0 +1,190 @@
+"""An independent force sensor in contact: tared before, watched meanwhile, asked again with the tool up."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from polishd.daemon.contact.contact_record import ContactRecord
+from polishd.daemon.contact.safety import contact
+from polishd.model.devices import ForceSample, SensedForce, SensorTimes
+from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
+from tests.fakes.devices import FakeCell, FakeForceSensor
+from tests.unit.daemon.contact.test_safety import LIFTED, SAFE, polish_for, untold
+from tests.unit.daemon.contact.test_safety import LIMITS as WITHOUT
+
+LIMITS = replace(WITHOUT, apart_n=1.0, apart_s=0.5)
+INTO = ["force_sensor.tare", "spindle.set_speed 1000", "actuator.set_force 12"]
+
+
+@pytest.fixture
+def fake() -> FakeCell:
+    return FakeCell()
+
+
+@pytest.fixture
+def sensor(fake: FakeCell) -> FakeForceSensor:
+    return fake.with_force_sensor()
+
+
+async def test_a_sensor_that_agrees_changes_nothing_but_the_tare(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    await polish_for(fake, 2.0, LIMITS)
+    assert fake.events == [*INTO, "pressing", *LIFTED, "spindle.set_speed 0"]
+
+
+async def test_an_actuator_that_drifts_is_found_and_named(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    """It regulates what it reads: less acts than it says, and with the tool up it still reads what it is off by."""
+
+    def drifted(sample: ForceSample) -> ForceSample:
+        return replace(sample, force_n=sample.force_n + 3.0) if sample.retracted and "lifted" in fake.events else sample
+
+    fake.actuator.reads = drifted
+    sensor.reads = lambda reading: (
+        replace(reading, force_n=9.0) if "pressing" in fake.events and "lifted" not in fake.events else reading
+    )
+    with pytest.raises(ForcesApart) as stop:
+        await polish_for(fake, 5.0, LIMITS)
+    assert fake.events == [*INTO, "pressing", *SAFE]
+    assert "the actuator says 12.00 N, the force sensor 9.00 N, the set point is 12 N" in str(stop.value)
+    assert str(stop.value).endswith("the actuator reads 3.00 N, the sensor 0.00 N: suspected is the actuator")
+
+
+async def test_a_sensor_that_drifts_is_found_and_named(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, force_n=r.force_n - 2.0) if "pressing" in fake.events else r
+    with pytest.raises(ForcesApart, match=r"the sensor -2.00 N: suspected is the force sensor"):
+        await polish_for(fake, 5.0, LIMITS)
+    assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+async def test_a_sensor_that_is_dead_by_then_does_not_hide_why(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, force_n=r.force_n - 2.0) if "pressing" in fake.events else r
+
+    def die() -> None:
+        sensor.reads = _raises
+
+    fake.robot.acts.before["make_safe"] = die
+    with pytest.raises(ForcesApart, match=r"the force sensor left the set point first$"):
+        await polish_for(fake, 5.0, LIMITS)
+
+
+def _raises(_: SensedForce) -> SensedForce:
+    raise LinkError("force sensor: gone")
+
+
+async def test_a_lift_that_is_not_confirmed_proves_nothing(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, force_n=r.force_n - 2.0) if "pressing" in fake.events else r
+    fake.actuator.acts.fails["make_safe"] = DeviceFault("actuator: does not retract")
+    with pytest.raises(ForcesApart, match=r"the force sensor left the set point first$"):
+        await polish_for(fake, 5.0, LIMITS)
+
+
+async def test_a_silent_sensor_ends_contact_as_a_silent_actuator_does(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.times = SensorTimes(silence_s=0.05)
+
+    async def fall_silent() -> None:
+        async with contact(fake.cell, LIMITS, untold()):
+            sensor.silent = True
+            await asyncio.Event().wait()
+
+    with pytest.raises(LinkError, match=r"force sensor: no sample for 0.05 s while in contact"):
+        await fall_silent()
+    assert fake.events == [*INTO, *SAFE], "the actuator answers: it lifts, and the robot waits for that"
+
+
+async def test_a_fault_of_the_sensor_ends_contact(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, fault=1) if "pressing" in fake.events else r
+    with pytest.raises(DeviceFault, match=r"force sensor: fault bits 0x0001"):
+        await polish_for(fake, 5.0, LIMITS)
+    assert fake.events[-4:] == SAFE
+
+
+async def test_a_sensor_that_reads_nothing_while_the_tool_lands(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, force_n=0.0)
+    with pytest.raises(SafetyStop, match=r"the actuator reads 12.00 N and the force sensor none"):
+        await polish_for(fake, 5.0, LIMITS)
+    assert fake.events[-4:] == SAFE
+
+
+async def test_landing_waits_for_the_sensor_to_read_the_force_too(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    """The actuator says 12 N at once; by the sensor 12 N act 0.15 s later: nobody moves before."""
+    landed: list[float] = []
+
+    def late(reading: SensedForce) -> SensedForce:
+        if reading.force_n and not landed:
+            landed.append(reading.at_s)
+        full = bool(landed) and reading.at_s - landed[0] >= 0.15
+        return reading if full else replace(reading, force_n=min(reading.force_n, 8.0))
+
+    sensor.reads = late
+    async with contact(fake.cell, replace(LIMITS, apart_n=5.0), untold()):
+        began_s = fake.clock.at_s
+    assert began_s >= landed[0] + 0.15
+
+
+async def test_a_spike_that_only_the_sensor_reads_ends_contact_at_once(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, force_n=48.0) if "pressing" in fake.events else r
+    with pytest.raises(SafetyStop, match=r"the force sensor reads 48.00 N; .*; the actuator reads 12.00 N"):
+        await polish_for(fake, 5.0, replace(LIMITS, force_max_n=18.0))
+    assert fake.events == [*INTO, "pressing", *SAFE]
+
+
+async def test_a_landing_that_only_the_sensor_feels_ends(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    """The actuator presses and reads none: it would press on until its landing is given up."""
+    fake.actuator.reads = lambda s: replace(s, force_n=0.0)
+    sensor.reads = lambda r: replace(r, force_n=9.0) if fake.actuator.position_mm >= 5.0 else r
+    with pytest.raises(ForcesApart, match=r"the force sensor reads 9.00 N and the actuator none \(0.00 N\)"):
+        await polish_for(fake, 5.0, replace(LIMITS, apart_s=5.0))
+    assert fake.events[:3] == INTO
+    assert fake.events[-4:] == SAFE
+
+
+async def test_its_readings_are_recorded(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    heard: list[float] = []
+    touch = untold()
+    touch.sensed = lambda reading: heard.append(reading.force_n)  # type: ignore[method-assign]
+    async with contact(fake.cell, LIMITS, touch):
+        pass
+    assert 12.0 in heard
+    assert isinstance(touch, ContactRecord)
+
+
+# the zero
+
+
+async def test_a_zero_that_moved_since_the_last_contact_is_refused(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    await polish_for(fake, 0.1, LIMITS)
+    sensor.reads = lambda r: replace(r, force_n=-1.2)
+    fake.events.clear()
+    with pytest.raises(DeviceFault, match=r"force_sensor: reads -1.20 N with the tool up, and was 0 there"):
+        await polish_for(fake, 0.1, LIMITS)
+    assert "actuator.set_force 12" not in fake.events, "nothing was pressed"
+
+
+async def test_what_hangs_on_it_is_not_known_at_first_nor_after_a_person_was_there(
+    fake: FakeCell, sensor: FakeForceSensor
+) -> None:
+    sensor.reads = lambda r: replace(r, force_n=r.force_n + (7.0 if "force_sensor.tare" not in fake.events else 0.0))
+    await polish_for(fake, 0.1, LIMITS)
+    assert fake.cell.tared == {"force_sensor"}
+    fake.events.clear()
+    fake.cell.tared.clear()
+    await polish_for(fake, 0.1, LIMITS)
+
+
+async def test_a_sensor_that_cannot_be_tared_leaves_the_tool_up(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.acts.fails["tare"] = DeviceFault("force_sensor: does not settle")
+    with pytest.raises(DeviceFault, match="does not settle"):
+        await polish_for(fake, 0.1, LIMITS)
+    assert not [event for event in fake.events if event.startswith("actuator.set_force")]
+    assert fake.cell.tared == set()
+
+
+async def test_a_sensor_that_does_not_answer_the_tare(
+    fake: FakeCell, sensor: FakeForceSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("polishd.daemon.contact.safety.ANSWERS_S", 0.01)
+    sensor.times, sensor.silent = SensorTimes(tare_s=0.01), True
+    with pytest.raises(LinkError, match=r"force_sensor: was not tared within 0.02 s"):
+        await polish_for(fake, 0.1, LIMITS)

@@ -1,0 +1,214 @@
+"""What a job may go on with: one table, which the documentation shows, and refusals that name what differs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.commissioning.rehearsal.simulated_cell import with_values, write_demo
+from polishd.config.cell import CellConfig, load_config
+from polishd.daemon.job.resume_checks import FILES, RULES, may_change, require_same, terms_of
+from polishd.daemon.journal.journal import Journal
+from polishd.model.errors import ConfigError
+from tests.commissioned import forged
+
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "cycle.md"
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Path:
+    return write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+
+
+def begin(cell: Path, program_sha256: str = "aa" * 32) -> CellConfig:
+    """A job that has measured something."""
+    config = load_config(cell)
+    terms = terms_of(config, program_sha256)
+    config.state_dir.mkdir(exist_ok=True)
+    with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
+        journal.record_map(0, "bb", "x", {})
+    return config
+
+
+def go_on(cell: Path, program_sha256: str = "aa" * 32) -> None:
+    config = load_config(cell)
+    terms = terms_of(config, program_sha256)
+    with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
+        assert journal.resumed
+        require_same(config, terms, journal)
+
+
+def change(cell: Path, section: str, values: dict[str, Any]) -> None:
+    cell.write_text(with_values(cell.read_text(), {section: values}))
+
+
+@pytest.mark.parametrize(
+    ("section", "values"),
+    [
+        ("robot", {"address": "tcp://10.0.0.1:7700"}),
+        ("metrology", {"timeout_s": 60.0}),
+        ("dwell", {"within_s": 99.0, "choose": "knee"}),
+        ("limits", {"max_removal_nm": 500.0}),
+        ("job", {"max_cycles": 9, "tolerance_nm": 0.9, "lookahead_s": 2.0}),
+        ("cell", {"run_dir": "elsewhere"}),
+    ],
+)
+def test_what_may_change(cell: Path, section: str, values: dict[str, Any]) -> None:
+    begin(cell)
+    change(cell, section, values)
+    go_on(cell)
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize(
+    ("section", "values", "says"),
+    [
+        ("part", {"edge_mm": 7.5}, "part.edge_mm: is 7.5, the job 'demo' was begun with "),
+        ("part", {"id": "other"}, "part.id: is 'other'"),
+        ("part", {"alignment": "power"}, "part.alignment: is 'power'"),
+        ("process", {"force_n": 11.0}, "process.force_n: is 11.0"),
+        ("program", {"offset_mm": [0.0, 1.0, 0.0]}, "program.offset_mm: is [0.0, 1.0, 0.0]"),
+        ("machine", {"accel_mm_s2": 77.0}, "machine.accel_mm_s2: is 77.0"),
+        ("job", {"tolerance_period_mm": 5.0}, "job.tolerance_period_mm: is 5.0"),
+        ("instrument", {"spike_mads": 9.0}, "instrument.spike_mads: is 9.0"),
+    ],
+)
+def test_what_may_not_is_refused_with_place_and_both_values(
+    cell: Path, section: str, values: dict[str, Any], says: str
+) -> None:
+    begin(cell)
+    change(cell, section, values)
+    with pytest.raises(ConfigError) as refused:
+        go_on(cell)
+    first, *_, last = str(refused.value).splitlines()
+    assert re.match(rf"{re.escape(str(cell))}:\d+: ", first)
+    assert says in first
+    assert last.endswith("restore what differs, or give job.id a new name")
+
+
+def test_all_that_differs_is_told_and_nothing_else(cell: Path) -> None:
+    begin(cell)
+    change(cell, "part", {"edge_mm": 7.5})
+    change(cell, "process", {"rpm": 900.0})
+    change(cell, "dwell", {"within_s": 99.0})
+    with pytest.raises(ConfigError) as refused:
+        go_on(cell)
+    keys = [line.split(": ")[1] for line in str(refused.value).splitlines()[:-1]]
+    assert keys == ["part.edge_mm", "process.rpm"]
+
+
+def test_another_program_under_the_same_name_is_refused(cell: Path) -> None:
+    begin(cell, "aa" * 32)
+    with pytest.raises(ConfigError, match=r"program.path: is .*sha256 bbbbbbbbbbbb\), .*sha256 aaaaaaaaaaaa\)"):
+        go_on(cell, "bb" * 32)
+
+
+def test_the_same_program_under_another_name_is_the_same(cell: Path) -> None:
+    config = begin(cell)
+    config.program_path.rename(config.program_path.with_name("moved.rnc"))
+    change(cell, "program", {"path": "moved.rnc"})
+    go_on(cell)
+
+
+def test_a_profile_that_was_edited_is_refused(cell: Path) -> None:
+    config = begin(cell)
+    assert config.profile_path is not None
+    config.profile_path.write_text(config.profile_path.read_text() + "# mirrored after all\n")
+    with pytest.raises(ConfigError, match=r"instrument.profile: is .*\(sha256 "):
+        go_on(cell)
+
+
+def test_a_job_of_an_earlier_polishd_says_how_it_can_be_finished(cell: Path) -> None:
+    config = begin(cell)
+    with Journal.open(config.state_dir, job=config.job.id, part_id="P") as journal:
+        journal._store.write(("UPDATE job SET terms = 'null'", ()))
+    with pytest.raises(ConfigError, match=r"journal\.v1\.sqlite back as journal\.sqlite .* or give job.id a new name"):
+        go_on(cell)
+
+
+@pytest.mark.full
+def test_run_refuses_what_differs_before_it_asks_a_device(cell: Path) -> None:
+    config = load_config(cell)
+    assert config.profile_path is not None
+    forged(config.profile_path)
+    begin(cell, hashlib.sha256(config.program_path.read_bytes()).hexdigest())
+    change(cell, "part", {"edge_mm": 7.5})
+    command = [sys.executable, "-m", "polishd.cli.app", "run", str(cell)]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert said.returncode == 3, said.stderr
+    assert "part.edge_mm: is 7.5, the job 'demo' was begun with" in said.stderr.replace("\n", " ")
+
+
+def test_another_outline_in_the_same_file_is_another_part(cell: Path) -> None:
+    text = cell.read_text()
+    cell.write_text(text.replace("aperture_mm = 100.0", 'polygon_file = "corners.csv"'))
+    corners = cell.parent / "corners.csv"
+    corners.write_text("x_mm,y_mm\n40,30\n-40,30\n-40,-30\n")
+    begin(cell)
+    go_on(cell)
+    corners.write_text("x_mm,y_mm\n40,30\n-40,30\n-40,-31\n")
+    with pytest.raises(ConfigError, match=r"part\.polygon_file: .*corners\.csv"):
+        go_on(cell)
+
+
+def test_terms_are_json_and_hold_every_value(cell: Path) -> None:
+    config = load_config(cell)
+    terms = terms_of(config, "aa" * 32)
+    assert json.loads(json.dumps(terms)) == terms
+    assert terms["part.aperture_mm"] == config.part.aperture_mm
+    assert terms["program.path"]["sha256"] == "aa" * 32
+
+
+# the table
+
+
+def flattened(cell: Path) -> list[str]:
+    return list(terms_of(load_config(cell), ""))
+
+
+def test_each_key_has_a_rule_and_each_rule_a_key(cell: Path) -> None:
+    keys = [
+        *flattened(cell),
+        "roles.robot",
+        "notify.mail.to",
+        "loader.type",
+        "signals.flow.unit",
+        "tools.large.change_s",
+        "tools.large.position_mm",
+        "tools.large.rpm",
+        "tools.large.force_max_n",
+    ]  # of a cell with several devices and tools, and people
+    fits: Callable[[str, str], bool] = fnmatchcase
+    assert [key for key in keys if not any(fits(key, one) for rule in RULES for one in rule.keys)] == []
+    assert [one for rule in RULES for one in rule.keys if not any(fits(key, one) for key in keys)] == []
+
+
+def test_the_largest_force_may_change_and_the_force_not() -> None:
+    assert may_change("process.force_max_n")
+    assert may_change("tools.large.force_max_n")
+    assert may_change("touch_off.force_max_n")
+    assert not may_change("process.force_n")
+
+
+def test_what_has_no_rule_may_not_change() -> None:
+    assert not may_change("tomorrow.key")
+
+
+def test_keys_that_name_files_may_not_change() -> None:
+    assert [key for key in FILES if may_change(key)] == []
+
+
+def test_the_documentation_shows_the_table() -> None:
+    shown = re.findall(r"^ *\| (`.*?) \| (yes|no) \| (.*) \|$", DOCS.read_text(), re.MULTILINE)
+    assert shown == [
+        (", ".join(f"`{key}`" for key in rule.keys), "yes" if rule.may_change else "no", rule.why) for rule in RULES
+    ]

@@ -1,0 +1,90 @@
+"""What each ending of a job leads to, for its part and for the queue."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from polishd.daemon.queue.queue import RULES, TORN, JobResult, ResultRule, judge, rule_of
+from polishd.model.errors import (
+    DeviceFault,
+    LinkError,
+    MapError,
+    PlanRefused,
+    PolishdError,
+    RemovalCheckStop,
+    SafetyStop,
+    WrongPart,
+)
+from polishd.model.states import Outcome
+
+ACCEPTED = JobResult("accepted", "the part is in tolerance", "")
+
+
+@pytest.mark.parametrize(
+    ("end", "torn", "how", "stops"),
+    [
+        (Outcome.IN_TOLERANCE, False, "accepted", ""),
+        (Outcome.CYCLES_USED, False, "rejected", ""),
+        (Outcome.DIVERGED, False, "rejected", ""),
+        (MapError("x"), False, "put aside", ""),
+        (WrongPart("x"), False, "put aside", ""),
+        (PlanRefused("x"), False, "put aside", ""),
+        (RemovalCheckStop("x"), False, "put aside", "instrument or alignment is wrong"),
+        (SafetyStop("x"), True, "put aside", ""),
+        (LinkError("x"), True, "put aside", ""),
+        (SafetyStop("x"), False, "put aside", "a person's to judge"),
+    ],
+)
+def test_each_ending_has_its_verdict(end: Outcome | PolishdError, torn: bool, how: str, stops: str) -> None:
+    found = judge(end, torn=torn, previous="")
+    assert found is not None
+    assert (found.how, bool(found.fault)) == (how, how != "accepted")
+    assert stops in found.stops
+    assert bool(found.stops) == bool(stops)
+    if isinstance(end, PolishdError):
+        assert found.reason == f"{type(end).__name__}: x"
+
+
+@pytest.mark.parametrize("end", [LinkError("x"), DeviceFault("x")])
+def test_a_job_is_not_over_where_a_device_is_at_fault_between_passes(end: PolishdError) -> None:
+    assert judge(end, torn=False, previous="") is None
+
+
+def test_the_same_fault_twice_in_a_row_stops_the_queue() -> None:
+    for end, previous in itertools.product(
+        (MapError("x"), Outcome.CYCLES_USED), ("MapError", "cycles_used", "", "WrongPart")
+    ):
+        found = judge(end, torn=False, previous=previous)
+        assert found is not None
+        assert bool(found.stops) == (previous == found.fault), (end, previous)
+    assert judge(Outcome.IN_TOLERANCE, torn=False, previous="") == ACCEPTED
+
+
+def test_every_error_and_outcome_has_a_row() -> None:
+    def kinds(kind: type[PolishdError]) -> Iterator[type[PolishdError]]:
+        yield kind
+        for inner in kind.__subclasses__():
+            yield from kinds(inner)
+
+    for end in [*(kind("x") for kind in kinds(PolishdError) if kind.__module__ == PolishdError.__module__)]:
+        assert rule_of(end) in RULES
+    for outcome in set(Outcome) - {Outcome.STOPPED}:
+        assert rule_of(outcome) in RULES
+
+
+def row(rule: ResultRule, *, torn: bool = False) -> str:
+    """As the table has it."""
+    ends = ", ".join(f"`{end.value if isinstance(end, Outcome) else end.__name__}`" for end in rule.ends)
+    part = rule.how or "its job is not over"
+    return f"| {ends}{' that cut off a pass' if torn else ''} | {part} | {rule.queue} | {rule.why} |"
+
+
+def test_the_docs_show_the_table() -> None:
+    head = ["| what ended it | the part is | the queue | why |", "|---|---|---|---|"]
+    table = [*head, row(TORN, torn=True), *map(row, RULES)]
+    docs = Path(__file__).resolve().parents[4] / "docs" / "queue.md"
+    assert "\n".join(table) in docs.read_text(), "\n".join(table)

@@ -1,0 +1,188 @@
+"""What is kept for those who find no daemon: of any ending, on any disk, in any state of its file."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from polishd.daemon.journal.journal import Journal
+from polishd.daemon.runtime.events import causes, killed_safety, record_exit, recording_exit, safety_of
+from polishd.daemon.runtime.exit_record import RECORD_NAME, for_cell, last_ending, next_action
+from polishd.model.errors import SafetyStop
+from polishd.model.events import CellHeld, DaemonFailed, Event, PlanWritten, StateChanged
+from polishd.model.states import Outcome
+from tests.unit.daemon.small import open_journal
+
+KILLED = "the daemon was killed, or its machine went down, while polishing"
+NAMES = ("actuator", "robot")
+
+
+def polishing() -> StateChanged:
+    return safety_of("polishing", "", killed_safety(NAMES))
+
+
+def test_where_no_daemon_ever_ran(tmp_path: Path) -> None:
+    facts = last_ending(tmp_path)
+    assert (facts["state"], facts["reason"]) == ("unknown", f"no daemon has left word in {tmp_path}")
+    assert (facts["tool_off"], facts["robot_at_rest"], facts["unsafe"]) == ("not asked", "not asked", [])
+
+
+@pytest.mark.parametrize("content", ["", "{", "3", '{"state": "held"}', '{"state": "idle", "reason": "", "x": 1}'])
+def test_a_word_that_nobody_can_read_says_so(tmp_path: Path, content: str) -> None:
+    (tmp_path / RECORD_NAME).write_text(content)
+    facts = last_ending(tmp_path)
+    assert facts["state"] == "unknown"
+    assert f"{tmp_path / RECORD_NAME} cannot be read: " in facts["reason"]
+
+
+def test_one_that_is_no_file_says_so(tmp_path: Path) -> None:
+    (tmp_path / RECORD_NAME).mkdir()
+    assert "cannot be read: " in last_ending(tmp_path)["reason"]
+
+
+def test_a_daemon_that_is_killed_while_it_polishes_left_word_of_it(tmp_path: Path) -> None:
+    recording_exit(tmp_path, lambda: tmp_path / "run", queue=True)(polishing())
+    facts = last_ending(tmp_path)
+    assert (facts["state"], facts["reason"], facts["run_dir"]) == ("killed", KILLED, str(tmp_path / "run"))
+    assert (facts["tool_off"], facts["robot_at_rest"]) == ("not confirmed", "not confirmed")
+    assert facts["unsafe"] == ["actuator: no daemon lived to ask it", "robot: no daemon lived to ask it"]
+    assert facts["next"] == next_action("killed", queue=True) != next_action("killed", queue=False)
+
+
+def test_with_the_reason_why_it_was_held(tmp_path: Path) -> None:
+    recording_exit(tmp_path, lambda: None)(safety_of("held", "LinkError: gone", ()))
+    facts = last_ending(tmp_path)
+    assert facts["reason"].endswith("while held: LinkError: gone")
+    assert (facts["tool_off"], facts["run_dir"], facts["queue"]) == ("yes", "", False)
+    assert facts["next"] == next_action("killed", queue=False)
+
+
+def test_an_ending_is_told_as_it_was(tmp_path: Path) -> None:
+    record_exit(tmp_path, {"state": "failed", "reason": "LinkError: gone", "exit": 5})
+    facts = last_ending(tmp_path)
+    assert (facts["state"], facts["reason"], facts["exit"]) == ("failed", "LinkError: gone", 5)
+    assert facts["at"].endswith("+00:00")
+
+
+def test_the_end_itself_and_other_events_leave_it_as_it_is(tmp_path: Path) -> None:
+    """The end is kept by whoever knows all of it."""
+    keep = recording_exit(tmp_path, lambda: None)
+    keep(polishing())
+    before = (tmp_path / RECORD_NAME).read_bytes()
+    keep(safety_of("finished", "", ()))
+    keep(PlanWritten(run_dir="x"))
+    assert (tmp_path / RECORD_NAME).read_bytes() == before
+
+
+def test_a_disk_that_takes_no_more_keeps_nobody_from_the_end_and_no_older_word_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    record_exit(tmp_path, {"state": "held", "reason": "", "unsafe": []})
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("polishd.daemon.runtime.events.write_atomic", full)
+    record_exit(tmp_path, {"state": "failed", "reason": "x"})
+    assert f"{tmp_path / RECORD_NAME} cannot be written" in caplog.text
+    assert last_ending(tmp_path)["state"] == "unknown", "it would tell what is no longer so"
+    record_exit(tmp_path, {"state": "failed", "reason": "x"})
+
+
+@pytest.mark.parametrize(
+    ("unsafe", "tool_off", "at_rest"),
+    [
+        (None, "not asked", "not asked"),
+        ((), "yes", "yes"),
+        (("actuator: gone",), "not confirmed", "yes"),
+        (("robot.left: gone: twice",), "yes", "not confirmed"),
+        (("spindle: gone",), "yes", "yes"),
+    ],
+)
+def test_how_a_cell_stands(unsafe: tuple[str, ...] | None, tool_off: str, at_rest: str) -> None:
+    told: StateChanged = safety_of("held", "why", unsafe)
+    assert told.standing is not None
+    assert (told.state, told.reason) == ("held", "why")
+    assert (told.standing.tool_off, told.standing.robot_at_rest) == (tool_off, at_rest)
+    assert list(told.standing.unsafe) == list(unsafe or ())
+    assert told.standing.next == next_action("held", queue=False)
+    json.dumps(dict(told.data))
+
+
+# causes
+
+HOT, GONE = CellHeld(error="hot", kind="DeviceFault"), CellHeld(error="gone", kind="LinkError")
+
+
+@pytest.fixture
+def journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Journal]:
+    """In which an event is recorded each second, from 2001-09-09 01:46:40 on."""
+    seconds = itertools.count(1_000_000_000)
+    with open_journal(tmp_path) as found:
+        monkeypatch.setattr("polishd.daemon.journal.journal.time.time", lambda: next(seconds) + 0.25)
+        yield found
+
+
+def told(journal: Journal, *events: Event) -> list[str]:
+    for event in events:
+        journal.record_event(event)
+    return [str(cause) for cause in causes(journal, None)]
+
+
+def test_what_held_a_job_stands_in_the_order_of_time(journal: Journal) -> None:
+    assert told(journal) == []
+    assert told(journal, HOT, PlanWritten(run_dir="x"), GONE, HOT) == [
+        "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
+        "2001-09-09T01:46:42+00:00 held: LinkError: gone",
+        "2001-09-09T01:46:43+00:00 held: DeviceFault: hot",
+    ]
+
+
+def test_held_over_it_and_then_stopped_is_one_cause_from_when_it_was_held(journal: Journal) -> None:
+    (cause,) = told(journal, HOT, DaemonFailed(error="hot", kind="DeviceFault"))
+    assert cause == "2001-09-09T01:46:40+00:00 ended: DeviceFault: hot"
+
+
+@pytest.mark.parametrize(("error", "kind"), [("hot", "LinkError"), ("cold", "DeviceFault")])
+def test_another_end_is_another_cause(journal: Journal, error: str, kind: str) -> None:
+    assert told(journal, HOT, DaemonFailed(error=error, kind=kind)) == [
+        "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
+        f"2001-09-09T01:46:41+00:00 ended: {kind}: {error}",
+    ]
+
+
+def test_an_end_without_a_hold_is_a_cause_and_so_is_a_hold_after_it(journal: Journal) -> None:
+    failed = DaemonFailed(error="hot", kind="DeviceFault")
+    assert [cause.split()[1] for cause in told(journal, failed, HOT)] == ["ended:", "held:"]
+
+
+def test_of_a_lost_journal_the_failure_is_all_that_is_known(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost() -> None:
+        raise SafetyStop("journal lost")
+
+    monkeypatch.setattr(journal, "errors", lost)
+    assert causes(journal, None) == ()
+    (cause,) = causes(journal, SafetyStop("journal lost"))
+    assert (cause.kind, cause.error, cause.ended) == ("SafetyStop", "journal lost", True)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", cause.at)
+
+
+def test_words_for_people_name_their_own_cell() -> None:
+    assert for_cell("polishd run CELL.toml", Path("/my cells/a.toml")) == "polishd run '/my cells/a.toml'"
+    assert "polishd run CELL.toml --queue;" in next_action("failed", queue=True)
+    assert next_action("no such state", queue=True) == ""
+
+
+@pytest.mark.parametrize("state", ["idle", "changing", "held", "killed", "failed", "stopped", *Outcome])
+def test_whoever_finds_it_so_is_told_what_to_do(state: str) -> None:
+    assert next_action(state, queue=False)
+
+
+def test_its_word_lies_in_the_state_folder_under_a_name_that_stays(tmp_path: Path) -> None:
+    record_exit(tmp_path, {"state": "failed", "reason": "x"})
+    assert [path.name for path in tmp_path.iterdir()] == ["ending.json"]

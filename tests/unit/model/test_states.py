@@ -1,0 +1,69 @@
+"""The table of states, and its copy in docs/cycle.md."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from polishd.daemon.socket.client import VERBS
+from polishd.model.states import DOES, ORDERS, TRANSITIONS, DaemonState, StateEvent, following, obeyed
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
+
+
+def cause(trigger: StateEvent) -> str:
+    """Orders are verbs, and look like it."""
+    return f"`{trigger}`" if trigger in ORDERS else trigger.value
+
+
+def test_the_docs_have_every_state_and_every_way() -> None:
+    states = [
+        "| state | what happens in it |",
+        "|---|---|",
+        *(f"| `{state}` | {DOES[state]} |" for state in DaemonState),
+    ]
+    ways = ["| in | when | next | with `--no-hold` | |", "|---|---|---|---|---|"]
+    for row in TRANSITIONS:
+        alone = f"`{row.unattended}`" if row.unattended else ""
+        ways.append(f"| `{row.source}` | {cause(row.trigger)} | `{row.target}` | {alone} | {row.note} |")
+    for table in (states, ways):
+        assert "\n".join(table) in DOCS.read_text(), "\n".join(table)
+
+
+def test_no_way_stands_in_it_twice_and_none_leads_out_of_the_end() -> None:
+    ways = [(row.source, row.trigger) for row in TRANSITIONS]
+    assert len(set(ways)) == len(ways)
+    assert all(row.source is not DaemonState.FINISHED for row in TRANSITIONS)
+
+
+def test_every_state_is_come_to_and_can_be_ended() -> None:
+    assert {row.target for row in TRANSITIONS} | {DaemonState.STARTING} == set(DaemonState)
+    for state in set(DaemonState) - {DaemonState.FINISHED}:
+        assert following(state, StateEvent.STOP) is DaemonState.FINISHED
+        assert following(state, StateEvent.ERROR) is DaemonState.FINISHED
+
+
+def test_what_is_not_in_the_table_raises() -> None:
+    known = {(row.source, row.trigger) for row in TRANSITIONS}
+    for state, trigger in set(product(DaemonState, StateEvent)) - known:
+        with pytest.raises(RuntimeError, match="a fault of polishd"):
+            following(state, trigger)
+
+
+def test_without_a_person_nothing_is_held_but_by_order() -> None:
+    held = {
+        row.trigger for row in TRANSITIONS if following(row.source, row.trigger, unattended=True) is DaemonState.HELD
+    }
+    assert held == {StateEvent.HOLD, StateEvent.ESTOP}
+
+
+def test_an_order_is_obeyed_where_it_leads() -> None:
+    assert set(ORDERS) == {verb.name for verb in VERBS.values() if verb.changes == "an order"}
+    assert {order: obeyed(order) for order in ORDERS} == {
+        StateEvent.HOLD: {DaemonState.HELD, DaemonState.FINISHED},
+        StateEvent.RESUME: {DaemonState.IDLE, DaemonState.POLISHING, DaemonState.FINISHED},
+        StateEvent.STOP: {DaemonState.FINISHED},
+        StateEvent.ESTOP: {DaemonState.HELD, DaemonState.FINISHED},
+    }

@@ -1,0 +1,179 @@
+"""Lists of points: any order, holes, separators, units in the header; off the grid is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polishd.api import MapError
+from polishd.plugins.interferometer.formats import points
+from tests.unit.plugins.interferometer.map_files_other import PITCH_MM, heights_nm, points_file
+
+
+def put(folder: Path, content: bytes, name: str = "map.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", " , ", "   "])
+@pytest.mark.parametrize("missing", ["nan", "No Data", "NaN", "N/A", "***", "null", "-1.#IND", "1.#QNAN", "nan(ind)"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_every_way_to_write_it_is_the_same_map(tmp_path: Path, separator: str, missing: str, end: str) -> None:
+    surface = points.read(put(tmp_path, points_file(separator, missing=missing, end=end)))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+    assert surface.pitch_mm == pytest.approx(PITCH_MM)
+    assert not surface.unsaid
+
+
+def test_an_empty_height_is_missing(tmp_path: Path) -> None:
+    surface = points.read(put(tmp_path, points_file(missing="")))
+    np.testing.assert_array_equal(np.isnan(surface.height_nm), np.isnan(heights_nm()))
+
+
+def test_a_decimal_comma_is_one_between_semicolons(tmp_path: Path) -> None:
+    content = points_file(";", header="").replace(b".", b",")
+    surface = points.read(put(tmp_path, b"X [mm]; Y [mm]; Z [nm]\n" + content))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+
+
+def test_any_order_and_left_out_points_are_the_same_map(tmp_path: Path) -> None:
+    header, *lines = points_file().splitlines(keepends=True)
+    kept = [line for line in lines if b"nan" not in line]
+    np.random.default_rng(1).shuffle(kept)
+    surface = points.read(put(tmp_path, header + b"".join(kept)))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "nm", "mm"),
+    [
+        ("x_mm y_mm z_um\n", 1e3, 1.0),
+        ('"X (um)","Y (um)","Z (nm)"\n', 1.0, 1e-3),
+        ("# made by hand\n# x[m],y[m],z[mm]\n", 1e6, 1e3),
+        ("Report\n\nX/mm\tY/mm\tHeight/nm\n", 1.0, 1.0),
+        ("X / mm,Y / mm,Z / nm\n", 1.0, 1.0),
+        ("x mm,y mm,height um\n# made by hand, twice, or more\n", 1e3, 1.0),
+    ],
+)
+def test_units_of_the_header_count(tmp_path: Path, header: str, nm: float, mm: float) -> None:
+    surface = points.read(put(tmp_path, points_file(header=header).replace(b"nan", b"nan")))
+    assert surface.factors["nm_per_unit"] == nm
+    assert surface.pitch_mm == pytest.approx(PITCH_MM * mm)
+
+
+def test_without_units_they_are_left_open(tmp_path: Path) -> None:
+    surface = points.read(put(tmp_path, points_file(header="x,y,z\n")))
+    assert surface.unsaid == {"unit", "pitch"}
+    assert surface.pitch_mm is None
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+
+
+def test_a_wavefront_is_not_taken_for_a_surface(tmp_path: Path) -> None:
+    assert points.read(put(tmp_path, points_file(header="x_mm,y_mm,opd_nm\n"))).unsaid == {"surface"}
+
+
+def grid(x: np.ndarray, y: np.ndarray) -> bytes:
+    return b"x_mm y_mm z_nm\n" + b"".join(
+        f"{a:.6f} {b:.6f} {i}\n".encode() for i, (a, b) in enumerate(zip(x.ravel(), y.ravel(), strict=True))
+    )
+
+
+def test_rounded_coordinates_are_still_a_grid(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.round(np.arange(400) * 0.1179242, 3), np.round(np.arange(30) * 0.1179242, 3))
+    surface = points.read(put(tmp_path, grid(x, y)))
+    assert surface.height_nm.shape == (30, 400)
+    assert surface.pitch_mm == pytest.approx(0.1179242, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["turned", "scattered", "twice", "line", "stretched"])
+def test_what_lies_on_no_grid_is_refused(tmp_path: Path, kind: str) -> None:
+    x, y = np.meshgrid(np.arange(12.0), np.arange(10.0))
+    if kind == "turned":
+        x, y = x * 0.96 - y * 0.28, x * 0.28 + y * 0.96
+    elif kind == "scattered":
+        x = x + np.random.default_rng(2).uniform(-0.3, 0.3, x.shape)
+    elif kind == "twice":
+        x, y = np.append(x, 3.0), np.append(y, 3.0)
+    elif kind == "line":
+        x, y = x[0], y[0]
+    else:
+        x = x**1.1
+    with pytest.raises(MapError, match=r"grid|place"):
+        points.read(put(tmp_path, grid(x, y)))
+
+
+def test_far_off_points_are_no_reason_to_allocate(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"grid|place"):
+        points.read(put(tmp_path, points_file() + b"1e6,1e6,3\n"))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\0\1\2", b"a,b,c\n", b"1,2\n3,4\n", b"1,2,3,4\n1,2,3,4\n", b"1,2,3\n1,x,3\n", b"nan,1,2\n" * 5, b"1,2,3"],
+)
+def test_what_is_no_such_list_is_refused(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(MapError, match=r"map\.csv"):
+        points.read(put(tmp_path, content))
+
+
+def test_infinite_heights_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="infinite"):
+        points.read(put(tmp_path, points_file(missing="inf")))
+
+
+def test_only_text_with_points_is_claimed() -> None:
+    assert points.sniff(b"title\n1.5;2;3\n", Path("a.txt"))
+    assert not points.sniff(b"title\nno numbers\n", Path("a.txt"))
+    assert not points.sniff(b"1 2 3\n", Path("a.dat"))
+    assert not points.sniff(b"Zygo XYZ Data File\n1 2 3\n", Path("a.xyz"))
+
+
+@pytest.mark.parametrize("separator", ["\t", "  "])
+def test_a_decimal_comma_is_one_between_blanks(tmp_path: Path, separator: str) -> None:
+    surface = points.read(put(tmp_path, points_file(separator).replace(b".", b",")))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+
+
+def test_the_titles_say_which_column_is_which(tmp_path: Path) -> None:
+    lines = points_file(separator=",").splitlines()[1:]
+    swapped = b"\n".join(b",".join(line.split(b",")[at] for at in (1, 0, 2)) for line in lines) + b"\n"
+    surface = points.read(put(tmp_path, b"y_mm,x_mm,z_nm\n" + swapped))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+    assert surface.pitch_mm == pytest.approx(PITCH_MM)
+
+
+def test_rows_of_a_camera_count_from_the_top(tmp_path: Path) -> None:
+    lines = [f"{row},{column},{z}" for (row, column), z in np.ndenumerate(heights_nm())]
+    surface = points.read(put(tmp_path, "\n".join(["row,col,z_nm", *lines, ""]).encode()))
+    np.testing.assert_allclose(surface.height_nm, heights_nm())
+    assert surface.unsaid == {"pitch"}
+
+
+def test_titles_of_something_else_leave_the_order_open(tmp_path: Path) -> None:
+    surface = points.read(put(tmp_path, points_file(header="lon,lat,h\n")))
+    assert surface.unsaid == {"unit", "pitch", "orientation"}
+    assert points.ODD_TITLES in surface.warnings
+
+
+def test_a_list_that_stops_inside_a_row_is_torn(tmp_path: Path) -> None:
+    lines = points_file().splitlines(keepends=True)
+    by_columns = [lines[0], *sorted(lines[1:], key=lambda line: float(line.split()[0].split(b",")[0]))]
+    for listed in (lines, by_columns):
+        for cut in (1, 2, 3):
+            with pytest.raises(MapError, match=rf"last (row|column) lacks {cut} points: torn"):
+                points.read(put(tmp_path, b"".join(listed[:-cut])))
+
+
+def test_a_list_that_ends_inside_a_line_is_read_with_a_warning(tmp_path: Path) -> None:
+    surface = points.read(put(tmp_path, points_file().rstrip(b"\n")))
+    np.testing.assert_allclose(surface.height_nm, heights_nm(), atol=1e-9)
+    assert surface.warnings == (points.CUT,)
+
+
+@pytest.mark.parametrize("marker", ["-9999", "32767", "99999.0"])
+def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path, marker: str) -> None:
+    with pytest.raises(MapError, match="marker of missing data"):
+        points.read(put(tmp_path, points_file(missing=marker)))

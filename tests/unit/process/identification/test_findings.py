@@ -1,0 +1,158 @@
+"""Stall, drift, wear and another spot, told apart by the numbers that passes show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
+from polishd.process.identification.findings import REFERENCE, extend_series, findings
+
+LIMITS = FindingLimits()
+HOUR = 3600.0
+
+
+def a_pass(
+    before: float = 10.0,
+    after: float = 1.2,
+    predicted: float | None = 1.0,
+    *,
+    reach: float | None = 1.0,
+    hours: float = 1.0,
+    rate: float | None = 1.0,
+    rate_sigma: float = 0.01,
+    fade: tuple[float, float] | None = (0.0, 0.02),
+    width: tuple[float, float] | None = (0.0, 0.03),
+) -> PassIndicators:
+    return PassIndicators(
+        before,
+        predicted,
+        after,
+        reach,
+        hours * HOUR,
+        None if rate is None else Estimate(rate, rate_sigma),
+        None if fade is None else Estimate(*fade),
+        None if width is None else Estimate(*width),
+    )
+
+
+def found(passes: Sequence[PassIndicators], limits: FindingLimits = LIMITS) -> list[Finding]:
+    """In all of them, a job each."""
+    series, seen = PassSeries("p"), []
+    for one in passes:
+        series = extend_series(series, one)
+        seen += findings(series, [one], limits)
+    return seen
+
+
+def kinds(passes: Sequence[PassIndicators]) -> list[str]:
+    return [one.kind for one in found(passes)]
+
+
+def test_good_passes_show_nothing() -> None:
+    assert found([a_pass(rate=rate) for rate in (0.95, 1.0, 0.97, 1.02, 0.93, 1.1)]) == []
+
+
+def test_a_rate_that_falls_while_the_tool_polishes_is_wear() -> None:
+    rates = [1.0 * 0.93**k for k in range(8)]
+    (first, *_) = found([a_pass(rate=rate, fade=(-0.07, 0.02)) for rate in rates])
+    assert (first.kind, first.stops) == ("wear", "cell")
+    assert "changed by -25 +- " in first.what
+    assert "in 6 passes, 6.0 h in contact, and it falls while the tool polishes: dress or change" in first.what
+
+
+def test_a_rate_that_falls_between_the_passes_is_drift() -> None:
+    (first, *_) = found([a_pass(rate=rate) for rate in (1.0, 1.0, 1.0, 0.9, 0.8, 0.7)])
+    assert (first.kind, first.stops) == ("drift", "cell")
+    assert "and not within the passes: look at slurry, temperature, force and speed" in first.what
+
+
+@pytest.mark.parametrize("fade", [None, (-0.05, 0.2)])
+def test_a_fall_of_which_nobody_knows_where_it_was_says_so(fade: tuple[float, float] | None) -> None:
+    (first, *_) = found([a_pass(rate=rate, fade=fade) for rate in (1.0, 1.0, 1.0, 0.7)])
+    assert first.kind == "drift"
+    assert "within the passes or between them: look at slurry" in first.what
+
+
+def test_a_rate_that_rises_is_no_wear() -> None:
+    assert kinds([a_pass(rate=rate, fade=(0.1, 0.02)) for rate in (1.0, 1.0, 1.0, 1.4)]) == ["drift"]
+
+
+def test_a_pad_that_wears_within_one_pass_needs_no_other_pass() -> None:
+    (only,) = found([a_pass(fade=(-0.35, 0.05), hours=0.5)])
+    assert (only.kind, only.stops) == ("wear", "cell")
+    assert only.what.startswith("the removal rate changed by -35 +- 5 % during one pass of 30 min")
+
+
+@pytest.mark.parametrize(
+    "passes",
+    [
+        [a_pass(fade=(-0.35, 0.15))],
+        [a_pass(width=(0.4, 0.15))],
+        [a_pass(width=(0.34, 0.08))],
+        [a_pass()] * REFERENCE + [a_pass(rate=0.6, rate_sigma=0.2)],
+        [a_pass()] * (REFERENCE - 1) + [a_pass(rate=0.6)],
+        [a_pass(rate=None, fade=None, width=None)] * 5,
+    ],
+    ids=["fade", "width", "width near its limit", "rate", "no reference yet", "shows nothing"],
+)
+def test_what_is_not_sure_is_not_found(passes: Sequence[PassIndicators]) -> None:
+    assert found(passes) == []
+
+
+@pytest.mark.parametrize(("width", "word"), [(0.45, "wider"), (-0.42, "narrower")])
+def test_another_spot(width: float, word: str) -> None:
+    (only,) = found([a_pass(width=(width, 0.05))])
+    assert (only.kind, only.stops) == ("spot", "cell")
+    assert f"{100 * abs(width):.0f} +- 5 % {word} than the plans count with" in only.what
+
+
+def stalls(job: Sequence[PassIndicators], limits: FindingLimits = LIMITS) -> list[str]:
+    series = PassSeries("p")
+    for one in job:
+        series = extend_series(series, one)
+    return [one.what for one in findings(series, job, limits) if one.kind == "stall"]
+
+
+def test_two_passes_in_a_row_that_bring_little_are_a_stall() -> None:
+    slow = [a_pass(10.0, 3.0), a_pass(3.0, 2.8, 1.0), a_pass(2.8, 2.7, 1.0, reach=0.4)]
+    assert stalls(slow[:2]) == []
+    (what,) = stalls(slow)
+    assert what.startswith("the last 2 passes brought the RMS from 3.00 to 2.70 nm, and 1.00 and 1.00 were predicted")
+    assert what.endswith("0.40 nm of what is left has periods that this spot corrects: take another tool, or tolerance")
+
+
+def test_a_plan_that_expects_nothing_gains_nothing() -> None:
+    assert stalls([a_pass(2.0, 1.99, 1.98), a_pass(1.99, 1.9, 1.97)])
+    assert stalls([a_pass(2.0, 2.0, None), a_pass(2.0, 2.0, None)]) == [], "nothing was predicted, so nobody knows"
+    assert stalls([a_pass(2.0, 2.0, 1.0)] * 2, FindingLimits(least_gain=0.0)) == []
+
+
+def test_what_is_left_within_reach_is_looked_for_in_the_report() -> None:
+    (what,) = stalls([a_pass(3.0, 2.9, 1.0, reach=2.5), a_pass(2.9, 2.8, 1.0, reach=2.5)])
+    assert what.endswith("look in the report where predicted and measured differ")
+    (what,) = stalls([a_pass(3.0, 2.9, 1.0, reach=None)] * 2)
+    assert "spot corrects" not in what
+
+
+def test_a_tool_that_changed_is_why_it_stalls() -> None:
+    job = [a_pass(3.0, 2.9, 1.0), a_pass(2.9, 2.8, 1.0, width=(0.5, 0.05))]
+    assert [one.kind for one in findings(extend_series(PassSeries("p"), job[-1]), job, LIMITS)] == ["spot"]
+
+
+@pytest.mark.parametrize("seeds", [100, pytest.param(20_000, marks=pytest.mark.slow)])
+def test_how_often_twenty_good_parts_show_a_drift(seeds: int) -> None:
+    """60 passes each, rates that scatter by 2 % beyond their errors and drift by 1 % to and fro."""
+    wrong = 0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        drift = 0.01 * np.sin(np.arange(60) / 9 + rng.uniform(0, 6))
+        sigma = rng.uniform(0.005, 0.08, 60)
+        rates = 0.95 * (1 + drift) * rng.normal(1.0, np.hypot(sigma, 0.02))
+        fades = rng.normal(0.0, 1.0, 60) * 2 * sigma
+        each = zip(rates, sigma, fades, strict=True)
+        passes = [a_pass(rate=r, rate_sigma=s, fade=(f, 2 * s), hours=0.2) for r, s, f in each]
+        wrong += bool(found(passes))
+    assert wrong <= 0.01 * seeds

@@ -1,0 +1,133 @@
+"""The drawing's lines on surfaces whose figures are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from polishd.model.errors import MapError
+from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.model.tolerance import ToleranceLine, holds, worst
+from polishd.process.metrology import iso10110
+from polishd.process.metrology.tolerance import judge, notes_of, only_beyond, out_of_reach
+
+PITCH = 0.5
+GRID = Grid(241, 241, PITCH)
+MASK = GRID.radius_mm() <= 50.0
+
+
+def wave(amplitude_nm: float, period_mm: float) -> FloatArray:
+    """A sine along x."""
+    x = np.broadcast_to(GRID.x_mm, GRID.shape)
+    return np.asarray(amplitude_nm * np.sin(2 * np.pi * x / period_mm), dtype=np.float64)
+
+
+def value(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray = MASK) -> float:
+    (found,) = judge([line], height_nm, mask, PITCH)
+    return found.value
+
+
+BOTH = wave(8.0, 20.0) + wave(3.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (ToleranceLine("rms", 1.0), np.hypot(8.0, 3.0) / np.sqrt(2)),
+        (ToleranceLine("rms", 1.0, above_mm=9.0), 8.0 / np.sqrt(2)),
+        (ToleranceLine("rms", 1.0, below_mm=9.0), 3.0 / np.sqrt(2)),
+        (ToleranceLine("rms", 1.0, above_mm=3.0, below_mm=9.0), 3.0 / np.sqrt(2)),
+        (ToleranceLine("pv", 1.0), np.ptp(wave(8.0, 20.0) + wave(3.0, 4.0))),
+        (ToleranceLine("slope_max", 1.0, above_mm=9.0, integration_mm=1.0), 8.0 * 2 * np.pi / 20.0),
+        (ToleranceLine("slope_rms", 1.0, above_mm=9.0, integration_mm=1.0), 8.0 * 2 * np.pi / 20.0 / np.sqrt(2)),
+    ],
+    ids=lambda of: of.what if isinstance(of, ToleranceLine) else "",
+)
+def test_figures_over_their_periods(line: ToleranceLine, expected: float) -> None:
+    assert value(line, BOTH) == pytest.approx(expected, rel=0.06)
+
+
+def test_the_pv_of_a_band_is_read_high_at_the_rim() -> None:
+    """As docs/tolerance.md says."""
+    assert 6.0 <= value(ToleranceLine("pv", 1.0, below_mm=9.0), BOTH) < 8.5
+
+
+def test_form_figures_are_those_of_iso_10110() -> None:
+    height = BOTH + 40.0 * (GRID.radius_mm() / 50.0) ** 2
+    own = iso10110.irregularity(height, MASK)
+    lines = [ToleranceLine(figure, 1.0) for figure in ("A", "B", "C", "RMSt", "RMSi", "RMSa")]
+    found = [one.value for one in judge(lines, height, MASK, PITCH)]
+    assert found == [own.a_nm, own.b_nm, own.c_nm, own.rms_t_nm, own.rms_i_nm, own.rms_a_nm]
+    assert found[0] == pytest.approx(40.0, rel=0.05)
+
+
+def test_a_surface_whose_psd_is_the_line_is_at_its_limit() -> None:
+    """Its phases random: a ring's density scatters about the line, so that the highest ring is a little above."""
+    rng, shape = np.random.default_rng(4), GRID.shape
+    frequency = np.hypot(np.fft.fftfreq(shape[0], PITCH)[:, None], np.fft.rfftfreq(shape[1], PITCH))
+    density = 30.0 / np.maximum(frequency, 0.02) ** 2
+    noise = np.fft.rfft2(rng.standard_normal(shape))
+    height = np.fft.irfft2(noise * np.sqrt(density) / PITCH, shape)
+    line = ToleranceLine("psd", 30.0, above_mm=2.0, below_mm=20.0, exponent=2.0)
+    assert 30.0 < value(line, height) < 90.0
+    assert value(line, 2 * height) == pytest.approx(4 * value(line, height))
+
+
+def test_the_worst_line_is_the_one_that_is_the_farthest_beyond() -> None:
+    judged = judge([ToleranceLine("rms", 10.0), ToleranceLine("pv", 8.0), ToleranceLine("pv", 30.0)], BOTH, MASK, PITCH)
+    assert [one.holds for one in judged] == [True, False, True]
+    assert not holds(judged)
+    farthest = worst(judged)
+    assert farthest is not None
+    assert str(farthest) == f"PV {np.ptp(BOTH[MASK]):.3g} nm of 8 nm allowed"
+    assert not holds(())
+    assert worst(()) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (ToleranceLine("rms", 1.0, below_mm=0.9), "it shows periods above 1 mm only"),
+        (ToleranceLine("rms", 1.0, above_mm=0.5), "it shows periods above 1 mm only"),
+        (ToleranceLine("psd", 1.0, above_mm=0.5, below_mm=9.0), "it shows periods above 1 mm only"),
+        (ToleranceLine("slope_rms", 1.0, integration_mm=0.5), "its shortest slope is over 1 mm"),
+    ],
+    ids=["band below", "band to below", "psd", "slope"],
+)
+def test_what_a_map_cannot_show_is_not_judged(line: ToleranceLine, says: str) -> None:
+    with pytest.raises(MapError, match=says):
+        judge([line], BOTH, MASK, PITCH)
+
+
+def test_a_part_within_its_uncertainty_says_so() -> None:
+    near, far, pv = judge(
+        [ToleranceLine("rms", 6.0), ToleranceLine("rms", 7.0), ToleranceLine("pv", 22.0)], BOTH, MASK, PITCH, 0.1
+    )
+    assert (near.uncertainty, pv.uncertainty) == (0.1, None)
+    assert [one.unsure for one in (near, far, pv)] == [True, False, False]
+    (note,) = notes_of((near, far, pv))
+    assert "RMS 6.06 +- 0.1 nm of 6 nm allowed: it does not hold, and the instrument's repeatability" in note
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_changes_an_rms_by_its_own_at_most(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = wave(rng.uniform(-3, 3), rng.uniform(2.0, 60.0)) + rng.normal(0.0, 0.5, GRID.shape)
+    repeats = float(noise[MASK].std())
+    lines = [
+        ToleranceLine("rms", 1.0),
+        ToleranceLine("rms", 1.0, below_mm=9.0),
+        ToleranceLine("RMSi", 1.0),
+        ToleranceLine("RMSt", 1.0),
+        ToleranceLine("RMSa", 1.0),
+    ]
+    for true, seen in zip(judge(lines, BOTH, MASK, PITCH), judge(lines, BOTH + noise, MASK, PITCH), strict=True):
+        assert abs(seen.value - true.value) <= repeats * 1.01
+
+
+def test_what_the_spot_cannot_reach_is_named() -> None:
+    lines = [ToleranceLine("rms", 1.0), ToleranceLine("pv", 30.0), ToleranceLine("rms", 2.0, below_mm=5.0)]
+    assert [one.what for one in out_of_reach(lines, BOTH, MASK, PITCH, 6.0)] == ["RMS", "RMS of periods below 5 mm"]
+    assert out_of_reach(lines, BOTH, MASK, PITCH, 3.0) == ()
+    assert out_of_reach(lines, BOTH, MASK, PITCH, 0.9) == ()
+    assert only_beyond(lines, 6.0) == (lines[2],)

@@ -1,0 +1,230 @@
+"""``polishd report``: what is written, what stands on the pages, and one clear error for what cannot be."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import stat
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from cryptography.exceptions import InvalidSignature
+
+from docs.reference import write
+from polishd.cli.app import app
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from polishd.rendering.document import html
+from polishd.reports.certificate import issue
+from polishd.reports.certificate.content import CertificateRequest, certificate_content
+from polishd.reports.certificate.document import sheet
+from polishd.reports.certificate.model import schema
+from polishd.reports.certificate.sources import find_run
+from tests.unit.reports.certificate.conftest import Made
+from tests.unit.said import Polishd
+
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "certificate.md"
+AT = datetime(2026, 11, 25, 12, 0, tzinfo=UTC)
+
+
+def text_of(pdf: Path) -> str:
+    if shutil.which("pdftotext") is None:
+        pytest.skip("pdftotext is not installed: apt-get install poppler-utils")
+    return subprocess.run(["pdftotext", "-layout", pdf, "-"], capture_output=True, text=True, check=True).stdout
+
+
+def squeezed(text: str) -> str:
+    return " ".join(text.split())
+
+
+# the PDF
+
+
+def test_every_page_says_of_which_certificate_it_is(certified: Made) -> None:
+    twin = json.loads(certified.twin.read_text())
+    pages = text_of(certified.pdf).rstrip("\f\n").split("\f")
+    assert len(pages) == twin["pdf"]["pages"] >= 5
+    for number, page in enumerate(pages, 1):
+        head, foot = page.strip().splitlines()[0], page.strip().splitlines()[-1]
+        assert squeezed(head) == f"Part DEMO-100 Certificate {twin['number']}, {twin['issued'][:10]}"
+        assert foot.strip().endswith(f"page {number} of {len(pages)}")
+
+
+def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
+    twin, text = json.loads(certified.twin.read_text()), squeezed(text_of(certified.pdf))
+    for said in ("A. Meyer", "Observatory", "Example Optics", twin["verdict"]["words"], twin["number"]):
+        assert said in text
+    for title in (
+        "Specification and verdict", "How sure", "Before and after, nm", "What no dwell could remove", "Signature",
+        "Masks", "Power spectra", "Primary aberrations", "ISO 10110-5 and ISO 10110-14", "Slope", "Spatial periods",
+        "Zernike terms", "From map to map", "What went wrong, and what was done", "Pass 1", "Pass 2", "Instrument",
+        "Versions", "Journal", "Files of the run", "Editions",
+    ):  # fmt: skip
+        assert title in text, title
+    for change in twin["changes"]:
+        figures = f"{change['before_nm']:.3f} {change['after_nm']:.3f} {100 * change['change']:+.1f} %"
+        assert f"{change['figure']} {figures}" in text
+    assert twin["after"]["iso10110"]["indication"] in text
+    assert twin["journal"]["sha256"] in text
+    assert all(file["sha256"] in text for file in twin["files"])
+    assert f"is signed with the key {twin['seal']['signature']['key_id']}" in text
+
+
+def test_one_rms_of_each_surface(certified: Made) -> None:
+    """Another figure of the same map, on the solver's grid, stood beside it once."""
+    twin, text = json.loads(certified.twin.read_text()), squeezed(text_of(certified.pdf))
+    whole = [f"{one['rms_nm']:.3f}" for one in twin["measurements"]]
+    told = set(re.findall(r"(?:the map after it has|RMS) (\d+\.\d{3})\b", text))
+    assert told <= {*whole}, "in words, in the table of changes, and for each pass"
+    assert f"RMS {whole[0]} {whole[-1]}" in text
+
+
+@pytest.mark.full
+def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
+    page = html(sheet(certificate_content(find_run(torn_files.run_dir, None), CertificateRequest(), AT), ""))
+    assert "<h2>A pass that was interrupted at 32%; blocks 13 to 15 uncertain</h2>" in page
+    assert "had it been a whole pass" in page
+    assert "nothing else is learned of part of a pass" in page
+    assert page.count("<h2>Pass ") == 1
+    assert "1, and 1 interrupted" in page
+    assert "LinkError: robot: the link is silent" in page
+    assert 'class="verdict bad">Not in tolerance: 0 of 1 lines hold' in page
+    assert "Not signed." in page
+
+
+@pytest.mark.full
+def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
+    asked = CertificateRequest(operator="<script>", customer="$x^2$", drawing="100 % {{ x }}")
+    page = html(sheet(certificate_content(find_run(whole_files.run_dir, None), asked, AT), ""))
+    assert "<script>" not in page
+    assert "$x^2$" in page
+
+
+# the verbs
+
+
+def test_from_a_cell_with_its_key(polishd: Polishd, whole_files: DemoFiles, tmp_path: Path) -> None:
+    assert polishd("report", "key", tmp_path / "shop.key", "--json").answer["private"] == str(tmp_path / "shop.key")
+    text = whole_files.cell.read_text() + f'\n[certificate]\nshop = "Example Optics"\nkey = "{tmp_path}/shop.key"\n'
+    cell = tmp_path / "cell.toml"
+    cell.write_text(text.replace('state_dir = "state"', f'state_dir = "{whole_files.state_dir}"'))
+    made = polishd("report", "certificate", cell, "--out", tmp_path / "c.pdf", "--json").answer
+    assert made["key_id"] is not None
+    assert made["verdict"]["state"] == "in tolerance"
+    assert json.loads((tmp_path / "c.json").read_text())["issuer"]["shop"] == "Example Optics"
+    assert stat.S_IMODE((tmp_path / "c.pdf").stat().st_mode) == 0o644
+    said = polishd("report", "verify", tmp_path / "c.pdf", "--key", tmp_path / "shop.key.pub")
+    assert (said.code, said.out.count("\n")) == (0, 3)
+
+
+@pytest.mark.full
+def test_without_a_key_it_says_so(polishd: Polishd, whole: Path, tmp_path: Path) -> None:
+    said = polishd("report", "certificate", whole, "--out", tmp_path / "c.pdf", "--number", "C-17")
+    assert said.code == 0
+    assert "certificate C-17" in said.out
+    assert "not signed" in said.out
+    verified = polishd("report", "verify", tmp_path / "c.json", "--json").answer
+    assert (verified["number"], verified["right"], verified["signer"]) == ("C-17", True, "")
+
+
+def test_what_is_wrong_is_said_and_is_exit_code_1(polishd: Polishd, signed: Made) -> None:
+    signed.pdf.write_bytes(signed.pdf.read_bytes() + b"%")
+    said = polishd("report", "verify", signed.pdf)
+    assert said.code == 1
+    assert "WRONG: part.pdf was changed since it was made" in said.out
+    assert said.err.startswith("polishd: ")
+    assert polishd("report", "verify", signed.pdf.with_name("none.pdf")).code == 3
+
+
+def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "c.json").write_text("mine")
+    said = polishd("report", "certificate", whole, "--out", out / "c.pdf")
+    assert said.code == 3
+    assert "a certificate is not overwritten" in said.err
+    assert [path.name for path in out.iterdir()] == ["c.json"]
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--out", "c.html"], "a certificate is a PDF; name it *.pdf"),
+        (["--out", "none/c.pdf"], "is no folder; make it"),
+        (["--out", "c.pdf", "--key", "none.key"], "none.key: cannot be read"),
+        (["--out", "c.pdf", "--operator", "a\nb"], "--operator: has letters that cannot be printed"),
+        (["--out", "c.pdf", "--job", "x"], "leave --job out"),
+    ],
+)
+def test_bad_input_is_one_error_and_no_file(
+    polishd: Polishd, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], said: str
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    monkeypatch.chdir(out)
+    found = polishd("report", "certificate", whole, *options)
+    assert (found.code, found.err.count("\n")) == (3, 1)
+    assert said in found.err
+    assert list(out.iterdir()) == []
+
+
+def test_a_disk_that_is_full_leaves_neither(
+    polishd: Polishd, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+
+    def full(path: Path, content: bytes) -> None:
+        if path.suffix == ".json":
+            raise OSError(28, "No space left on device")
+        path.write_bytes(content)
+
+    monkeypatch.setattr(issue, "write_atomic", full)
+    monkeypatch.setattr(issue, "_drawn", lambda drawn, signed_by: (b"%PDF", 1))
+    said = polishd("report", "certificate", whole, "--out", out / "c.pdf")
+    assert said.code == 3
+    assert "No space left on device" in said.err
+    assert list(out.iterdir()) == []
+
+
+# the schema
+
+
+def test_the_published_schema_is_the_models() -> None:
+    published = (write.FOLDER / write.CERTIFICATE).read_text()
+    assert published == write.certificate(), "make reference writes it"
+    assert json.loads(published) == schema()
+
+
+def test_the_schema_is_strict_and_of_its_draft(polishd: Polishd) -> None:
+    found = polishd("report", "schema").answer
+    assert found["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    tables = [found, *found["$defs"].values()]
+    assert all(table["additionalProperties"] is False for table in tables if table["type"] == "object")
+    for table in tables:
+        assert {*table["required"]} == {*table["properties"]}, "what is not known is null, and never left out"
+    assert found["properties"]["schema"]["const"] == "polishd-certificate-1"
+
+
+def test_the_command_line_has_it() -> None:
+    group = next(one for one in app.registered_groups if one.name == "report")
+    assert group.typer_instance is not None
+    names = {command.name for command in group.typer_instance.registered_commands}
+    assert names == {"certificate", "verify", "key", "schema"}
+
+
+@pytest.mark.full
+def test_ten_lines_of_python_verify_it_without_polishd(signed: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As docs/certificate.md has them."""
+    (example,) = re.findall(r"^```python\n(.*?)^```", DOCS.read_text(), re.DOTALL | re.MULTILINE)
+    monkeypatch.chdir(signed.pdf.parent)
+    signed.pdf.rename("LENS-7.pdf")
+    signed.twin.rename("LENS-7.json")
+    exec(compile(example, str(DOCS), "exec"), {})
+    text = Path("LENS-7.json").read_text().replace("A. Meyer", "B. Meyer")
+    Path("LENS-7.json").write_text(text)
+    with pytest.raises(InvalidSignature):
+        exec(compile(example, str(DOCS), "exec"), {})

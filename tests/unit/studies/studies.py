@@ -1,0 +1,56 @@
+"""The shipped studies, and small variants of them for speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from polishd.config.study import LoopStudy
+from polishd.config.sweep import SweepStudy
+from polishd.studies.case_runner import closed_loop
+from polishd.studies.cases import CaseFactory
+from polishd.studies.closed_loop import ClosedLoopResult
+from polishd.studies.plant_client import PlantProcess
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+TABLE_IV, TABLE_III, FIG_12 = (EXAMPLES / f"{name}.toml" for name in ("table_iv", "table_iii", "fig_12"))
+
+
+def variant(folder: Path, shipped: Path, *changes: tuple[str, str]) -> Path:
+    """A copy of a shipped study with pieces of its text exchanged; each must be there."""
+    text = shipped.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text, f"{shipped.name} has no {old!r}"
+        text = text.replace(old, new, 1)
+    path = folder / shipped.name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+SMALL = (
+    ("aperture_mm = 60.0", "aperture_mm = 24.0"),
+    ("period_mm = [33.0, 120.0]", "period_mm = [14.0, 40.0]"),
+    ("kkt_tolerance = 1e-5", "kkt_tolerance = 1e-4"),
+)
+
+
+def small(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Table IV on 24 mm: a sixth of the points, and not solved to the end."""
+    return variant(folder, TABLE_IV, *SMALL, *changes)
+
+
+def line_of(path: Path, start: str) -> int:
+    """1-based number of the first line that starts so."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return next(number for number, line in enumerate(lines, 1) if line.startswith(start))
+
+
+def runs_here(study: LoopStudy) -> list[ClosedLoopResult]:
+    """All jobs of a study, in this process, as a worker would do them: of a study that need not be a file."""
+    making = CaseFactory(SweepStudy(study.base_dir, {}, study.source, ({},), is_sweep=False))
+    with PlantProcess() as plant:
+        return [
+            closed_loop(study, loop).run(plant, making.plant(study, scenario), scenario, loop, seed)
+            for seed in range(study.first_seed, study.first_seed + study.seeds)
+            for scenario in making.scenarios(study)
+            for loop in study.loops
+        ]

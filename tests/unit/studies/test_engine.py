@@ -1,0 +1,124 @@
+"""The engine over a pool of processes: what raises, hangs or kills its worker is an answer, and stops nothing else."""
+
+from __future__ import annotations
+
+import json
+import sys
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polishd.model.errors import ConfigError
+from polishd.studies import engine
+from polishd.studies import workers as children
+from polishd.studies.cases import Case, versions
+from polishd.studies.engine import FinishedCase, LocalPool, work
+from polishd.studies.workers import CaseResult, Task
+
+ODD = Path(__file__).with_name("odd_child.py")
+
+
+@pytest.fixture(autouse=True)
+def odd(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers that do as they are told."""
+    monkeypatch.setattr(children, "COMMAND", (sys.executable, "-I", str(ODD), json.dumps(dict(versions()))))
+
+
+def cases(*what: str) -> list[Case]:
+    return [Case(k, k, {"what": one}, None, None, None, str(k)) for k, one in enumerate(what)]
+
+
+def worked(folder: Path, some: list[Case], workers: int = 2, within_s: float = 60.0) -> dict[int, FinishedCase]:
+    with LocalPool(workers) as pool:
+        return {done.case.number: done for done in work(folder / "study.toml", some, pool, within_s)}
+
+
+def test_all_cases_come_each_once(tmp_path: Path) -> None:
+    found = worked(tmp_path, cases(*[""] * 200))
+    assert sorted(found) == list(range(200))
+    assert all(done.answer.rows == ({"rms_nm": number / 3},) for number, done in found.items())
+    assert all(done.tries == 1 for done in found.values())
+
+
+def test_what_raises_or_kills_its_worker_is_tried_once_more_and_told(tmp_path: Path) -> None:
+    found = worked(tmp_path, cases("", "raises", "", "dies", "", "once dies", "once raises", ""))
+    assert {number: done.answer.error for number, done in found.items() if done.answer.error} == {
+        1: "ValueError: no",
+        3: "killed its worker: signal 9, out of luck",
+    }
+    assert [found[number].tries for number in range(8)] == [1, 2, 1, 2, 1, 2, 2, 1]
+    assert all(found[number].answer.rows for number in (0, 2, 4, 5, 6, 7))
+
+
+def test_what_hangs_is_killed_at_its_limit(tmp_path: Path) -> None:
+    found = worked(tmp_path, cases("", "hangs", ""), workers=1, within_s=0.5)
+    assert found[1].answer.error == "did not end within 0.5 s and was killed"
+    assert found[0].answer.rows
+    assert found[2].answer.rows
+
+
+class Lonely(LocalPool):
+    """One that has nobody to work until somebody was told of it."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.lack, self.said, self.given = "no worker at x", list[str](), list[tuple[Task, Future[list[CaseResult]]]]()
+
+    def submit(self, task: Task) -> Future[list[CaseResult]]:
+        self.given.append((task, Future()))
+        return self.given[-1][1]
+
+    def come(self, words: str) -> None:
+        """Whoever reads it starts one."""
+        self.said.append(words)
+        self.lack = ""
+        for task, future in self.given:
+            if not future.done():
+                future.set_result([CaseResult(case.number, ({},)) for case in task.cases])
+
+
+def test_nobody_to_work_is_told_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "LOOK_S", 0.05)
+    with Lonely() as lonely:
+        (done,) = work(tmp_path / "study.toml", cases(""), lonely, tell=lonely.come)
+    assert done.answer.rows == ({},)
+    assert lonely.said == ["no worker at x; it is waited for", "a worker is there; the study goes on"]
+
+
+def test_one_that_is_slow_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "LOOK_S", 0.05)
+    said: list[str] = []
+    with LocalPool(1) as pool:
+        found = list(work(tmp_path / "study.toml", cases("hangs"), pool, 0.3, said.append))
+    assert "did not end within 0.3 s" in found[0].answer.error
+    assert not said
+
+
+def test_a_refusal_ends_the_study(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="files differ"):
+        worked(tmp_path, cases("", "refuses", ""))
+
+
+def test_other_versions_are_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = {**versions(), "scipy": "0.1"}
+    monkeypatch.setattr(children, "COMMAND", (sys.executable, "-I", str(ODD), json.dumps(other)))
+    with pytest.raises(ConfigError, match=rf"other versions: scipy 0\.1 for {versions()['scipy']}; install the same"):
+        worked(tmp_path, cases(""))
+
+
+def test_a_worker_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "COMMAND", (sys.executable, "-c", "import nothing_of_the_kind"))
+    with pytest.raises(ConfigError, match="does not start: exit code 1, ModuleNotFoundError"):
+        worked(tmp_path, cases(""))
+
+
+def test_leaving_in_the_middle_leaves_no_process(tmp_path: Path) -> None:
+    pool = LocalPool(2)
+    with pool:
+        for _ in work(tmp_path / "study.toml", cases("", "hangs", "hangs"), pool):
+            break
+        alive: list[Any] = list(pool._children._all)
+        assert alive
+    assert all(child._process.returncode is not None for child in alive)

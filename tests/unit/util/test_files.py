@@ -1,0 +1,253 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import tempfile
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+
+from polishd.model.errors import ConfigError
+from polishd.util.files import make_folder, require_writable, sync_folder, toml_text, whole_file, write_atomic
+
+
+def test_writes_and_replaces(tmp_path: Path) -> None:
+    path = tmp_path / "file.bin"
+    write_atomic(path, b"old")
+    write_atomic(path, b"new \x00 content")
+    assert path.read_bytes() == b"new \x00 content"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_takes_files_and_keeps_none(tmp_path: Path) -> None:
+    require_writable(tmp_path / "not" / "yet")
+    require_writable(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="sub: cannot be written: Not a directory"):
+        require_writable(tmp_path / "file" / "sub")
+
+
+def test_a_full_disk_is_known_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(BytesIO):
+        def write(self, content: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("polishd.util.files.tempfile.TemporaryFile", lambda **where: Full())
+    with pytest.raises(ConfigError, match="cannot be written: No space left on device; make room"):
+        require_writable(tmp_path)
+
+
+def test_mode_is_as_asked(tmp_path: Path) -> None:
+    write_atomic(tmp_path / "open", b"")
+    write_atomic(tmp_path / "secret", b"", mode=0o600)
+    assert (tmp_path / "open").stat().st_mode & 0o777 == 0o644
+    assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
+
+
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    write_atomic(path, b"old")
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_atomic(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_content_is_synced_before_the_rename_and_the_folder_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, order = tmp_path / "file", []
+    fsync = os.fsync
+
+    def watched(handle: int) -> None:
+        order.append(("file" if Path(f"/proc/self/fd/{handle}").is_file() else "folder", path.exists()))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", watched)
+    write_atomic(path, b"x")
+    assert order == [("file", False), ("folder", True)]
+
+
+def test_new_folders_are_synced_where_they_got_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr("polishd.util.files.sync_folder", synced.append)
+    make_folder(tmp_path / "a" / "b", mode=0o700)
+    make_folder(tmp_path / "a" / "b")
+    assert sorted(synced) == [tmp_path, tmp_path / "a"]
+    assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o700
+
+
+def test_missing_folder_is_the_callers_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        write_atomic(tmp_path / "no" / "file", b"")
+
+
+def test_a_device_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="no file"):
+        write_atomic(pipe, b"new")
+    assert pipe.is_fifo()
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_what_is_written_can_be_read_back_before_it_has_its_name(tmp_path: Path) -> None:
+    with whole_file(tmp_path / "a") as file:
+        file.write(b"new")
+        file.seek(0)
+        assert file.read() == b"new"
+        assert not (tmp_path / "a").exists()
+    assert (tmp_path / "a").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize(("number", "raised"), [(errno.EINVAL, False), (errno.ENOTSUP, False), (errno.EIO, True)])
+def test_a_share_that_syncs_no_folders_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, raised: bool
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("polishd.util.files.os.fsync", refuse)
+    with pytest.raises(OSError, match=os.strerror(number)) if raised else contextlib.nullcontext():
+        sync_folder(tmp_path)
+
+
+# files that people write
+
+
+def test_a_byte_order_mark_and_the_line_ends_of_other_systems_are_no_content(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(b"\xef\xbb\xbfa = 1\r\nb = '\xc3\xa4'\r\n")
+    assert toml_text(path) == "a = 1\nb = 'ä'\n"
+
+
+def test_a_text_of_another_encoding_is_told_by_its_first_bad_byte(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(b"a = '\xe4'\n")
+    with pytest.raises(ConfigError, match=re.escape(f"{path}: is not UTF-8 text (byte 5); save it as UTF-8")):
+        toml_text(path)
+
+
+def test_a_file_that_cannot_be_read_is_told_with_what_the_system_says(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=re.escape(f"{tmp_path}: cannot be read: Is a directory; name a TOML file")):
+        toml_text(tmp_path)
+
+
+# what others see meanwhile
+
+
+def test_what_is_not_whole_yet_lies_beside_it_hidden_and_its_owners_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    with whole_file(path, 0o640) as file:
+        file.write(b"x")
+        (beside,) = tmp_path.iterdir()
+        assert beside.name.startswith(".a.toml.")
+        assert beside.suffix == ".tmp"
+        assert beside.stat().st_mode & 0o777 == 0o640
+        assert not path.exists()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_others_may_read_what_is_written(tmp_path: Path) -> None:
+    with whole_file(tmp_path / "a") as file:
+        file.write(b"x")
+    write_atomic(tmp_path / "b", b"x")
+    assert [(tmp_path / name).stat().st_mode & 0o777 for name in "ab"] == [0o644, 0o644]
+
+
+def test_a_folder_in_its_place_is_told_and_nothing_is_left(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    with pytest.raises(OSError, match="it is there, and is no file") as told:
+        write_atomic(tmp_path / "a", b"x")
+    assert told.value.errno == errno.EINVAL
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_an_error_of_the_folder_that_is_no_missing_ability_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    closed: list[int] = []
+    plain = os.close
+    monkeypatch.setattr(os, "close", lambda handle: (closed.append(handle), plain(handle)))
+    monkeypatch.setattr(os, "fsync", fails)
+    with pytest.raises(OSError, match="Input/output error"):
+        sync_folder(tmp_path)
+    assert len(closed) == 1, "and nothing stays open"
+
+
+def test_only_a_folder_is_synced_as_one(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("")
+    with pytest.raises(NotADirectoryError):
+        sync_folder(tmp_path / "a")
+
+
+def test_a_folder_has_its_mode_and_may_be_there_already(tmp_path: Path) -> None:
+    for _ in range(2):
+        make_folder(tmp_path / "a" / "b", mode=0o700)
+    assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_folder_is_like_any_that_its_owner_makes(tmp_path: Path) -> None:
+    make_folder(tmp_path / "ours")
+    (tmp_path / "any").mkdir()
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "any").stat().st_mode
+
+
+def test_that_files_can_be_written_is_tried_where_they_will_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+    plain = tempfile.TemporaryFile
+
+    def temporary(*, prefix: str, dir: Path) -> object:  # noqa: A002
+        tried.append(str(dir))
+        return plain(prefix=prefix, dir=dir)
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", temporary)
+    require_writable(tmp_path / "not" / "there" / "yet")
+    require_writable(tmp_path)
+    assert tried == [str(tmp_path)] * 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_what_ends_the_writing_comes_out_as_itself(tmp_path: Path, gone: bool) -> None:
+    (tmp_path / "a").write_text("old")
+
+    def write() -> None:
+        with whole_file(tmp_path / "a") as file:
+            file.write(b"new")
+            if gone:
+                (beside,) = tmp_path.glob(".a.*")
+                beside.unlink()
+            raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        write()
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "old")]
+
+
+def test_all_of_the_content_is_there_when_it_is_made_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    plain = os.fsync
+
+    def fsync(handle: int) -> None:
+        if not Path(f"/proc/self/fd/{handle}").is_dir():
+            sizes.append(os.fstat(handle).st_size)
+        plain(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_atomic(tmp_path / "a", b"five!")
+    assert sizes == [5]
