@@ -272,7 +272,7 @@ class RemovalModel:
     learn: Learn = learn_rate
     later: Later = removal_fit.later
     learners: Mapping[str, Learner] = field(default_factory=dict)
-    """Other ways, by the name that ``process.learns`` gives them; ``effect`` knows the beliefs of each."""
+    """Other ways, by the name that ``process.estimates`` gives them; ``effect`` knows the beliefs of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +292,7 @@ class NotifierType:
 
     name: str
     options: type[Any]
-    """A pydantic model: the keys of the notifier's config section besides ``type``, ``severity`` and ``repeat_s``."""
+    """A pydantic model: the keys of the notifier's section besides ``type``, ``severity`` and ``remind_after_s``."""
     build: Callable[[Any, Path], Callable[[Notification], None]]
     """(validated options, folder that relative paths start from) -> what sends. Sends nothing.
 

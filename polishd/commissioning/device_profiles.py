@@ -105,16 +105,16 @@ def _read(profile: DeviceProfile, text: str) -> dict[str, str]:
 def _warnings(profile: DeviceProfile) -> list[str]:
     """What is allowed, and may yet be forgotten."""
     found = []
-    orders = profile.orders
-    if profile.kind != "force_sensor" and not orders.watchdog:
+    commands = profile.commands
+    if profile.kind != "force_sensor" and not commands.watchdog:
         watchdog_s = (profile.actuator or profile.spindle).watchdog_s  # type: ignore[union-attr]
-        found.append(f"no orders.watchdog: set {watchdog_s:g} s at the device, or nothing stops it when polishd dies")
+        found.append(f"no commands.watchdog: set {watchdog_s:g} s at the device, or nothing stops it when polishd dies")
     if build.poll_s(profile) > 0.1:
         found.append(f"one look takes {1000 * build.poll_s(profile):.0f} ms; raise serial.baud")
     if "TODO" in profile.source.text:
         found.append("it still says TODO")
-    if profile.spindle and not orders.reverse:
-        found.append("no orders.reverse: the spindle turns forward only")
+    if profile.spindle and not commands.reverse:
+        found.append("no commands.reverse: the spindle turns forward only")
     return found
 
 

@@ -79,7 +79,7 @@ class Plant(OutlineKeys):
     """How much higher the part sits than all of that says, along its normal; negative: lower."""
     seat_tilt_deg: Pair = (0.0, 0.0)
     """And how it is tilted there, about its x and y."""
-    seat_empty: bool = False
+    part_missing: bool = False
     """No part lies in its ring: the tool finds nothing to press on. Maps show one all the same."""
     program_offset_mm: Vector = (0.0, 0.0, 0.0)
     """Where the program's frame truly lies on the part; `program.offset_mm` of the cell."""
@@ -116,7 +116,7 @@ class Truth(ConfigSection):
     """How far each stiffness of the robot is off its nominal value, either way, relative. [1]"""
     drift: ShareOrNone = 0.01
     """Amplitude of a slow sine of the removal rate, relative. [1]"""
-    worn: ShareOrNone = 0.0
+    tool_wear: ShareOrNone = 0.0
     """Share of its removal rate that the tool has lost. [1]"""
     drift_period_s: Positive = 3000.0
     """Period of that drift, process time; drawn within 20 % of it."""
@@ -126,9 +126,9 @@ class Truth(ConfigSection):
     """Correlation time of that scatter, process time."""
     map_noise_nm: NotNegative = 0.3
     """Scatter of each sample of a map."""
-    warm_nm: float = 0.0
+    thermal_nm: float = 0.0
     """How much higher the part's rim than its centre stands right after a pass, for it is warm."""
-    warm_s: Positive = 300.0
+    thermal_s: Positive = 300.0
     """Time in which that falls to 37 %, simulated clock."""
     accel_mm_s2: Positive = 1000.0
     """What the robot truly accelerates with."""
@@ -146,7 +146,7 @@ class SimContactSection(ConfigSection):
     tool_radius_mm: Positive = _TOOL.tool_radius_mm
     """Radius of the bonnet's sphere."""
     preston: Preston = _TOOL.preston_cm2_per_n
-    """Preston's constant with its unit, as a cell has it; `truth.rate` says how far off it the truth may be.
+    """Preston's constant with its unit, as a cell has it; `hidden_truth.rate` says how far off it the truth may be.
     [as written]"""
     normal_force: NormalForce = _TOOL.normal_force
     """What Hertz is given: the actuator's force, or that over the cosine of the dip."""
@@ -228,13 +228,13 @@ class SimRobotSection(ConfigSection):
     """Of universal_robots; 0: `port` + 1. [1]"""
     primary_port: Port = 0
     """Of universal_robots: the primary client interface; 0: `port` + 2. [1]"""
-    turns: Literal["tool", "table"] = "tool"
+    rotary_axes_carry: Literal["tool", "table"] = "tool"
     """Of linuxcnc, what A and C turn: the tool, or the part on a tilting rotary table (its ``xyzac-trt-kins``). [1]"""
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     report_ms: Positive = 20.0
     """Of such a PLC: how often it renews what it tells, wall time."""
-    reads_ahead: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    read_ahead_lines: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
@@ -278,9 +278,9 @@ class SimActuatorSection(ConfigSection):
     """From engaging to the part."""
     lift_s: Positive = 4.0
     """From force off to its rest."""
-    cling: ShareOrNone = 0.5
+    stick_share: ShareOrNone = 0.5
     """Share of that in which the tool still rests on the part, ... [1]"""
-    rest_n: NotNegative = 0.1
+    resting_force_n: NotNegative = 0.1
     """... with its own weight."""
     unpowered: Literal["lifts", "stays"] = "lifts"
     """What its tool does where its process is killed, which is its power cut."""
@@ -356,11 +356,11 @@ class SimSignal(ConfigSection):
 
     value: float | bool
     """What it is: a number, or a state. [in its own unit]"""
-    then: float | bool | Literal["?"] | None = None
+    changes_to: float | bool | Literal["?"] | None = None
     """What it becomes; `"?"`: its transducer breaks. [in its own unit]"""
     after_s: NotNegative = 0.0
     """Seconds in contact after which it does; 0: only when the process is sent SIGUSR1."""
-    for_s: NotNegative = 0.0
+    duration_s: NotNegative = 0.0
     """For how long, wall time; 0: from then on."""
     noise: NotNegative = 0.0
     """Scatter of a number. [in its own unit]"""
@@ -389,11 +389,11 @@ class LoaderFaults(ConfigSection):
 
     wrong: Texts = ()
     """Parts in whose place it brings another, and says so."""
-    mistaken: Texts = ()
+    wrong_part_unnoticed: Texts = ()
     """Parts in whose place it brings another, and does not notice."""
-    drops: Texts = ()
+    dropped: Texts = ()
     """Parts that it drops on the way."""
-    jams: Texts = ()
+    jammed: Texts = ()
     """Parts over which it jams."""
 
 
@@ -415,7 +415,7 @@ class SimConfig(TomlDocument):
     """The whole of SIM.toml."""
 
     plant: Plant = Plant()
-    truth: Truth = Truth()
+    hidden_truth: Truth = Truth()
     effects: Effects = Effects()
     process: SimContactSection = SimContactSection()
     kinematics: KinematicsSection = HybridSection()
@@ -436,7 +436,7 @@ class SimConfig(TomlDocument):
         return self
 
     def robot_model(self) -> RobotModel:
-        """The robot as it is on paper: `truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
+        """The robot as it is on paper: `hidden_truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
         return robot_of(self.kinematics, self.resolve)
 
     def measured_tif(self) -> MeasuredTif | None:

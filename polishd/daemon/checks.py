@@ -163,8 +163,8 @@ def _seat(recipe: Recipe, hooks: Hooks) -> str:
         )
         return f"{refused}nobody proves it: the cell has no [touch_off]"
     part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
-    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.places_mm + 0.0)
-    return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"
+    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.points_mm + 0.0)
+    return f"proved with {asked.force_n:g} N at {places}: at most {asked.max_offset_mm:g} mm off"
 
 
 def _force(cell: Cell, limits: ContactLimits) -> str:

@@ -91,7 +91,7 @@ def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncCo
         plan,
         cell.robot,
         cell.clock,
-        job.lookahead_s,
+        job.stream_ahead_s,
         least_s=cell.limits.buffer_s,
         heard=cell.robot_told,
         ended=cell.ended,

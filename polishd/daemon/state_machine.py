@@ -363,9 +363,9 @@ class Daemon:
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
         """A signal is not as it must be in contact: what follows is what its limits say."""
-        self.bus.publish(events.SignalOutOfRange(signal=limits.name, what=what, leads_to=limits.leads_to))
-        if limits.leads_to != "notify":
-            self._endangered(what, SafetyStop if limits.leads_to == "lift" else SignalFault)
+        self.bus.publish(events.SignalOutOfRange(signal=limits.name, what=what, action=limits.action))
+        if limits.action != "notify":
+            self._endangered(what, SafetyStop if limits.action == "lift" else SignalFault)
 
     def _held_by(self, order: OperatorCommand, settled: str) -> str:
         """The order, where it says more than what it interrupted."""

@@ -248,7 +248,7 @@ class MonitorTimes:
 
 # What a signal of the cell must be, and what it leads to where it is not.
 
-LeadsTo = Literal["notify", "hold", "lift", "estop"]
+SignalAction = Literal["notify", "hold", "lift", "estop"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,10 +300,10 @@ class SignalLimits:
     wait_s: float
     """So long that is waited for."""
     in_contact: SignalRange | None
-    grace_s: float
+    alarm_delay_s: float
     """So long it may be outside in contact."""
-    leads_to: LeadsTo
-    on_order: SignalRange | None = None
+    action: SignalAction
+    on_start: SignalRange | None = None
     """What it must be when a person orders motion."""
     measures_force: bool = False
     """It reads the force on the part, N."""
@@ -319,8 +319,8 @@ class SignalLimits:
             said.append(f"before contact {self.before.words(self.unit)} (waited for {self.wait_s:g} s)")
         if self.in_contact is not None:
             said.append(
-                f"in contact {self.in_contact.words(self.unit)} (else {self.leads_to} after {self.grace_s:g} s)"
+                f"in contact {self.in_contact.words(self.unit)} (else {self.action} after {self.alarm_delay_s:g} s)"
             )
-        if self.on_order is not None:
-            said.append(f"when motion is ordered {self.on_order.words(self.unit)}")
+        if self.on_start is not None:
+            said.append(f"when motion is ordered {self.on_start.words(self.unit)}")
         return f"{self.name} of {self.monitor}: {', '.join(said)}"

@@ -162,7 +162,7 @@ class FindingLimits:
 
     max_rate_drift: float = 0.25
     max_spot_change: float = 0.3
-    least_gain: float = 0.3
+    min_improvement: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +218,7 @@ CAUSES: dict[CauseName, DiagnosisClass] = {
     ),
     "field": DiagnosisClass(
         "a removal rate that changes over the part, or a set-up that changed before the last pass and stays",
-        'noted: process.learns = "machine" learns a rate that changes over the part',
+        'noted: process.estimates = "machine" learns a rate that changes over the part',
     ),
 }
 """In the order in which the loop looks for them: of a map that lies wrongly no size is believed."""

@@ -295,11 +295,11 @@ class SignalOutOfRange(Event):
     name: ClassVar[str] = "signal_wrong"
     signal: Annotated[str, "its name: `flow` of `[signals.flow]`"]
     what: Annotated[str, "how it is, and how it must be"]
-    leads_to: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
+    action: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
 
     def concern(self) -> OperatorNotice | None:
         """Warning where nothing but this follows; what else follows tells of itself."""
-        if self.leads_to != "notify":
+        if self.action != "notify":
             return None
         return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
 
@@ -344,7 +344,7 @@ class PartTouchedOff(Event):
         "`height_mm`: how much too high the centre is; `tilt_deg` about x and y; `off_mm` of each place; `worst_mm`: "
         "most that any point of the part is off",
     ]
-    most_off_mm: Annotated[float, "what that may be"]
+    max_offset_mm: Annotated[float, "what that may be"]
     notes: Annotated[Sequence[str], "the same in words"]
 
 

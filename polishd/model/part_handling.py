@@ -17,11 +17,11 @@ class TouchOff:
     force_n: float
     position_mm: float | None
     """Of the actuator, where the tool's tip is where the program says; None: half of its stroke."""
-    most_off_mm: float
+    max_offset_mm: float
     """Farthest that any point of the part may sit from where it should."""
     each_pass: bool
     """Before each pass, not only before the first."""
-    places_mm: FloatArray
+    points_mm: FloatArray
     """(3, 3) on the nominal surface, part frame."""
     normal: FloatArray
     """(3, 3) unit normals of the surface there."""
@@ -35,7 +35,7 @@ class TouchOff:
     @property
     def reach_mm(self) -> FloatArray:
         """(3,) way of the actuator beyond which nothing is touched that sits where it may."""
-        return self.most_off_mm / self.lean
+        return self.max_offset_mm / self.lean
 
     @property
     def lean(self) -> FloatArray:

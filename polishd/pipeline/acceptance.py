@@ -89,7 +89,9 @@ def reason_never_acceptable(recipe: Recipe) -> str:
     if not (wanted := demanded(recipe)):
         return ""
     told = "; ".join(f"{one.name}, {one.prior_nm:.3g} nm by itself: {one.reference}" for one in wanted)
-    waiver = ' (calibrate instrument --power), or say job.accept = "bound_without_power": the certificate then says so'
+    waiver = (
+        ' (calibrate instrument --power), or say job.accept_by = "bound_without_power": the certificate then says so'
+    )
     power = waiver if "power" in {one.name for one in wanted} else ""
     return (
         f"no map can be accepted by the bound of its true RMS, for nothing has told of the instrument: {told}. Measure "
@@ -100,7 +102,7 @@ def reason_never_acceptable(recipe: Recipe) -> str:
 def require_acceptable(recipe: Recipe) -> None:
     """ConfigError where no map could be accepted: polishing would be for nothing."""
     if never := reason_never_acceptable(recipe):
-        raise ConfigError(f"job.accept = {recipe.accept!r}: {never} (nothing was opened)")
+        raise ConfigError(f"job.accept_by = {recipe.accept!r}: {never} (nothing was opened)")
 
 
 def acceptance_words(recipe: Recipe) -> str:

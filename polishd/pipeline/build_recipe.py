@@ -30,15 +30,15 @@ def instrument_of(config: CellConfig) -> Instrument | None:
 
 def nominal_of(config: CellConfig, hooks: Hooks) -> SurfaceMap | None:
     """The form wanted; None where the cell names none. ConfigError where its file does not say all of itself."""
-    if config.part.nominal is None:
+    if config.part.form is None:
         return None
     try:
-        nominal = read_map(config.resolve(config.part.nominal), hooks.surface_readers().values())
+        nominal = read_map(config.resolve(config.part.form), hooks.surface_readers().values())
     except SurfaceError as error:
-        raise config.error("part.nominal", str(error)) from error
+        raise config.error("part.form", str(error)) from error
     open_ones = sorted(nominal.unsaid - {"orientation"})  # it lies as the part's own frame does
     if open_ones:
-        raise config.error("part.nominal", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
+        raise config.error("part.form", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
     return nominal
 
 
@@ -110,7 +110,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         dwell=config.dwell,
         job=config.job,
         instrument=instrument,
-        spike_mads=config.instrument.spike_mads,
+        spike_threshold_mad=config.instrument.spike_threshold_mad,
         nominal=nominal_of(config, hooks),
         grid_mm=config.process.grid_mm,
         process=config.tool_process(),
@@ -128,9 +128,9 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         finding=config.limits.finding,
         tolerance=config.lines,
-        remembers=config.memory.remember,
+        remembers=config.estimates.use_previous,
         touch_off=touch_off_of(config, program),
-        between=between_of(config, instrument),
+        part_handling=between_of(config, instrument),
         system=system_of(config, hooks),
     )
 
@@ -141,11 +141,13 @@ def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
     model: RemovalModel = _named(config, "process.removal_model", process.removal_model, hooks.removal_models())
     own = {OWN: Learner(model.beliefs, model.learn, model.later)}
     ways = {**own, **model.learners}
-    if process.learns not in ways:
-        hint = did_you_mean(process.learns, ways)
-        problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {join_words(ways)}"
-        raise config.error("process.learns", problem)
-    way = ways[process.learns]
+    if process.estimates not in ways:
+        hint = did_you_mean(process.estimates, ways)
+        problem = (
+            f"the removal model {model.name!r} does not learn {process.estimates!r}{hint} It has: {join_words(ways)}"
+        )
+        raise config.error("process.estimates", problem)
+    way = ways[process.estimates]
     return replace(model, beliefs=way.beliefs, learn=way.learn, later=way.later)
 
 

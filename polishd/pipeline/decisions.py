@@ -64,7 +64,7 @@ Decision = Accept | Diverge | ToolWorn | Stalled | PassesUsed | AnotherPass
 
 def corrects(recipe: Recipe) -> bool:
     """Return whether passes are to correct the surface, and not to be made as programmed, to teach."""
-    return recipe.dwell.choose != AS_PROGRAMMED
+    return recipe.dwell.objective != AS_PROGRAMMED
 
 
 def passes_used(recipe: Recipe) -> PassesUsed:

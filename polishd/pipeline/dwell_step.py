@@ -187,8 +187,10 @@ KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
 
 
 def limit(recipe: Recipe) -> CpuLimit:
-    """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
-    return CpuLimit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
+    """When the compute worker is killed over `solve`, which keeps to ``dwell.cpu_limit_s`` where its plugins do."""
+    return CpuLimit(
+        KILL_RATIO * recipe.dwell.cpu_limit_s + KILL_SPARE_S, f"dwell.cpu_limit_s ({recipe.dwell.cpu_limit_s:g} s)"
+    )
 
 
 def solve(
@@ -214,17 +216,16 @@ def solve_turns(
 
     One problem for all tools: what the first leaves, it leaves for the others. Their recipes differ in tool and program
     only. What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    What a turn believes is what the cycles have taught; ``warm`` is what was kept of the last one's solution. All of it
-    together, removal models, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU time: each solve is
-    given what is left.
+    Each tool problem carries the estimates of the cycles before; ``warm`` is kept from the last solution. The step
+    (removal models, rounds, choice, cross-check, curve) has ``dwell.cpu_limit_s`` of CPU time: a solve gets the rest.
     """
     recipe = turns[0].recipe
-    time_limit = TimeLimit(recipe.dwell.within_s)
+    time_limit = TimeLimit(recipe.dwell.cpu_limit_s)
     for turn in turns:
         precheck.require_path_time(turn.recipe, turn.program)
     legs = tuple(tool_subproblem(turn, measured) for turn in turns)
     step = _Step(recipe, legs, measured, time_limit)
-    if recipe.dwell.choose == AS_PROGRAMMED:
+    if recipe.dwell.objective == AS_PROGRAMMED:
         return (step.as_programmed(),)
     for leg in legs:
         _require_coverage(leg.program, leg.answer, measured)
@@ -308,8 +309,8 @@ class _Step:
     def round(self, bounds: DwellBounds, warm: Start | None, reserve: float = 0.0) -> SolveRound:
         """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
         problem, divide_by = self.problem(bounds, warm), self.divide_by
-        if self.dwell.choose == "least":
-            within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
+        if self.dwell.objective == "least":
+            within_s = max(self.time_limit.left_s - reserve * self.dwell.cpu_limit_s, 0.0)
             found = self.recipe.solver.solve(problem, within_s)
         else:
             chosen = self.chosen(problem)
@@ -381,8 +382,8 @@ class _Step:
 
     def chosen(self, problem: DwellProblem) -> Chosen:
         """The point of the residual-against-time curve that the recipe's rule takes."""
-        solve, divide_by = self.searching(f'choose = "{self.dwell.choose}"'), self.divide_by
-        match self.dwell.choose:
+        solve, divide_by = self.searching(f'objective = "{self.dwell.objective}"'), self.divide_by
+        match self.dwell.objective:
             case "knee":
                 return price_curve(problem, solve).knee()
             case "target":
@@ -404,7 +405,7 @@ class _Step:
                 raise ComputeError(
                     f"{what} takes many solves, and its time was over after {done}: {self.time_limit} were used, and "
                     f"the next solve's KKT residual was {certificate.kkt_residual:.2e} after {certificate.iterations} "
-                    f"iterations. Give it more time (dwell.within_s is {recipe.dwell.within_s:g} s)"
+                    f"iterations. Give it more time (dwell.cpu_limit_s is {recipe.dwell.cpu_limit_s:g} s)"
                 )
             done += 1
             return found
@@ -430,7 +431,7 @@ class _Step:
         except ComputeError as error:
             return with_note(dwell, f"cross-check by {other.name} failed: {error}")
         if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
-            return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
+            return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.cpu_limit_s")
         gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
         return with_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
 
@@ -488,5 +489,5 @@ def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> N
     if wrong:
         raise ComputeError(
             f"the dwell of {certificate.solver} has no valid certificate ({'; '.join(wrong)}; it stopped: "
-            f"{certificate.stopped}); nothing was sent. Give it more time (dwell.within_s) or another dwell.solver"
+            f"{certificate.stopped}); nothing was sent. Give it more time (dwell.cpu_limit_s) or another dwell.solver"
         )

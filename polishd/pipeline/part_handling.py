@@ -32,7 +32,7 @@ FLATTEST = 1e-3
 """Below it, relative to the part's size, three places lie so nearly on a line that no tilt can be told."""
 
 
-def rim_places_mm(outline: Outline, edge_mm: float) -> FloatArray:
+def rim_points_mm(outline: Outline, edge_mm: float) -> FloatArray:
     """(3, 2) places on the middle of the rim that the clear aperture leaves out, a third of a turn apart."""
     turn = np.radians([90.0, 210.0, 330.0])
     towards = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -80,7 +80,7 @@ def separate_seat_terms(asked: TouchOff) -> bool:
 
 def _moves(asked: TouchOff) -> FloatArray:
     """(3, 3): what of each place a unit of height, and of turn about x and y in rad, is along the normal."""
-    turned = np.cross(asked.places_mm, asked.normal)
+    turned = np.cross(asked.points_mm, asked.normal)
     return np.column_stack([asked.normal[:, 2], turned[:, 0], turned[:, 1]])
 
 
@@ -99,7 +99,7 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
         raise config.error(
             "touch_off", f"no programs are made in {program.name!r}; take an NC dialect, or leave it out"
         )
-    places, key = _places_mm(config, section)
+    places, key = _points_mm(config, section)
     optic = config.optic()
     try:
         points = np.column_stack([places, optic_surface.sag_mm(optic, places)])
@@ -111,9 +111,9 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
     made = TouchOff(
         force_n=section.force_n,
         position_mm=section.position_mm,
-        most_off_mm=section.most_off_mm,
+        max_offset_mm=section.max_offset_mm,
         each_pass=section.each_pass,
-        places_mm=points,
+        points_mm=points,
         normal=normal,
         axis=axis,
         rim_mm=config.outline().radius_mm,
@@ -126,17 +126,17 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
 
 def between_of(config: CellConfig, instrument: Instrument | None) -> BetweenPasses:
     """What happens between passes; ConfigError names the key."""
-    section = config.between
+    section = config.part_handling
     settle = None
     if section.settle is not None:
         noise_nm = None if instrument is None else instrument.repeatability_nm
         if noise_nm is None:
             raise config.error(
-                "between.settle",
+                "part_handling.settle",
                 "nobody knows when two maps agree: write the instrument's repeatability into its profile, "
                 "[repeatability] rms_nm = ...",
             )
-        settle = SettleRule(NOISE * noise_nm, section.settle.maps, section.settle.wait_s)
+        settle = SettleRule(NOISE * noise_nm, section.settle.max_maps, section.settle.wait_s)
     change = _step(config, section.change) or HandlingStep()
     return BetweenPasses(_step(config, section.clean), settle, _step(config, section.condition), change)
 
@@ -144,31 +144,31 @@ def between_of(config: CellConfig, instrument: Instrument | None) -> BetweenPass
 def _step(config: CellConfig, section: StepSection | None) -> HandlingStep | None:
     if section is None:
         return None
-    return HandlingStep(section.person or "", section.command, config.base_dir, section.within_s)
+    return HandlingStep(section.operator or "", section.command, config.base_dir, section.timeout_s)
 
 
-def _places_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray, str]:
+def _points_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray, str]:
     """(3, 2) in the part's frame, and the key that says where; ConfigError where the tool would touch what counts."""
     part, process = config.part, replace(config.tool_process(), force_n=section.force_n)
     room = float(contact.contact_radius_mm(process, contact.hertz_depth_mm(process))) + LEAST_SLACK_MM
     outline = config.outline()
-    if section.places_mm is None:
+    if section.points_mm is None:
         if part.edge_mm < 2 * room:
             raise config.error(
                 "touch_off",
                 f"the rim that part.edge_mm leaves out is {part.edge_mm:g} mm wide, and the tool needs "
                 f"{2 * room:.2f} mm to rest on it: say where it may touch, "
-                "touch_off.places_mm = [[x, y], [x, y], [x, y]]",
+                "touch_off.points_mm = [[x, y], [x, y], [x, y]]",
             )
-        return rim_places_mm(outline, part.edge_mm), "touch_off"
-    places = np.asarray(section.places_mm, dtype=np.float64)
+        return rim_points_mm(outline, part.edge_mm), "touch_off"
+    places = np.asarray(section.points_mm, dtype=np.float64)
     for x, y in places[outline.inside_mm(*places.T) > part.edge_mm - room]:
         raise config.error(
-            "touch_off.places_mm",
+            "touch_off.points_mm",
             f"x {x:g}, y {y:g} mm lies in the clear aperture, {outline} less {part.edge_mm:g} mm all round, or the "
             f"contact reaches it: keep {room:.2f} mm off it",
         )
-    return places, "touch_off.places_mm"
+    return places, "touch_off.points_mm"
 
 
 # The programs of a touch-off: to each place with the tool up, and away again.
@@ -185,7 +185,7 @@ def plans(recipe: Recipe, asked: TouchOff) -> tuple[Plan, ...]:
     Three programs and not one: so a robot takes them that stops at its program's own stops only, as LinuxCNC does.
     Raises ProgramError where the format cannot say them.
     """
-    return tuple(_plan(recipe, asked, place) for place in range(len(asked.places_mm)))
+    return tuple(_plan(recipe, asked, place) for place in range(len(asked.points_mm)))
 
 
 def require_allowed(recipe: Recipe, made: Sequence[Plan], check: Callable[[Plan, Envelope], Sequence[str]]) -> None:
@@ -199,7 +199,7 @@ def _plan(recipe: Recipe, asked: TouchOff, place: int) -> Plan:
     if make is None:
         raise ProgramError(f"touch-off: no programs are made in {recipe.format.name!r}; take an NC dialect")
     turn = scipy.spatial.transform.Rotation.from_euler("z", -recipe.program.rotation_deg, degrees=True)
-    there = turn.apply(asked.places_mm[place] - np.asarray(recipe.program.offset_mm))
+    there = turn.apply(asked.points_mm[place] - np.asarray(recipe.program.offset_mm))
     points = np.stack([there, there + np.array([0.0, 0.0, RISE_MM])])
     axes = np.tile(turn.apply(asked.axis[place]), (2, 1))
     envelope = recipe.envelope

@@ -103,7 +103,7 @@ def require_removal_time(recipe: Recipe, measured: MeasureResult, answer: Remova
 
     Only where the least residual is asked for: the other choices of a dwell may take less time than that.
     """
-    if recipe.dwell.choose != "least":
+    if recipe.dwell.objective != "least":
         return
     least = SURE * removal_time_s(measured, answer, lower_s)
     if not least <= recipe.envelope.max_pass_s:
@@ -127,7 +127,7 @@ def _too_long(recipe: Recipe, what: str, seconds: float) -> str:
     return (
         f"{what} {seconds:.0f} s, more than limits.max_pass_s = {recipe.envelope.max_pass_s:g} s; "
         f"set it to {math.ceil(ROOM * seconds):d} or more, or take a shorter path, a larger spot, or a budget "
-        "(dwell.choose)"
+        "(dwell.objective)"
     )
 
 
@@ -146,7 +146,7 @@ Covers = Literal["aperture", "zone"]
 
 def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:
     """How far the program reaches, and over what; ConfigError where it is another part's."""
-    said, problem = judged(recipe, program, config.program.covers)
+    said, problem = judged(recipe, program, config.program.coverage)
     if problem:
         raise config.error("program.path", f"{said}{problem}")
     return said
@@ -160,13 +160,13 @@ def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
     found = program_coverage(recipe, program)
     said = (
         f"{program.name} reaches {found.reach_mm:.1f} mm from the part's centre, the part is {recipe.outline}; "
-        f"no point reaches {100 * found.unreached:.1f} % of the clear aperture"
+        f"no point reaches {100 * found.unreachable:.1f} % of the clear aperture"
     )
     mend = "name the program of this part, or mend the part's outline ([part]) or program.offset_mm"
     if found.outside > MOST_OUTSIDE:
         away = f"{100 * found.outside:.0f} % of its path lies more than {LANDING_MM:g} mm beyond the part's rim"
         return said, f", and {away}: {mend}"
-    if found.unreached > MOST_UNREACHED and covers == "aperture":
+    if found.unreachable > MOST_UNREACHED and covers == "aperture":
         zone = 'post it with closer lines where it leaves gaps; where it is for a zone only, say covers = "zone"'
         return said, f": {mend}; {zone}"
     return said, ""

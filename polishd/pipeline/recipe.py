@@ -43,7 +43,7 @@ class Recipe:
     job: JobSection
     instrument: Instrument | None
     """The profile of the instrument that the maps come from; None: maps must say everything themselves."""
-    spike_mads: float
+    spike_threshold_mad: float
     nominal: SurfaceMap | None
     """The form wanted, in the part's frame; None: a flat, or what the interferometer's null makes one."""
     grid_mm: float
@@ -67,7 +67,7 @@ class Recipe:
     """A job begins with what the last one of its series has taught."""
     touch_off: TouchOff | None = None
     """How the part's seat is proved; None: nobody proves it."""
-    between: BetweenPasses = NOTHING
+    part_handling: BetweenPasses = NOTHING
     turn: ToolStep | None = None
     """Of the tool that it is for; None where the cell has one tool."""
     system: SystemMap | None = None
@@ -76,8 +76,8 @@ class Recipe:
     @property
     def accept(self) -> Accept:
         """By what an RMS is accepted. Without a word of the job by the bound only where something is known for it."""
-        if self.job.accept is not None:
-            return self.job.accept
+        if self.job.accept_by is not None:
+            return self.job.accept_by
         known = self.system is not None and self.part.alignment != "piston"
         return "bound" if known else "figure"
 

@@ -52,10 +52,10 @@ def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: Syst
 
 
 def of_part(
-    lying: SurfaceMap, spike_mads: float, nominal: SurfaceMap | None, lies: Registration
+    lying: SurfaceMap, spike_threshold_mad: float, nominal: SurfaceMap | None, lies: Registration
 ) -> tuple[SurfaceMap, int]:
     """That map without spikes and less the form wanted, and how many samples were taken for spikes."""
-    clean, spikes = cleaned(lying, spike_mads)
+    clean, spikes = cleaned(lying, spike_threshold_mad)
     return (clean if nominal is None else less_nominal(clean, nominal, lies)), spikes
 
 
@@ -170,7 +170,7 @@ def condition(
     lies = CENTRED
     if recipe.instrument is not None:
         lies = register(profiled, recipe.instrument, recipe.outline, last)
-    clean, spikes = of_part(profiled, recipe.spike_mads, recipe.nominal, lies)
+    clean, spikes = of_part(profiled, recipe.spike_threshold_mad, recipe.nominal, lies)
     part = conditioning.condition(
         clean,
         outline=recipe.outline,
@@ -291,7 +291,7 @@ def request_of(recipe: Recipe, program: Program, grid: Grid, believed: Estimates
         options=recipe.options,
         optic=recipe.optic,
         tif=recipe.tif,
-        rim=recipe.outline if recipe.part.rim == "free" else None,
+        rim=recipe.outline if recipe.part.free_edge else None,
         beliefs=believed.removal,
     )
 
@@ -308,7 +308,7 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
-    miss = TOUCH_MISS_MM if recipe.dwell.choose == AS_PROGRAMMED else removal_check.MAX_SHIFT_MM
+    miss = TOUCH_MISS_MM if recipe.dwell.objective == AS_PROGRAMMED else removal_check.MAX_SHIFT_MM
     unknown = _unknown(recipe)
     verdict = removal_check.judge(
         predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown, most_shift_mm=miss
@@ -332,7 +332,7 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
         noise_nm=_change_noise_nm(recipe),
         pixels=_pixels(done.before, done.after),
         most_miss_mm=miss,
-        must_tell=recipe.dwell.choose == AS_PROGRAMMED,
+        must_tell=recipe.dwell.objective == AS_PROGRAMMED,
     )
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:
@@ -342,7 +342,7 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = pass_indicators(done, answer, predicted, verdict, believed.rate)
     rest, ripple = None, believed.ripple
-    if recipe.dwell.choose != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
+    if recipe.dwell.objective != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
         rest = unexplained(predicted, measured, mask, acceptance.noise_nm(recipe, done.after))
         ripple = acceptance.ripple(recipe, done.before, done.after, removed_nm)
     learned = EstimatesInUse(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)

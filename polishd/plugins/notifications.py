@@ -47,7 +47,7 @@ class CommandOptions(ConfigSection):
     argv: Annotated[list[str], Field(min_length=1)]
     """The program and its arguments; no shell reads them. It starts in the folder of the cell's file, from where a
     program with a slash in its name is looked for."""
-    within_s: Annotated[float, Field(gt=0, le=50)] = 30.0
+    timeout_s: Annotated[float, Field(gt=0, le=50)] = 30.0
     """Longest that it may run; then it is killed, with what it started."""
 
 
@@ -61,7 +61,7 @@ class Command:
         if found is None:
             raise ConfigError(f"{program!r}: there is no such program that may be run; mend argv")
         self._argv = [found, *options.argv[1:]]
-        self._within_s, self._base_dir = options.within_s, base_dir
+        self._within_s, self._base_dir = options.timeout_s, base_dir
 
     def __call__(self, notification: Notification) -> None:
         """Run it to its end; LinkError where it fails, or is killed.

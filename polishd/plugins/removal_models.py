@@ -1,6 +1,6 @@
 """Plugin: the removal models ``hertz_preston`` and ``measured_tif``, with the robot's compliance along the path.
 
-Both believe in the removal rate and learn it; or, with ``process.learns = "machine"``, all that identification finds.
+Both estimate the removal rate; with ``process.estimates = "machine"`` all that identification finds.
 """
 
 from __future__ import annotations

@@ -228,7 +228,7 @@ def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatA
 
 def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
     """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
-    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
+    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"form": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
     found = precheck.precheck_plan(recipe, program, hooks.check_plan)
     if found:

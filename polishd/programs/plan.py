@@ -84,7 +84,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []
     notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes]
-    notes += [note for one in passes for note in one.notes(config.program.covers)]
+    notes += [note for one in passes for note in one.notes(config.program.coverage)]
     blocks = max(len(one.plan.segments) for one in passes)
     run_dir = config.run_dir or config.state_dir
     notes += (

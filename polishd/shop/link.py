@@ -399,7 +399,7 @@ class ShopLink:
     def _wants(self, status: Mapping[str, Any]) -> bool:
         """Ask for a part where fewer wait than should; whether one came, of which the shop is to be told at once."""
         waiting = status.get("waiting")
-        if waiting is None or waiting >= self._section.ahead or status.get("state") in NOT_NOW:
+        if waiting is None or waiting >= self._section.max_assigned or status.get("state") in NOT_NOW:
             return False
         request = self._asking() or self._asked_by(uuid.uuid4().hex)
         if has_claim(self._config.state_dir, request):  # it was added just before the link ended

@@ -32,7 +32,7 @@ async def main(runtime: SimRuntime) -> None:
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=time.monotonic(),
-        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
+        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.stick_share, config.resting_force_n),
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -87,10 +87,10 @@ def _sheet(runtime: SimRuntime) -> SimDeviceProfile:
 
 
 def _drive(runtime: SimRuntime, coil: VoiceCoil) -> ForceDrive:
-    orders = _sheet(runtime).raw["orders"]
+    orders = _sheet(runtime).raw["commands"]
     identity = {"vendor": VENDOR, "model": MODEL, "serial": SERIAL, "firmware": FIRMWARE}
     identity["boot"] = str(runtime.boot_count)
-    return ForceDrive(coil, identity, engages="engage" in orders, beats="beat" in orders)
+    return ForceDrive(coil, identity, engages="engage" in orders, beats="heartbeat" in orders)
 
 
 async def _tick(runtime: SimRuntime, coil: VoiceCoil) -> None:

@@ -123,13 +123,13 @@ class LoaderArm:
             self.fault = kind
             self.report("loader_fault", self.now_s, fault=kind, part=order)
             return
-        brought = ANOTHER if order in {*self.faults.wrong, *self.faults.mistaken} else order
-        self.seat, self.says = brought, order if order in self.faults.mistaken else ""
+        brought = ANOTHER if order in {*self.faults.wrong, *self.faults.wrong_part_unnoticed} else order
+        self.seat, self.says = brought, order if order in self.faults.wrong_part_unnoticed else ""
         self.seated(self.seat)
         self.report("loader_clear", self.now_s, seat=self.seat)
 
     def _mischief(self, order: str) -> int:
-        kind = DROPPED if order in self.faults.drops else JAMMED if order in self.faults.jams else 0
+        kind = DROPPED if order in self.faults.dropped else JAMMED if order in self.faults.jammed else 0
         if order in self._struck:
             return 0
         self._struck |= {order} if kind else set()

@@ -36,7 +36,7 @@ class Inputs:
     def press(self) -> None:
         """Somebody makes all happen now."""
         for name, simulated in self.signals.items():
-            if simulated.then is not None and name not in self._changed_s:
+            if simulated.changes_to is not None and name not in self._changed_s:
                 self._change(name)
 
     def step(self, now_s: float) -> None:
@@ -51,8 +51,8 @@ class Inputs:
         """As the wire has it: a number, ``ON`` or ``OFF``, or ``?`` where its transducer is broken."""
         signal = self.signals[name]
         changed_s = self._changed_s.get(name)
-        lasts = changed_s is not None and (signal.for_s == 0.0 or self.now_s - changed_s < signal.for_s)
-        value = signal.then if lasts else signal.value
+        lasts = changed_s is not None and (signal.duration_s == 0.0 or self.now_s - changed_s < signal.duration_s)
+        value = signal.changes_to if lasts else signal.value
         if value is None or value == "?":
             return "?"
         if isinstance(value, bool):
@@ -61,7 +61,7 @@ class Inputs:
 
     def _change(self, name: str) -> None:
         self._changed_s[name] = self.now_s
-        self.report("signal_changes", self.now_s, signal=name, to=self.signals[name].then)
+        self.report("signal_changes", self.now_s, signal=name, to=self.signals[name].changes_to)
 
 
 # The monitor's process (docs/protocols/monitor.md).

@@ -77,7 +77,7 @@ def with_certified_map(recipe: Recipe) -> Recipe:
     """By which the true part is judged: without an instrument, and without what the certificate says it leaves out."""
     without = recipe.accept == "bound_without_power"
     part = recipe.part.model_copy(update={"alignment": "power"}) if without else recipe.part
-    job = recipe.job.model_copy(update={"accept": "figure"})
+    job = recipe.job.model_copy(update={"accept_by": "figure"})
     return replace(recipe, part=part, job=job, instrument=None, system=None)
 
 

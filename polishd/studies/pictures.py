@@ -56,7 +56,7 @@ def of_passes(passes: Passes) -> Mapping[str, Draw]:
 
 def of_loops(looped: LoopRows) -> Mapping[str, Draw]:
     """True RMS over the passes, a panel each scenario, a colour each loop."""
-    return {"loops.png": drawn(_loops, looped)}
+    return {"controllers.png": drawn(_loops, looped)}
 
 
 def drawn(draw: Callable[..., Figure], *what: object) -> Draw:

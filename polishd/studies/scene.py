@@ -43,9 +43,9 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
         return drawn_surface(study, wanted.rms_nm, wanted.period_mm)
     with study.blame("surface.file"):
         surface = read(study.resolve(wanted.file or ""))
-        if part.nominal is not None:
-            with study.blame("part.nominal"):
-                surface = less_nominal(surface, read(study.resolve(part.nominal)), Registration())
+        if part.form is not None:
+            with study.blame("part.form"):
+                surface = less_nominal(surface, read(study.resolve(part.form)), Registration())
         return condition(
             surface,
             outline=study.outline(),

@@ -103,7 +103,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
     program = PROGRAMS[controller.encoding]
     if controller.kind == "linuxcnc":
         linuxcnc_rig.take(files)
-        again = {"between": {"settle.wait_s": 1.0, "settle.maps": 3}}  # where a map is doubted: real seconds
+        again = {"part_handling": {"settle.wait_s": 1.0, "settle.max_maps": 3}}  # where a map is doubted: real seconds
         files.cell.write_text(with_keys(files.cell.read_text(), {**PATIENT, **again}))
         files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
         files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
@@ -115,7 +115,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
     if controller.beyond_s is not None:
         lines = 2 if controller.encoding == "dwell" else 1  # a point's
         hidden = {"overhead_s": controller.beyond_s / lines, "overhead_spread": 0.0}
-        files.sim.write_text(with_keys(files.sim.read_text(), {"truth": hidden}))
+        files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": hidden}))
     files.sim.write_text(with_keys(files.sim.read_text(), {"effects": {"eq_44": [1.0, 1.0], "friction": [0.0, 0.0]}}))
     late = linuxcnc_rig.LATE["limits"] if controller.kind == "linuxcnc" else {}
     changed: dict[str, dict[str, Any]] = {"limits": {**CALM, **late}}

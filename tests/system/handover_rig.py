@@ -18,7 +18,7 @@ Kind = Literal["opcua", "ads", "modbus"]
 PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads", "modbus": "plc-modbus"}
 TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
 """What a block costs that controller: nobody planned it before the first pass."""
-PIT = {"pit_nm": 60.0}
+PIT = {"max_stall_removal_nm": 60.0}
 """What a feed hold may dig until an actuator of 0.2 s has let go."""
 
 
@@ -26,7 +26,7 @@ def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFi
     """The demo's files with a small part and such a controller."""
     files = write_small(out, **job)
     hand_over(files, kind)
-    files.sim.write_text(with_keys(files.sim.read_text(), {"truth": TRUTH}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": TRUTH}))
     with_part(files, {"aperture_mm": aperture_mm})
     return files
 

@@ -25,10 +25,10 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 RATE = -0.2
 PLANTS = 40
-MACHINE = {"learns": "machine"}
-AGAIN = {"settle.wait_s": 1.0, "settle.maps": 3}  # where a map is doubted: real seconds
+MACHINE = {"estimates": "machine"}
+AGAIN = {"settle.wait_s": 1.0, "settle.max_maps": 3}  # where a map is doubted: real seconds
 PLANT = {
-    "truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0},
+    "hidden_truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0},
     "effects": {"eq_44": [1.0, 1.0]},  # else what is not lost as depth is a rate, too
 }
 
@@ -43,7 +43,7 @@ def polishd(*arguments: str, cwd: Path) -> str:
 @pytest.mark.timeout(900)
 def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
-    plain = with_keys(files.cell.read_text(), {"process": MACHINE, "between": AGAIN})
+    plain = with_keys(files.cell.read_text(), {"process": MACHINE, "part_handling": AGAIN})
     files.cell.write_text(plain)
     files.sim.write_text(with_keys(files.sim.read_text(), PLANT))
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
@@ -91,7 +91,7 @@ def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -
         for seed in range(PLANTS):
             rate = float(np.clip(np.random.default_rng([seed, 5]).normal(0.0, 0.15), -0.3, 0.35))
             truth = {**PLANT["truth"], "rate": [rate, rate]}
-            plant.new(tomllib.loads(with_keys(plain, {**PLANT, "truth": truth})), seed)
+            plant.new(tomllib.loads(with_keys(plain, {**PLANT, "hidden_truth": truth})), seed)
             _, begun = loop._begun(plant, _Account())
             assert isinstance(begun, EstimatesInUse), begun
             found = begun.removal.rate

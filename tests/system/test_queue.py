@@ -116,7 +116,7 @@ def require_second_part_began_with_what_the_first_taught(files: DemoFiles) -> No
 
 @pytest.mark.full
 def test_a_wrong_part_is_put_aside_and_a_kill_in_between_loses_nothing(tmp_path: Path) -> None:
-    with queue_cell(tmp_path / "cell", wrong=["P-1"], mistaken=["P-3"]) as files:
+    with queue_cell(tmp_path / "cell", wrong=["P-1"], wrong_part_unnoticed=["P-3"]) as files:
         add(files, ("one", "P-1"), ("two", "P-2"), ("three", "P-3"), ("four", "P-4"))
         with Daemon(files, "--queue", "--until-empty") as daemon:
             daemon.wait_in_contact(50)

@@ -150,7 +150,7 @@ class _Cell:
 
 def as_touched(recipe: Recipe) -> Recipe:
     """The recipe of a pass that is polished as programmed, to teach."""
-    return replace(recipe, dwell=recipe.dwell.model_copy(update={"choose": AS_PROGRAMMED, "cross_check": ""}))
+    return replace(recipe, dwell=recipe.dwell.model_copy(update={"objective": AS_PROGRAMMED, "cross_check": ""}))
 
 
 def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> FirstTouchPlan:
@@ -262,10 +262,10 @@ id = "{part}"                        # what the maps of the witness part must na
 
 [program]
 path = "{program}"
-covers = "zone"
+coverage = "zone"
 
 [dwell]
-choose = "as_programmed"
+objective = "as_programmed"
 cross_check = ""
 """
 
@@ -308,8 +308,8 @@ def _recipe(config: CellConfig, recipe: Recipe) -> Recipe:
     if config.process.removal_model not in SPOTS:
         known = " or ".join(SPOTS)
         raise config.error("process.removal_model", f"a touch is planned for {known}; set one of them")
-    if config.process.learns != "machine":
-        raise config.error("process.learns", 'is not "machine": a touch would teach the rate alone; set it')
+    if config.process.estimates != "machine":
+        raise config.error("process.estimates", 'is not "machine": a touch would teach the rate alone; set it')
     return as_touched(recipe)
 
 

@@ -78,7 +78,7 @@ ASSUMED: Mapping[str, tuple[Any, str]] = {
 ORDER = (
     "cell", "plugins", "robot", "actuator", "spindle", "metrology", "loader", "force_sensor", "monitor", "signals",
     "roles", "instrument", "part", "kinematics", "compliance", "process", "program", "machine", "dwell", "touch_off",
-    "between", "job", "tolerance", "limits", "notify",
+    "part_handling", "job", "tolerance", "limits", "notify",
 )  # fmt: skip
 """Of the sections, as in examples/cell.toml."""
 

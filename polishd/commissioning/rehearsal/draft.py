@@ -178,7 +178,7 @@ def _set(table: MutableMapping[str, Any], path: list[str], value: Any) -> None:
 
 # Where a rehearsal is written: nowhere near what the real cell writes.
 
-FOLDER_KEYS = ("folder", "claimed", "refused", "program_dir")
+FOLDER_KEYS = ("folder", "claimed_dir", "refused_dir", "program_dir")
 """Options of devices that name folders which somebody writes into."""
 
 

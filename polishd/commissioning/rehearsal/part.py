@@ -38,7 +38,7 @@ LONGEST_NAME = 39
 
 
 def add_part(draft: RehearsalDraft, speed: float) -> None:
-    """``[plant]`` and ``[truth]``."""
+    """``[plant]`` and ``[hidden_truth]``."""
     part, program, job = draft.config.part, draft.config.program, draft.config.job
     if len(part.id.encode()) > LONGEST_NAME:
         raise draft.config.error("part.id", f"is longer than the {LONGEST_NAME} bytes that a MetroPro map has room for")
@@ -57,12 +57,10 @@ def add_part(draft: RehearsalDraft, speed: float) -> None:
     draft.put("plant", "program_rotation_deg", program.rotation_deg, draft.origin("program.rotation_deg"))
     if job.tolerance_nm is not None:
         _add_start(draft, job.tolerance_nm)
-    if part.rim == "free":
-        draft.notes.append("part.rim = 'free': the simulated part sits in a flush ring; no tool sinks over its rim")
-    if part.nominal is not None:
-        draft.instead(
-            "part.nominal", None, "the simulated instrument shows the part as behind a null, without its form"
-        )
+    if part.free_edge:
+        draft.notes.append("part.free_edge: the simulated part sits in a flush ring; no tool sinks over its rim")
+    if part.form is not None:
+        draft.instead("part.form", None, "the simulated instrument shows the part as behind a null, without its form")
     _add_truth(draft)
 
 
@@ -80,12 +78,15 @@ def _add_truth(draft: RehearsalDraft) -> None:
     machine, hidden = draft.config.machine, Truth()
     for key in ("rate", "stiffness", "drift", "force_noise", "map_noise_nm"):
         draft.put(
-            "truth", key, getattr(hidden, key), "the cell does not know: drawn from the seed; 0: a perfect machine"
+            "hidden_truth",
+            key,
+            getattr(hidden, key),
+            "the cell does not know: drawn from the seed; 0: a perfect machine",
         )
     accel = MORE_ACCEL * machine.accel_mm_s2
-    draft.put("truth", "accel_mm_s2", accel, f"{MORE_ACCEL:g} x machine.accel_mm_s2, which is on the safe side")
+    draft.put("hidden_truth", "accel_mm_s2", accel, f"{MORE_ACCEL:g} x machine.accel_mm_s2, which is on the safe side")
     if machine.block_overhead_s:
-        draft.put("truth", "overhead_s", machine.block_overhead_s, draft.origin("machine.block_overhead_s"))
+        draft.put("hidden_truth", "overhead_s", machine.block_overhead_s, draft.origin("machine.block_overhead_s"))
 
 
 def add_process(draft: RehearsalDraft) -> None:
@@ -209,7 +210,7 @@ def _add_folder(draft: RehearsalDraft, device: str) -> None:
         return
     options = draft.options(device)
     draft.laid[f"{device}.folder"] = folder
-    for key in ("claimed", "refused"):
+    for key in ("claimed_dir", "refused_dir"):
         if Path(options[key]).is_absolute() or ".." in Path(options[key]).parts:
             draft.instead(f"{device}.{key}", None, "is a folder of the real cell's")
     request = options["request_file"]

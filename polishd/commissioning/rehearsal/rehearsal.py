@@ -175,7 +175,7 @@ def _add_folders(draft: RehearsalDraft) -> None:
 
 def _tell_nobody(draft: RehearsalDraft) -> None:
     """Nothing real is started or told."""
-    for name, section in draft.config.between:
+    for name, section in draft.config.part_handling:
         if command := getattr(section, "command", ()):
             why = f"{' '.join(command)} would act on the real cell"
             draft.instead(f"between.{name}.command", NOTHING, why)

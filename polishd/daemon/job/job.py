@@ -161,7 +161,7 @@ class Job:
     publish: Callable[[Event], None]
     check_plan: Callable[[Plan, Envelope], Sequence[str]]
     max_cycles: int
-    lookahead_s: float
+    stream_ahead_s: float
     findings: tuple[Finding, ...] = field(init=False, default=())
     """What was found in the last pass, and not told before."""
     _remembers: tuple[str, ...] = field(init=False, default=())

@@ -207,7 +207,7 @@ class ProfiledDevice(ABC, Generic[R, T]):
 
     async def _beat(self) -> R:
         """Feed its watchdog, and read it."""
-        await self._wire.order("beat")
+        await self._wire.order("heartbeat")
         return await self._read()
 
     async def _clear(self, fault: int) -> None:

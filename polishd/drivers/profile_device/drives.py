@@ -79,7 +79,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
         if not 0.0 <= force_n <= self._table.max_force_n:
             raise DeviceRefused(f"{self._wire.name}: force {force_n} N is outside 0 to {self._table.max_force_n:g} N")
         retracts = self._retracts
-        if force_n > 0.0 and not self._wire.profile.orders.engage:  # the set point alone would land it
+        if force_n > 0.0 and not self._wire.profile.commands.engage:  # the set point alone would land it
             self._require_sound(await self._link.ask(self._beat))
         await self._link.ask(lambda: self._set_point(force_n))
         reading = await self._link.ask(self._beat)
@@ -141,7 +141,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
 
     async def _set_point(self, force_n: float) -> None:
         # where no order engages, the set point alone lands it
-        self._link.exposed = self._link.exposed or (force_n > 0.0 and not self._wire.profile.orders.engage)
+        self._link.exposed = self._link.exposed or (force_n > 0.0 and not self._wire.profile.commands.engage)
         await self._wire.order("force", force_n)
         self._asked_n = force_n
 
@@ -215,10 +215,10 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
 
     async def set_speed(self, rpm: float) -> None:
         """See Spindle. DeviceRefused outside the drive's range, and backwards where it only turns forward."""
-        most, orders = self._table.max_rpm, self._wire.profile.orders
+        most, commands = self._table.max_rpm, self._wire.profile.commands
         if not (math.isfinite(rpm) and abs(rpm) <= most):
             raise DeviceRefused(f"{self._wire.name}: {rpm} rpm is outside the drive's {most:g} rpm")
-        if rpm < 0.0 and not orders.reverse:
+        if rpm < 0.0 and not commands.reverse:
             raise DeviceRefused(f"{self._wire.name}: {rpm:g} rpm: profile {self._wire.profile.name!r} has no way back")
         if rpm == 0.0:
             return await self._stop()

@@ -51,7 +51,7 @@ class MapAcceptanceRules:
     """What every map is held against."""
 
     part_id: str
-    accept_unnamed: bool
+    accept_without_part_id: bool
     clock_tolerance_s: float
     instrument: Instrument | None
 
@@ -63,7 +63,7 @@ def source_of(surface: SurfaceMap) -> str:
 
 def require_plausible(surface: SurfaceMap, rules: MapAcceptanceRules) -> None:
     """WrongPart where it shows another part; BadMap where the profile, or none, cannot be applied to it."""
-    if not surface.part_id and not rules.accept_unnamed:
+    if not surface.part_id and not rules.accept_without_part_id:
         raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
     if surface.part_id and surface.part_id != rules.part_id:
         raise WrongPart(f"it shows part {surface.part_id!r}, the part is {rules.part_id!r}")
@@ -159,12 +159,12 @@ class FolderOptions(BaseModel):
     """How long to wait for a map."""
     clock_tolerance_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0
     """How far the instrument's clock may lag behind the folder's; files hold whole seconds only."""
-    accept_unnamed: bool = False
+    accept_without_part_id: bool = False
     """Accept files that do not say whose map they hold. One of the last part, measured again after this one was asked
     for, or without a date of its own, is then taken for this one's (docs/maps-folder.md): name maps where you can."""
-    claimed: ConfigPath = Path("taken")
+    claimed_dir: ConfigPath = Path("taken")
     """Where taken maps are kept, under their sha256; relative to ``folder``, same file system."""
-    refused: ConfigPath = Path("quarantine")
+    refused_dir: ConfigPath = Path("quarantine")
     """Where refused files are kept, each with a ``.reason.txt``; relative to ``folder``, same file system."""
 
 
@@ -270,11 +270,11 @@ class WatchedFolder:
         self._options = options
         self._readers = context.readers
         self._rules = MapAcceptanceRules(
-            context.part_id, options.accept_unnamed, options.clock_tolerance_s, instrument=context.instrument
+            context.part_id, options.accept_without_part_id, options.clock_tolerance_s, instrument=context.instrument
         )
         self._folder = context.base_dir / options.folder
-        self._claimed = self._folder / options.claimed
-        self._refused = self._folder / options.refused
+        self._claimed = self._folder / options.claimed_dir
+        self._refused = self._folder / options.refused_dir
         self._request = self._folder / options.request_file if options.request_file else None
         self._taken: TakenMaps | None = None
         self._record = context.state_dir / "maps_taken.json"
@@ -432,7 +432,7 @@ class WatchedFolder:
         """What is asked for; the same as before where no map has been taken since. The request is written last."""
         if wait.ask is None:
             taken, part = self._load(), self._rules.part_id
-            unnamed = self._options.accept_unnamed and taken.any  # one of the last part's may lie there
+            unnamed = self._options.accept_without_part_id and taken.any  # one of the last part's may lie there
             demanding = self._request is not None or wait.after is not None or unnamed
             wait.ask = taken.ask(wait.after, part)
             if wait.ask is None:
@@ -590,12 +590,12 @@ class WatchedFolder:
 
 def _advice(error: SurfaceError, rules: MapAcceptanceRules) -> str:
     match error:
-        case WrongPart() if rules.accept_unnamed:
+        case WrongPart() if rules.accept_without_part_id:
             return f"Put part {rules.part_id!r} on and measure it; files of other parts do not belong into the folder."
         case WrongPart():
             return (
                 f"Measure part {rules.part_id!r} and export it under that name; where the instrument names no part, "
-                "set metrology.accept_unnamed = true."
+                "set metrology.accept_without_part_id = true."
             )
         case StaleMap():
             return "Measure again: the map is older than the request, or was taken before."

@@ -180,12 +180,12 @@ ILL_CONDITIONED = 1e12
 
 
 def choose_piston_nm(
-    height_nm: FloatArray, solve_mask: BoolArray, least_removal_nm: FloatArray, unreached: float = 0.005
+    height_nm: FloatArray, solve_mask: BoolArray, least_removal_nm: FloatArray, unreachable: float = 0.005
 ) -> float:
     """The mean removal to add to a surface so that it can be reached by removing only.
 
     The rule: the smallest piston p such that the removal wanted, ``height + p``, is not below what motion at the lower
-    bound removes by itself, save at the fraction ``unreached`` of the samples (the deepest pits: to wait for a single
+    bound removes by itself, save at the fraction ``unreachable`` of the samples (the deepest pits: to wait for a single
     scratch costs time over the whole part). How much to remove overall moves the residual more than any solver does:
     more piston buys more reach, and costs time in proportion.
 
@@ -193,7 +193,7 @@ def choose_piston_nm(
         height_nm: (ny, nx) surface, positive = high, finite in ``solve_mask``.
         solve_mask: (ny, nx) samples that count.
         least_removal_nm: (ny, nx) removal at the lower bound, ``effect.removal_nm(lower_s)``.
-        unreached: fraction of the samples that may lie too deep, 0 <= unreached < 1.
+        unreachable: fraction of the samples that may lie too deep, 0 <= unreachable < 1.
 
     Returns:
         nm to add to ``height_nm`` to get the target.
@@ -201,14 +201,14 @@ def choose_piston_nm(
     Raises:
         ComputeError: no samples, heights that are not finite, or a fraction out of range.
     """
-    if not 0 <= unreached < 1:
-        raise ComputeError(f"the fraction left unreached must be at least 0 and below 1, not {unreached}")
+    if not 0 <= unreachable < 1:
+        raise ComputeError(f"the fraction left unreachable must be at least 0 and below 1, not {unreachable}")
     needed = (least_removal_nm - height_nm)[solve_mask]
     if needed.size == 0:
         raise ComputeError("solve_mask is empty: no surface sample to polish")
     if not np.isfinite(needed).all():
         raise ComputeError("the surface is not finite everywhere in solve_mask")
-    return float(np.quantile(needed, 1 - unreached, method="inverted_cdf"))
+    return float(np.quantile(needed, 1 - unreachable, method="inverted_cdf"))
 
 
 def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, tolerance: float = 1e-4) -> float:

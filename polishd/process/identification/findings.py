@@ -141,7 +141,7 @@ def has_diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
 
 def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
     """A pass that is not worth making: it will hardly leave the surface better than it is."""
-    if not limits.least_gain or expected.better >= WORTH:
+    if not limits.min_improvement or expected.better >= WORTH:
         return None
     chance = f"with a chance of {100 * expected.better:.0f} % that it is less than now"
     todo = "it is not made. Take another tool, or tolerance, or a quieter map"
@@ -231,7 +231,7 @@ def _spot(shown: PassIndicators, limits: FindingLimits) -> Finding | None:
 
 def _stall(job: Sequence[PassIndicators], limits: FindingLimits) -> Finding | None:
     last = job[-STALLED:]
-    if not limits.least_gain or len(last) < STALLED or not all(_gains_little(one, limits) for one in last):
+    if not limits.min_improvement or len(last) < STALLED or not all(_gains_little(one, limits) for one in last):
         return None
     first, shown = last[0], last[-1]
     word = (
@@ -249,7 +249,7 @@ def _gains_little(shown: PassIndicators, limits: FindingLimits) -> bool:
     if shown.predicted_nm is None:
         return False
     promised, gained = shown.before_nm - shown.predicted_nm, shown.before_nm - shown.after_nm
-    return promised < LEAST_PROMISE * shown.before_nm or gained < limits.least_gain * promised
+    return promised < LEAST_PROMISE * shown.before_nm or gained < limits.min_improvement * promised
 
 
 def _change(series: PassSeries, shown: PassIndicators) -> Estimate | None:

@@ -137,7 +137,7 @@ LEAST_NM = 0.1
 MAPS = 12
 """Most that are taken until two in a row agree, ..."""
 WAIT_S = 120.0
-"""... and so far apart, where the cell does not say (`between.settle`): 24 minutes in all."""
+"""... and so far apart, where the cell does not say (`part_handling.settle`): 24 minutes in all."""
 HARM = 0.5
 """Of what a part may be off, RMS: what changes by less from map to map is told, and holds nobody up."""
 

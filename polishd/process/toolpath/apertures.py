@@ -251,7 +251,7 @@ class PathCoverage:
     """From the part's centre to the farthest point of the path."""
     outside: float
     """Share of the path farther beyond the part's rim than landing takes, by its length; of points, by number."""
-    unreached: float
+    unreachable: float
     """Share of the clear aperture that lies farther from the path than the spot's radius."""
 
 

@@ -358,7 +358,7 @@ def _form(terms: Row) -> str:
         conic, even = terms.get("part.conic") or 0.0, terms.get("part.even") or []
         form += f", conic {conic:g}" if conic else ""
         form += f", even terms {', '.join(f'{term:g}' for term in even)}" if even else ""
-    nominal = terms.get("part.nominal")
+    nominal = terms.get("part.form")
     return f"{form}; less the map {nominal['file']} (sha256 {nominal['sha256'][:12]}…)" if nominal else form
 
 

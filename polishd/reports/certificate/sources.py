@@ -290,7 +290,7 @@ class MapReconstructor:
         source = read_map(path, self._readers.values())
         lies = record_of(Registration, stats.get("registration") or {})
         lying = steps.map_on_part(source, instrument, self._system(profile, stats.get("system") or ""))
-        clean, _ = steps.of_part(lying, self._terms["instrument.spike_mads"], self._nominal(), lies)
+        clean, _ = steps.of_part(lying, self._terms["instrument.spike_threshold_mad"], self._nominal(), lies)
         grid, mask = _aperture(run, cycle)
         alignment = self._terms["part.alignment"]
         figure, clear = steps.figure_of(clean, grid, mask, lies, alignment)
@@ -301,10 +301,10 @@ class MapReconstructor:
         return ReconstructedMap(cycle, made, figure, clear, clean.grid.pitch_mm, source)
 
     def _nominal(self) -> SurfaceMap | None:
-        named = self._terms.get("part.nominal")
+        named = self._terms.get("part.form")
         if not named:
             return None
-        path = self._named(named["file"], named["sha256"], "the form wanted (part.nominal)")
+        path = self._named(named["file"], named["sha256"], "the form wanted (part.form)")
         return read_map(path, self._readers.values())
 
     def _system(self, profile: InstrumentProfile | None, sha256: str) -> SystemMap | None:

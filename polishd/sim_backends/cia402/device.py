@@ -169,7 +169,7 @@ async def actuator(runtime: SimRuntime) -> None:
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=now_s,
-        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
+        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.stick_share, config.resting_force_n),
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 

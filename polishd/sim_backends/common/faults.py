@@ -207,7 +207,7 @@ class ActiveFault:
     def lasts(self) -> bool:
         """It is a state, and not a single blow."""
         fault = self.fault
-        return bool(fault.for_s) or fault.rate is not None or fault.what in {"hang", *STATES}
+        return bool(fault.duration_s) or fault.rate is not None or fault.what in {"hang", *STATES}
 
     @property
     def always(self) -> bool:
@@ -229,7 +229,7 @@ class ActiveFault:
 
     def ended(self, now_s: float) -> bool:
         """Its time is over."""
-        return self.begun_s is not None and 0.0 < self.fault.for_s <= now_s - self.begun_s
+        return self.begun_s is not None and 0.0 < self.fault.duration_s <= now_s - self.begun_s
 
 
 @dataclass(slots=True)
@@ -332,7 +332,7 @@ class FaultScript:
         elif fault.what == "unplug":
             for pull, _ in self._plugs(fault):
                 pull()
-            if not fault.for_s:
+            if not fault.duration_s:
                 self._end(trouble, now_s)
 
     def _end(self, trouble: ActiveFault, now_s: float) -> None:

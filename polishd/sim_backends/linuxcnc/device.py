@@ -50,10 +50,10 @@ class LinuxCncServer:
     def __init__(self, runtime: SimRuntime) -> None:
         start = runtime.start
         pose = tuple(runtime.link.welcome.get("pose") or start.config.robot.home)
-        hidden = hidden_truth.draw(start.config.truth, start.seed)
+        hidden = hidden_truth.draw(start.config.hidden_truth, start.seed)
         self.folder = start.state / "linuxcnc"
         self.machine = LinuxCncConfig(start.config.robot, pose, hidden.accel_mm_s2)
-        self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.turns))
+        self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.rotary_axes_carry))
         self._runtime = runtime
         self._process: asyncio.subprocess.Process | None = None
         self._moved = self._rested = False

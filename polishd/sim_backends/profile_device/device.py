@@ -177,7 +177,7 @@ class ProfileRegisters:
     def _read(self, function: int, address: int, count: int) -> bytes | int:
         table = self._cells(TABLES[function])
         values = [table.get(address + at) for at in range(count)]
-        if not 1 <= count <= self.sheet.raw["modbus"].get("most", 125) or None in values:
+        if not 1 <= count <= self.sheet.raw["modbus"].get("max_registers", 125) or None in values:
             return ILLEGAL_ADDRESS
         words = [value or 0 for value in values]
         if function > 2:
@@ -239,7 +239,7 @@ class ProfileRegisters:
         refusal = self.machine.order(*order) if order else self._foreign(name)
         if refusal and before is not None:
             self.stored[name] = before
-        if order and order[0] == "beat":
+        if order and order[0] == "heartbeat":
             self.stored["beat_echo"] = number
         return CODES[refusal] if refusal else 0
 

@@ -20,10 +20,10 @@ Fault = Mapping[str, Any]
 SILENCE_S = 1.0
 """Of each link here: long enough for a busy machine, short enough for a fault to cost seconds only."""
 PLC_SILENCE_S = 3.0
-QUIET = {"rate": 1.0, "for_s": 60.0}
+QUIET = {"rate": 1.0, "duration_s": 60.0}
 LOST: Mapping[str, Fault] = {
     "hangs": {"what": "hang"},
-    "unplugged": {"what": "unplug", "for_s": 60.0},
+    "unplugged": {"what": "unplug", "duration_s": 60.0},
     "reboots": {"what": "reboot"},
 }
 """Nothing comes any more: contact must end."""
@@ -112,7 +112,7 @@ SILENT = {
     "robot": {"silence_s": SILENCE_S},
     "actuator": {"silence_s": SILENCE_S, "watchdog_ms": 2000},
     "spindle": {"silence_s": SILENCE_S, "watchdog_s": 3.0},
-    "job": {"lookahead_s": 8.0},
+    "job": {"stream_ahead_s": 8.0},
 }
 
 
@@ -158,7 +158,7 @@ def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) 
     """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
     cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
-    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent or {}))
+    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_alarm_delay_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files
 
@@ -169,7 +169,7 @@ def _sensed(folder: Path) -> DemoFiles:
 
 def _monitored(folder: Path) -> DemoFiles:
     silent = {"monitor": {"type": "monitor_line", "address": "serial:sim/monitor", "silence_s": SILENCE_S}}
-    return _watched(folder, MONITOR.format(leads_to="lift"), '\n[monitor]\nkind = "serial"\n', silent)
+    return _watched(folder, MONITOR.format(action="lift"), '\n[monitor]\nkind = "serial"\n', silent)
 
 
 def _plc(folder: Path, kind: str) -> DemoFiles:

@@ -35,7 +35,7 @@ QUICK = {
     "actuator": {"silence_s": 2.5, "watchdog_ms": 3500, "retract_s": 1.0},
     "spindle": {"silence_s": 3.0, "watchdog_s": 3.0},
     "metrology": {"timeout_s": 15.0},
-    "job": {"lookahead_s": 8.0},
+    "job": {"stream_ahead_s": 8.0},
 }
 """Real time: longer than a busy machine keeps a process waiting, short enough for a fault to cost seconds only."""
 QUICK_SIM = {"robot": {"watchdog_s": 10.0}, "spindle": {"watchdog_s": 3.0}}

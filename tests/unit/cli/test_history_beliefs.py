@@ -15,7 +15,7 @@ from polishd.pipeline.records import EstimatesInUse
 from tests.unit.daemon.job.test_initial_estimates_remembering import journal_of
 from tests.unit.said import Polishd
 
-TOOL = {"memory.tool": "bonnet 7"}
+TOOL = {"estimates.tool": "bonnet 7"}
 MACHINE = MachineEstimates(
     Estimate(0.82, 0.01),
     applied={"offset_x": 0.4},
@@ -85,4 +85,4 @@ def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, c
 
 def test_a_cell_that_is_told_not_to_remember_says_so(polishd: Polishd, cell: Path) -> None:
     cell.write_text(cell.read_text().replace("# remember = true", "remember = false"))
-    assert "memory.remember is false" in polishd("beliefs", cell).out
+    assert "estimates.use_previous is false" in polishd("beliefs", cell).out

@@ -463,7 +463,7 @@ class Site:
             base_dir=tmp_path,
             notify={},
             part=SimpleNamespace(id="P-1"),
-            job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=8.0),
+            job=SimpleNamespace(id="small", max_cycles=3, stream_ahead_s=8.0),
             resolve=lambda text: tmp_path / text,
             effective=lambda: {"part": self.part, "program": {"path": "program.rnc"}},
             error=lambda key, problem: ConfigError(f"cell.toml: {key}: {problem}"),
@@ -518,7 +518,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 
 def test_a_job_that_no_map_could_end_is_refused_before_anything_is_opened(site: Site) -> None:
-    site.recipe = small_recipe(tolerance_nm=1.5, accept="bound")
+    site.recipe = small_recipe(tolerance_nm=1.5, accept_by="bound")
     with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm by itself.*nothing was opened"):
         app._own_work(site.config, site.hooks)
     assert site.bench is None

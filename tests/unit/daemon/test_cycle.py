@@ -136,7 +136,7 @@ async def test_a_pass_that_will_hardly_gain_is_not_made(bench: Bench) -> None:
 
 
 async def test_a_pass_that_is_to_teach_is_made_whatever_the_map_says(bench: Bench) -> None:
-    job = bench.job(recipe=small_recipe(tolerance_nm=50.0, choose="as_programmed"), max_cycles=1)
+    job = bench.job(recipe=small_recipe(tolerance_nm=50.0, objective="as_programmed"), max_cycles=1)
     assert await bench.polish(job) is Outcome.AS_PROGRAMMED, "although the part is in tolerance, and gets worse"
     (record,) = bench.journal.passes
     assert record.how == "done"

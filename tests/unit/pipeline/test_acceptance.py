@@ -55,7 +55,7 @@ def test_without_knowledge_a_part_is_accepted_as_measured_and_that_is_said(surfa
 def test_with_a_system_map_the_bound_accepts_unless_the_job_says_otherwise(surface: SurfaceMap) -> None:
     known = system(surface, 0.0, {})
     assert of(system=known).accept == "bound"
-    assert of(system=known, accept="figure").accept == "figure"
+    assert of(system=known, accept_by="figure").accept == "figure"
     assert of(system=known, alignment="piston").accept == "figure", "no bound has a tilt"
 
 
@@ -64,7 +64,7 @@ def test_the_bound_has_what_is_unseen_in_squares(surface: SurfaceMap) -> None:
     power = system(surface, 0.0, {(2, 0): 1.0})
     wide = judged(of(system=power, instrument=Instrument("i", unseen=replace(KNOWN, power_nm=50.0))), surface)
     close = judged(of(system=power, instrument=Instrument("i", unseen=KNOWN)), surface)
-    without = judged(of(system=power, accept="bound_without_power"), surface)
+    without = judged(of(system=power, accept_by="bound_without_power"), surface)
     assert wide.value == close.value == without.value == pytest.approx(measured)
     assert close.bound == pytest.approx(measured, rel=0.03)
     assert wide.bound is not None
@@ -108,7 +108,7 @@ def test_a_prior_above_the_tolerance_demands_a_reference(surface: SurfaceMap) ->
         acceptance.require_acceptable(recipe)
     assert acceptance.acceptance_words(recipe).startswith("run will refuse")
     for mended in (
-        of(system=power, tolerance_nm=2.0, accept="bound_without_power"),
+        of(system=power, tolerance_nm=2.0, accept_by="bound_without_power"),
         of(system=power, tolerance_nm=2.0, alignment="power"),
         of(system=power, tolerance_nm=2.0, instrument=Instrument("i", unseen=KNOWN)),
         of(tolerance_nm=2.0),
@@ -117,15 +117,15 @@ def test_a_prior_above_the_tolerance_demands_a_reference(surface: SurfaceMap) ->
 
 
 def test_without_a_system_map_all_terms_are_unseen() -> None:
-    names = {one.name for one in acceptance.demanded(of(accept="bound", tolerance_nm=2.0))}
+    names = {one.name for one in acceptance.demanded(of(accept_by="bound", tolerance_nm=2.0))}
     assert {"power", "astigmatism", "coma"} <= names
-    assert not acceptance.demanded(of(accept="bound", tolerance_nm=20.0))
+    assert not acceptance.demanded(of(accept_by="bound", tolerance_nm=20.0))
 
 
 def test_of_some_periods_noise_counts_as_figure(surface: SurfaceMap) -> None:
     noisy = Instrument("i", repeatability_nm=1.0, unseen=KNOWN)
     assert acceptance.errors_of(of(instrument=noisy)).noise.white_nm == 1.0
     assert acceptance.errors_of(of(instrument=noisy), periods=True).noise.white_nm == 0.0
-    one = judged(of(instrument=noisy, accept="bound", tolerance_period_mm=8.0), surface)
+    one = judged(of(instrument=noisy, accept_by="bound", tolerance_period_mm=8.0), surface)
     assert one.bound is not None
     assert one.bound >= 0.999 * one.value

@@ -80,7 +80,7 @@ def test_the_first_that_fits_holds(
 def test_a_job_that_teaches_ends_when_its_passes_are_made(
     measured: MeasureResult, rms_nm: float, found: Sequence[Finding], left: int, decision: Decision
 ) -> None:
-    teaches = small_recipe(tolerance_nm=TOLERANCE_NM, choose=AS_PROGRAMMED)
+    teaches = small_recipe(tolerance_nm=TOLERANCE_NM, objective=AS_PROGRAMMED)
     assert decide(teaches, (2.0,), at(measured, rms_nm), found, left) == decision
 
 

@@ -167,7 +167,7 @@ def test_spikes_and_the_nominal_form_are_taken_off() -> None:
     form = surface.with_height(40.0 * np.sin(surface.grid.x_mm / 3.0)[None, :] * np.ones(surface.grid.shape))
     spiked = surface.height_nm + form.height_nm
     spiked[surface.grid.ny // 2, surface.grid.nx // 2] += 1e5
-    recipe = small_recipe(nominal=form, spike_mads=50.0)
+    recipe = small_recipe(nominal=form, spike_threshold_mad=50.0)
     found = steps.condition(recipe, surface.with_height(spiked))
     assert found.spikes == 1
     plain = steps.condition(small_recipe(), surface)
@@ -584,7 +584,7 @@ def test_everything_pickles(solved: SolveResult, measured: MeasureResult) -> Non
 
 
 def test_as_programmed_no_time_is_changed() -> None:
-    recipe, program = small_recipe(choose="as_programmed"), small_program()
+    recipe, program = small_recipe(objective="as_programmed"), small_program()
     measured = steps.condition(recipe, small_map())
     solved = dwell_step.solve(recipe, program, measured)
     plan = steps.rewrite(recipe, program, solved, "small.rnc")

@@ -260,7 +260,7 @@ def test_a_command_that_hangs_is_killed_with_what_it_started(folder: Path, monke
 
 def test_a_command_has_its_time_and_no_more(folder: Path) -> None:
     with within(30.0), pytest.raises(LinkError, match=r"was killed after 0.1 s"):
-        notifier("command", folder, argv=["sleep", "600"], within_s=0.1)(ALARM)
+        notifier("command", folder, argv=["sleep", "600"], timeout_s=0.1)(ALARM)
 
 
 # what is refused before anything is sent

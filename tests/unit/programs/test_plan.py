@@ -48,7 +48,7 @@ class Desk:
         self.config: Any = SimpleNamespace(
             part=SimpleNamespace(id="P-1"),
             job=SimpleNamespace(id="by-hand"),
-            program=SimpleNamespace(covers="aperture"),
+            program=SimpleNamespace(coverage="aperture"),
             turns=(SimpleNamespace(program_path=self.program),),
             state_dir=self.program.parent / "state",
             run_dir=None,
@@ -238,7 +238,7 @@ def test_a_program_of_another_part_is_noted(desk: Desk) -> None:
     desk.program.write_bytes(small_text(6.0))
     notes = desk.plan()["notes"]
     assert any(note.startswith("check will refuse: small.rnc reaches ") for note in notes)
-    desk.config.program.covers, desk.out = "zone", desk.out.with_name("two")
+    desk.config.program.coverage, desk.out = "zone", desk.out.with_name("two")
     assert not any("reaches" in note for note in desk.plan()["notes"])
 
 

@@ -30,16 +30,16 @@ named = {named}
 [plant.plant]
 aperture_mm = 30.0
 pv_nm = 100.0
-[plant.truth]
+[plant.hidden_truth]
 rate = [{rate}, {rate}]
 """
 LOOPS = """
-[loops.exact]
+[controllers.exact]
 "part.aperture_mm" = 30.0
 "job.tolerance_nm" = 2.5
 """
 NONE = """
-[loops.none]
+[controllers.none]
 "part.aperture_mm" = 30.0
 "process.correction" = "none"
 "job.tolerance_nm" = 2.5
@@ -101,7 +101,7 @@ def test_a_rate_beyond_what_may_be_learned_stops_the_loop_and_is_named(tmp_path:
 
 @pytest.mark.full
 def test_a_loop_that_does_not_learn_makes_the_same_mistake_again(tmp_path: Path) -> None:
-    blind = LOOPS.replace("[loops.exact]", "[loops.blind]\nlearns = false").replace("2.5", "0.8")
+    blind = LOOPS.replace("[controllers.exact]", "[controllers.blind]\nlearns = false").replace("2.5", "0.8")
     study = load_study(study_file(tmp_path, f"{LOOPS.replace('2.5', '0.8')}{blind}", far=-0.25))
     assert isinstance(study, LoopStudy)
     learned, not_learned = runs_here(study)
@@ -130,7 +130,7 @@ def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     (row,) = json.loads(capsys.readouterr().out)
     assert row["loop"] == "exact"
     assert json.loads((out / "table.json").read_text()) == [row]
-    assert (out / "loops.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "controllers.png").read_bytes().startswith(b"\x89PNG")
     study_verb(path, StudyOptions(workers=1), as_json=False)
     assert "true RMS nm" in capsys.readouterr().out
 
@@ -138,10 +138,10 @@ def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("loops", "more", "said"),
     [
-        ('[loops.odd]\n"process.corection" = "none"\n', "raster = true", "process.corection"),
+        ('[controllers.odd]\n"process.corection" = "none"\n', "raster = true", "process.corection"),
         (LOOPS, "", "program.rnc: cannot be read"),
         (LOOPS, 'raster = "yes"', "study.toml:8: raster"),
-        ("", "raster = true", "loops"),
+        ("", "raster = true", "controllers"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_computed(tmp_path: Path, loops: str, more: str, said: str) -> None:
@@ -154,7 +154,7 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
     path = study_file(tmp_path)
     with pytest.raises(ConfigError, match=r"no \.toml file"):
         looped(path, 1)
-    (tmp_path / "wrong" / "odd.toml").write_text('what = "x"\n[plan.truth]\nrate = [0.0, 0.0]\n')
+    (tmp_path / "wrong" / "odd.toml").write_text('what = "x"\n[plan.hidden_truth]\nrate = [0.0, 0.0]\n')
     with pytest.raises(ConfigError, match=r"odd\.toml:1: plan.*plant"):
         looped(path, 1)
 
@@ -169,7 +169,9 @@ def test_every_shipped_scenario_is_another_plant() -> None:
         for name, scenario in study.all_scenarios().items():
             plant.new(laid_over(sections, scenario), 1)
             told, _ = plant.truth()
-            own = [{k: v for k, v in scenario.plant.get("truth", {}).items() if k in {"worn", "warm_nm"}}]
+            own = [
+                {k: v for k, v in scenario.plant.get("hidden_truth", {}).items() if k in {"tool_wear", "thermal_nm"}}
+            ]
             undrawn = [scenario.plant.get(section) for section in ("interferometer", "process")]
             drawn[name] = json.dumps([told["machines"], told["effects"], own, undrawn])
     assert "nothing" in drawn

@@ -170,7 +170,7 @@ def test_a_person_is_asked_for_each_pose_and_its_map_is_taken(
 def test_maps_are_taken_from_the_cells_own_folder(cell: Path) -> None:
     folder = cell.parent / "maps"
     folder.mkdir()
-    changes = {"metrology": {"folder": "maps", "poll_s": 0.01, "stable_s": 0.0, "accept_unnamed": True}}
+    changes = {"metrology": {"folder": "maps", "poll_s": 0.01, "stable_s": 0.0, "accept_without_part_id": True}}
     text = with_values(cell.read_text(), changes)
     cell.write_text("\n".join(line for line in text.splitlines() if not line.startswith("request_file")))
     config, hooks = load_cell(cell)

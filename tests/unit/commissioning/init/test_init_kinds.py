@@ -56,7 +56,7 @@ def test_what_is_about_the_parts_safety_is_not_assumed_away(tmp_path: Path) -> N
     robot = 'type = "handover"\nprofile = "plc-opcua"\naddress = "opc.tcp://plc:4840"\ndelivery = "folder:nc"'
     told = init(tmp_path, f"{ROUND}[robot]\n{robot}\n")
     assert "program.rnc" in told["written"]
-    with pytest.raises(ConfigError, match=r"limits\.pit_nm: a feed hold at the controller would dig"):
+    with pytest.raises(ConfigError, match=r"limits\.max_stall_removal_nm: a feed hold at the controller would dig"):
         check_cell(*load_cell(tmp_path / "cell" / "cell.toml"))
 
 

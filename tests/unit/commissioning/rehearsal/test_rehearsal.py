@@ -253,7 +253,7 @@ def test_nothing_real_is_started_or_told(tmp_path: Path) -> None:
     text += '\n[notify.siren]\ntype = "command"\ncommand = ["./siren.sh"]\n'
     draft = made(tmp_path, text)
     other = changed(draft, tmp_path)
-    assert other["between.clean.command"] == ["true"]
+    assert other["part_handling.clean.command"] == ["true"]
     assert other["notify.siren"] is None
     assert any("./wash.sh would act on the real cell" in note for note in draft.notes)
 
@@ -292,7 +292,7 @@ def test_what_nothing_can_stand_in_for_is_refused_with_its_place(tmp_path: Path,
 def test_a_rehearsal_is_never_written_where_the_real_cell_writes(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "state")
     text = CELL.replace("# run_dir", "run_dir").replace('"sim/maps"', '"incoming"')
-    draft = made(tmp_path, text.replace("# accept_unnamed = false", f'claimed = "{tmp_path}/archive" #'))
+    draft = made(tmp_path, text.replace("# accept_without_part_id = false", f'claimed = "{tmp_path}/archive" #'))
     for folder in ("state", "state/sub", "link", "runs", "runs/today/x", "incoming", "archive", "incoming/quarantine"):
         with pytest.raises(ConfigError, match=r"of the real cell .* name another folder with --out"):
             require_apart(draft, tmp_path / folder)

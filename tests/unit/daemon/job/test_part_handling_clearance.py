@@ -120,8 +120,8 @@ async def test_alarms_are_acknowledged_by_name(bench: Bench) -> None:
 
 
 def test_a_signal_may_be_asked_for_orders_alone() -> None:
-    section = SignalSection(on_order=BoundsSection(state=True))
-    assert section.limits("clear").on_order == SignalRange(state=True)
+    section = SignalSection(on_start=BoundsSection(state=True))
+    assert section.limits("clear").on_start == SignalRange(state=True)
     assert str(section.limits("clear")).endswith("when motion is ordered on")
     with pytest.raises(ValueError, match="nothing is asked of it"):
         SignalSection()

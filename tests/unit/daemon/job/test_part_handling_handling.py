@@ -36,7 +36,7 @@ RIM_MM, PLACE_MM = 12.0, 11.0
 TURN = np.radians([90.0, 210.0, 330.0])
 PLACES = np.stack([PLACE_MM * np.cos(TURN), PLACE_MM * np.sin(TURN), np.zeros(3)], axis=1)
 UP = np.tile([0.0, 0.0, 1.0], (3, 1))
-ASKED = TouchOff(0.8, None, 0.3, each_pass=False, places_mm=PLACES, normal=UP, axis=UP, rim_mm=RIM_MM)
+ASKED = TouchOff(0.8, None, 0.3, each_pass=False, points_mm=PLACES, normal=UP, axis=UP, rim_mm=RIM_MM)
 LANDED = "actuator.set_force 0.8"
 CONTACT = "actuator.set_force 12"
 
@@ -118,12 +118,12 @@ async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int
             (4.5, 4.5, 4.5),
             r"0\.50\d mm too high, tilted.*0\.50 mm too high at x 0\.0, y 11\.0 mm; .*nothing was polished",
         ),
-        ((4.8, 5.1, 5.1), r"0\.20 mm too high at x 0\.0, y 11\.0 mm; 0\.10 mm too low.*touch_off\.most_off_mm"),
+        ((4.8, 5.1, 5.1), r"0\.20 mm too high at x 0\.0, y 11\.0 mm; 0\.10 mm too low.*touch_off\.max_offset_mm"),
     ],
 )
 async def test_a_part_that_sits_wrong_is_not_polished(bench: Bench, positions_mm: tuple[float, ...], said: str) -> None:
     sits(bench, *positions_mm)
-    asked = replace(ASKED, most_off_mm=0.2)
+    asked = replace(ASKED, max_offset_mm=0.2)
     with pytest.raises(WrongSeat, match=f"(?i){said}"):
         await bench.polish(proving(bench, asked))
     assert CONTACT not in bench.fake.events
@@ -396,7 +396,7 @@ class WarmPart:
         self._truth = bench.measure
         self._journal = bench.journal
         self._swells_nm = swells_nm
-        self._warm_nm = 0.0
+        self._thermal_nm = 0.0
         self._passes = 0
         self.true_nm = 0.0
         bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
@@ -405,11 +405,11 @@ class WarmPart:
     def measure(self) -> SurfaceMap:
         true = self._truth()
         self.true_nm = steps.condition(small_recipe(), true).stats.rms_nm
-        self._warm_nm *= 0.3
+        self._thermal_nm *= 0.3
         if len(self._journal.passes) > self._passes:
-            self._passes, self._warm_nm = len(self._journal.passes), self._swells_nm
+            self._passes, self._thermal_nm = len(self._journal.passes), self._swells_nm
         radius = true.grid.radius_mm() / RIM_MM
-        return as_map(true.height_nm + self._warm_nm * radius**2)
+        return as_map(true.height_nm + self._thermal_nm * radius**2)
 
 
 @pytest.mark.full

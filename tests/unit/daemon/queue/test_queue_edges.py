@@ -62,7 +62,7 @@ def test_of_an_empty_queue_nothing_is_next_under_way_or_worked(worked: Worked) -
 
 def test_a_job_from_its_place_to_its_end(worked: Worked) -> None:
     queue, begun_s = worked.queue, time.time()
-    files = {"part.nominal": {"file": "a.csv", "sha256": "aa"}}
+    files = {"part.form": {"file": "a.csv", "sha256": "aa"}}
     queue.add([NewJob("a", "P-7", JobFile(Path("/jobs/a.toml"), "# a"), files), job("b")])
     assert (entry := queue.next()) is not None
     assert (entry.files, entry.part_id, entry.job, entry.begun_s, entry.ended_s) == (files, "P-7", None, None, None)

@@ -153,8 +153,8 @@ async def test_killed_when_its_cpu_time_is_used_and_restarted(compute: Compute, 
     before = compute.pid
     assert before is not None
     with pytest.raises(ComputeError, match=rf"{job.__name__} was ended: it used \d\.\d s of CPU time in") as caught:
-        await compute(job, within_s=CpuLimit(0.2, "dwell.within_s"))
-    assert "at most 0.2 s in 62 s are allowed; dwell.within_s gives it more" in str(caught.value)
+        await compute(job, within_s=CpuLimit(0.2, "dwell.cpu_limit_s"))
+    assert "at most 0.2 s in 62 s are allowed; dwell.cpu_limit_s gives it more" in str(caught.value)
     assert not alive(before)
     assert compute.pid not in {None, before}
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5

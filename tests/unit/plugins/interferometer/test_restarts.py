@@ -404,7 +404,7 @@ def test_what_somebody_made_by_hand_drives_nothing(
     writer = {reader.suffixes[0]: reader for reader in (METROPRO, DATX, X3P)}[ending]
     assert writer.write is not None
     (maps / f"a{ending}").write_bytes(writer.write(replace(BARE, history=history)))
-    options = {"accept_unnamed": True}  # X3P has no field for the part
+    options = {"accept_without_part_id": True}  # X3P has no field for the part
     daemon = Daemon(tmp_path, None, instrument=ANSWERS_ALL, readers=(METROPRO, DATX, X3P), **options)
     found = daemon.poll()
     assert (found is None) == (why is not None)

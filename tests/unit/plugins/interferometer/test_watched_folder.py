@@ -283,7 +283,7 @@ async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> N
 
 async def test_unnamed_maps_can_be_allowed(make: Callable[..., WatchedFolder], folder: Path) -> None:
     (folder / "a.dat").write_bytes(dat(1, part=""))
-    assert (await make(accept_unnamed=True).next_map(None)).part_id == ""
+    assert (await make(accept_without_part_id=True).next_map(None)).part_id == ""
 
 
 async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
@@ -413,7 +413,7 @@ async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., Wa
 
 def of_part(make: Callable[..., WatchedFolder], part: str, **options: Any) -> WatchedFolder:
     """A device that accepts unnamed maps, with that part in."""
-    device = make(accept_unnamed=True, **options)
+    device = make(accept_without_part_id=True, **options)
     device._rules = replace(device._rules, part_id=part)
     return device
 

@@ -137,7 +137,7 @@ def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:
         "made. Take another tool, or tolerance, or a quieter map"
     )
     assert gain_too_small(Forecast(0.60, 0.64, 0.70, 0.9, 0.06), limits) is None
-    assert gain_too_small(hopeless, FindingLimits(least_gain=0.0)) is None, "who turns it off has it off"
+    assert gain_too_small(hopeless, FindingLimits(min_improvement=0.0)) is None, "who turns it off has it off"
 
 
 def test_noise_of_a_map_s_own_samples_adds_in_quadrature_and_costs_no_chance_to_gain() -> None:

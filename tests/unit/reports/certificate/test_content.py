@@ -278,7 +278,7 @@ def turned(polishd: Polishd, folder: Path, files: DemoFiles) -> None:
 
 @pytest.mark.full
 def test_a_system_map_is_taken_off_as_it_was(polishd: Polishd, tmp_path: Path) -> None:
-    made = begin(tmp_path / "cell", lambda files: turned(polishd, tmp_path, files), job={"accept": "figure"})
+    made = begin(tmp_path / "cell", lambda files: turned(polishd, tmp_path, files), job={"accept_by": "figure"})
     with closing(made.journal):
         made.measure(0)
         run = made.end()
@@ -303,7 +303,7 @@ def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
     def form(files: DemoFiles) -> None:
         dat(files.out / "form.dat", bowl(3.0), part="form")
 
-    made = begin(tmp_path / "cell", form, part={"nominal": "form.dat"})
+    made = begin(tmp_path / "cell", form, part={"form": "form.dat"})
     with closing(made.journal):
         made.measure(0)
         run = made.end()

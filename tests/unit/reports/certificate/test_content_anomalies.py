@@ -64,7 +64,7 @@ def test_a_restart_after_an_interruption() -> None:
     ("event", "kind", "what"),
     [
         (events.FindingReported(kind="wear", what="the pad wore", stops="cell"), "wear", "the pad wore"),
-        (events.SignalOutOfRange(signal="flow", what="flow is low", leads_to="notify"), "signal wrong", "flow is low"),
+        (events.SignalOutOfRange(signal="flow", what="flow is low", action="notify"), "signal wrong", "flow is low"),
         (events.RemovalCheckFailed(stop="turned by 90", cycle_dir="c"), "gate stopped", "turned by 90"),
         (events.CommandReceived(order="estop", reason=""), "order", "estop was ordered"),
     ],
