@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from polishd.daemon.journal.journal import JOURNAL_NAME
-from polishd.daemon.journal.store import require_sound
+from polishd.daemon.journal.store import EVENTS_RENAMED, SCHEMA_VERSION, require_sound
 from polishd.model.errors import ConfigError, JournalDamage, ToolStop
 from polishd.model.tolerance import Judged, judged_of, worst
 
@@ -144,7 +144,16 @@ def _require_sound(path: Path, error: Exception) -> None:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
+    """A connection that only reads. A journal of before release 1.0 shows its events by their names of today."""
+    connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
+    try:
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if 0 < version < SCHEMA_VERSION:
+            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
 def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
