@@ -241,7 +241,7 @@ TRANSITIONS: tuple[StateTransition, ...] = (
 _TABLE = {(row.source, row.trigger): row for row in TRANSITIONS}
 
 
-def following(state: DaemonState, trigger: StateEvent, *, unattended: bool = False) -> DaemonState:
+def next_state(state: DaemonState, trigger: StateEvent, *, unattended: bool = False) -> DaemonState:
     """The next state. RuntimeError where the table has no such way: a fault of polishd."""
     row = _TABLE.get((state, trigger))
     if row is None:
@@ -249,7 +249,7 @@ def following(state: DaemonState, trigger: StateEvent, *, unattended: bool = Fal
     return row.unattended if unattended and row.unattended is not None else row.target
 
 
-def obeyed(order: StateEvent) -> frozenset[DaemonState]:
+def accepting_states(order: StateEvent) -> frozenset[DaemonState]:
     """The states in which an order is obeyed: those to which it leads, and the end."""
     between = {row.target for row in TRANSITIONS if order is StateEvent.RESUME and row.trigger is StateEvent.BETWEEN}
     return frozenset({row.target for row in TRANSITIONS if row.trigger is order} | between | {DaemonState.FINISHED})

@@ -61,7 +61,7 @@ class ToleranceLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class LineResult:
     """What was measured of a line."""
 
     what: str
@@ -124,17 +124,17 @@ class Judged:
         return f"{self.what} {self.value:.3g}{sigma} {self.unit}{bound} of {self.limit:g} {self.unit} allowed"
 
 
-def judged_of(measured: Mapping[str, Any]) -> tuple[Judged, ...]:
+def line_results(measured: Mapping[str, Any]) -> tuple[LineResult, ...]:
     """Of a measurement's facts; none of one of an earlier polishd."""
     told: Iterable[Mapping[str, Any]] = measured.get("judged") or ()
-    return tuple(map(Judged.of, told))
+    return tuple(map(LineResult.of, told))
 
 
-def worst(judged: Sequence[Judged]) -> Judged | None:
+def worst_line(judged: Sequence[LineResult]) -> LineResult | None:
     """The line that is the farthest beyond its limit, or the nearest to it; None of none."""
     return max(judged, key=lambda one: one.excess, default=None)
 
 
-def holds(judged: Sequence[Judged]) -> bool:
+def part_holds(judged: Sequence[LineResult]) -> bool:
     """Whether a part is what its drawing wants: all lines hold, and there is one."""
     return bool(judged) and all(one.holds for one in judged)

@@ -93,7 +93,7 @@ def lean_directions(
     return np.asarray(way / length[:, None], dtype=np.float64)
 
 
-def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArray:
+def normals_from_axes(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArray:
     """(n, 3) unit normals: tool axes (n, 3) turned back by the dip, against the way they ``lean`` (n, 3), unit."""
     against = lean - np.einsum("ni,ni->n", lean, axis)[:, None] * axis
     length = np.linalg.norm(against, axis=1)
@@ -102,7 +102,7 @@ def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArra
     return np.asarray(np.cos(dip) * axis - np.sin(dip) * against / length[:, None], dtype=np.float64)
 
 
-def upright(axis: FloatArray, normal: FloatArray) -> FloatArray:
+def axes_on_level_surface(axis: FloatArray, normal: FloatArray) -> FloatArray:
     """(n, 3) axes as seen where the surface lies level: turned with their (n, 3) unit normals the short way to z."""
     both = normal + np.array([0.0, 0.0, 1.0])
     size = 1 + normal[:, 2]

@@ -66,7 +66,7 @@ def require_writable(folder: Path) -> None:
             probe.write(b"\0" * PROBE_BYTES)
             probe.flush()
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise unwritable_message(folder, error) from error
 
 
 def require_new(out: Path) -> None:
@@ -75,7 +75,7 @@ def require_new(out: Path) -> None:
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
 
 
-def unwritable(path: Path, error: OSError) -> ConfigError:
+def unwritable_message(path: Path, error: OSError) -> ConfigError:
     """What to say of a file or folder of ``--out`` that cannot be written."""
     todo = "make room, or name another with --out" if error.errno == errno.ENOSPC else "name another with --out"
     return ConfigError(f"{path}: cannot be written: {error.strerror}; {todo}")

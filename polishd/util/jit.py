@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 
-def compiled(function: Callable[..., Any], sources: Iterable[Path], **options: Any) -> Callable[..., Any]:
+def compile_cached(function: Callable[..., Any], sources: Iterable[Path], **options: Any) -> Callable[..., Any]:
     """The function by numba, kept with others of the same sources, which are the files of all that it calls."""
     import numba
 
@@ -22,14 +22,14 @@ def compiled(function: Callable[..., Any], sources: Iterable[Path], **options: A
     folder = _folder(numba.__version__, tuple(sources))
     before, settings.CACHE_DIR = settings.CACHE_DIR, folder or ""
     try:
-        njit: Any = numba.njit(cache=folder is not None, nogil=True, **uncounted(), **options)
+        njit: Any = numba.njit(cache=folder is not None, nogil=True, **no_refcount_option(), **options)
         made: Callable[..., Any] = njit(function)
     finally:
         settings.CACHE_DIR = before
     return made
 
 
-def uncounted() -> dict[str, Any]:
+def no_refcount_option() -> dict[str, Any]:
     """The option by which compiled code counts no references; nothing where this numba has none.
 
     Nothing that is compiled here allocates, and counting a dozen arrays at every call takes forty times the time (a

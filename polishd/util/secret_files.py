@@ -92,7 +92,7 @@ def environment_without_secrets(more: Mapping[str, str] = MappingProxyType({})) 
     return kept | dict(more)
 
 
-def hide(text: str, *secrets: str) -> str:
+def redact_secrets(text: str, *secrets: str) -> str:
     """The text without the secrets, for a log."""
     for secret in filter(None, secrets):
         text = text.replace(secret, HIDDEN)

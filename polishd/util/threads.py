@@ -50,7 +50,7 @@ def run_loop(main: Coroutine[Any, Any, T]) -> T:
         return runner.run(main)
 
 
-def leave_hung(code: int) -> None:
+def exit_if_hung(code: int) -> None:
     """End the process at once where a thread of such a loop hangs: all is written, and nothing waits for it."""
     if not _alive():
         return

@@ -52,7 +52,7 @@ Recorder = Callable[[WireMessage], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Tap:
+class LinkTap:
     """That of one link."""
 
     recorder: Recorder
@@ -80,11 +80,11 @@ _recorder: ContextVar[Recorder | None] = ContextVar("recorder", default=None)
 _role: ContextVar[str] = ContextVar("role", default="")
 
 
-def tap(link: str) -> Tap | None:
+def tap(link: str) -> LinkTap | None:
     """Of a link that was opened just now; None where nobody records."""
     if (recorder := _recorder.get()) is None:
         return None
-    found = Tap(recorder, _role.get(), link)
+    found = LinkTap(recorder, _role.get(), link)
     found("open")
     return found
 

@@ -20,8 +20,8 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import newton_cg
-from polishd.process.dwell.alternating_step import AlternatingStep, metric
-from polishd.process.dwell.certificate import certified, gap_at
+from polishd.process.dwell.alternating_step import AlternatingStep, step_metric
+from polishd.process.dwell.certificate import certify_dwell, gap_at
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.time_limit import TimeLimit
@@ -69,10 +69,10 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5, g
     if stopped == "stalled":
         last = newton_cg.solve(problem, limit.left_s, kkt_tolerance, found)
         return replace(last, certificate=replace(last.certificate, seconds=limit.cpu_s))
-    return certified(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped, f=f)
+    return certify_dwell(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped, f=f)
 
 
-def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
+def coarse_problem(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
     """The problem whose curvature steps are found with: on the effect's coarser grid, where it has one.
 
     A cell counts by the share of its samples that count, and their weights; its target is nothing.
@@ -99,7 +99,7 @@ def _minimise(
     bounded = problem.lower_s.copy() if start is None else np.clip(start, problem.lower_s, problem.upper_s)
     look = _Look(problem, f, finely=kkt_tolerance < FINELY[0] or gap < FINELY[1])
     value, gradient, left = look.at(bounded)
-    way = _walk(stepping(problem, effect), effect.coarse or effect, bounded, gradient)
+    way = _walk(coarse_problem(problem, effect), effect.coarse or effect, bounded, gradient)
     best, least, history, next_look = bounded, np.inf, list[float](), 0
     for steps in range(MAX_STEPS):
         late = limit.expired()
@@ -127,13 +127,13 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
 
     ``problem`` is one of ``effect``, whose curvature is to find steps with.
     """
-    near = metric(problem, effect)
+    near = step_metric(problem, effect)
     lower, upper = problem.lower_s, problem.upper_s
     held_back = ((start <= lower) & (gradient > 0)) | ((start >= upper) & (gradient < 0))
     multiplier = -np.where(held_back, gradient, 0.0) / near.pull
     kind: type[AlternatingStep] = AlternatingStep
     if effect.n >= multi_tool_effect.COMPILED_BLOCKS and effect.finer == 1:
-        from polishd.process.dwell.alternating_step import CompiledWalk as kind  # noqa: N813
+        from polishd.process.dwell.alternating_step import CompiledAlternatingStep as kind  # noqa: N813
     none, same = np.zeros_like(start), start.copy
     return kind(problem, quadratic(problem), near, same(), same(), same(), multiplier, none, none.copy())
 

@@ -129,7 +129,7 @@ class AlternatingStep:
         uphill = self.slope + pull * (self.free - self.bounded + self.multiplier)
         way = self.near.inverse(-uphill)
         bend = self.f.rough_curvature(way)
-        sizes = best_sizes(
+        sizes = step_sizes(
             (float(uphill @ way), float(uphill @ self.way)),
             (
                 float(way @ bend + pull * (way @ way)),
@@ -145,7 +145,7 @@ class AlternatingStep:
         self.multiplier = drawn - self.bounded
 
 
-def best_sizes(slopes: tuple[float, float], curvatures: tuple[float, float, float]) -> tuple[float, float]:
+def step_sizes(slopes: tuple[float, float], curvatures: tuple[float, float, float]) -> tuple[float, float]:
     """How far to go along two ways, down to the least of a quadratic.
 
     ``slopes`` along each, and ``curvatures``: of the first, of both, of the second; along the first only where the
@@ -158,7 +158,7 @@ def best_sizes(slopes: tuple[float, float], curvatures: tuple[float, float, floa
     return (q * b - r * a) / across, (q * a - p * b) / across
 
 
-def metric(problem: DwellProblem, effect: SpreadEffect) -> StepMetric:
+def step_metric(problem: DwellProblem, effect: SpreadEffect) -> StepMetric:
     """The metric of a problem of that effect, with the pull that is tried first."""
     kernel = np.tensordot(effect.coefficients.mean(axis=0), effect.spectra, axes=1)
     mask, weight = (
@@ -175,12 +175,12 @@ def metric(problem: DwellProblem, effect: SpreadEffect) -> StepMetric:
 
 # A step of `spectral` in compiled code: blocks and nodes are each gone over as rarely as can be.
 
-sizes = inline(best_sizes)
+sizes = inline(step_sizes)
 
 _NONE = np.float32(0)
 
 
-class Dwells(NamedTuple):
+class DwellBuffers(NamedTuple):
     """The walk's, (n,) each, float64, and what a step finds."""
 
     lower: FloatArray
@@ -196,7 +196,7 @@ class Dwells(NamedTuple):
     bend: FloatArray
 
 
-class Fields(NamedTuple):
+class NodeBuffers(NamedTuple):
     """What a step needs beside the effect's own nodes; as `plane` keeps it."""
 
     metric: Floats
@@ -219,11 +219,11 @@ class AlternatingStepScalars(NamedTuple):
 
 
 @dataclass(slots=True)
-class CompiledWalk(AlternatingStep):
+class CompiledAlternatingStep(AlternatingStep):
     """A Walk whose steps are compiled; its effect has nodes as wide as samples."""
 
     _spread: CompiledSpread | None = None
-    _fields: Fields | None = None
+    _fields: NodeBuffers | None = None
     _bounds: tuple[FloatArray, FloatArray] | None = None
     """Copies: compiled code is another one for arrays that nobody may write to."""
 
@@ -234,17 +234,19 @@ class CompiledWalk(AlternatingStep):
         numbers = AlternatingStepScalars(RELAXATION, self.near.pull, self.near.held, self.problem.regularisation)
         found = (np.empty_like(self.free) for _ in range(3))
         self._bounds = bounds = self._bounds or (self.problem.lower_s.copy(), self.problem.upper_s.copy())
-        dwells = Dwells(*bounds, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found)
+        dwells = DwellBuffers(
+            *bounds, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found
+        )
         kernel(_step, spread_effect_compiled.__file__, __file__)(
             dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order
         )
 
     def _draw(self, pull: float) -> None:
         """See Walk."""
-        super(CompiledWalk, self)._draw(pull)
+        super(CompiledAlternatingStep, self)._draw(pull)
         self._fields = None
 
-    def _made(self, spread: CompiledSpread) -> Fields:
+    def _made(self, spread: CompiledSpread) -> NodeBuffers:
         mask, on = self.problem.solve_mask, spread.plane
         weight = np.zeros(on.size)
         weight[self.near.effect.on_grid] = np.where(
@@ -252,14 +254,14 @@ class CompiledWalk(AlternatingStep):
         )
         metric = on.packed(np.zeros(on.size))
         counts = on.packed(weight * (2 / np.count_nonzero(mask)))
-        return Fields(metric, metric.reshape(-1), on.spectrum(self.near.share)[0], counts)
+        return NodeBuffers(metric, metric.reshape(-1), on.spectrum(self.near.share)[0], counts)
 
 
 def _step(
-    dwells: Dwells,
+    dwells: DwellBuffers,
     laid: BlockWeights,
     nodes: Nodes,
-    fields: Fields,
+    fields: NodeBuffers,
     numbers: AlternatingStepScalars,
     order: FftPlanArrays,
 ) -> None:
@@ -282,7 +284,7 @@ def _step(
 
 
 @inline
-def _lay_uphill(dwells: Dwells, laid: BlockWeights, fields: Fields, numbers: AlternatingStepScalars) -> None:
+def _lay_uphill(dwells: DwellBuffers, laid: BlockWeights, fields: NodeBuffers, numbers: AlternatingStepScalars) -> None:
     """Which way is up, onto the metric's nodes."""
     fields.flat[:] = 0
     for i in range(len(dwells.free)):
@@ -294,7 +296,7 @@ def _lay_uphill(dwells: Dwells, laid: BlockWeights, fields: Fields, numbers: Alt
 
 
 @inline
-def _measure(nodes: Nodes, fields: Fields, order: FftPlanArrays) -> None:
+def _measure(nodes: Nodes, fields: NodeBuffers, order: FftPlanArrays) -> None:
     """The metric's nodes, by its share of each frequency."""
     columns = nodes.columns[0]
     for slab in range(order.slabs):
@@ -312,7 +314,9 @@ def _measure(nodes: Nodes, fields: Fields, order: FftPlanArrays) -> None:
 
 
 @inline
-def _lay_way(dwells: Dwells, laid: BlockWeights, nodes: Nodes, fields: Fields, numbers: AlternatingStepScalars) -> None:
+def _lay_way(
+    dwells: DwellBuffers, laid: BlockWeights, nodes: Nodes, fields: NodeBuffers, numbers: AlternatingStepScalars
+) -> None:
     """The way down in the metric, onto each convolution's nodes."""
     nodes.flat[:] = 0
     for i in range(len(dwells.way)):
@@ -324,7 +328,7 @@ def _lay_way(dwells: Dwells, laid: BlockWeights, nodes: Nodes, fields: Fields, n
 
 
 @inline
-def _weigh(nodes: Nodes, fields: Fields, order: FftPlanArrays) -> None:
+def _weigh(nodes: Nodes, fields: NodeBuffers, order: FftPlanArrays) -> None:
     """Sample by sample: what the removal there counts."""
     removal = nodes.fields[0]
     for slab in range(order.slabs):
@@ -337,7 +341,9 @@ def _weigh(nodes: Nodes, fields: Fields, order: FftPlanArrays) -> None:
 
 
 @inline
-def _bend(dwells: Dwells, laid: BlockWeights, nodes: Nodes, numbers: AlternatingStepScalars) -> tuple[float, float]:
+def _bend(
+    dwells: DwellBuffers, laid: BlockWeights, nodes: Nodes, numbers: AlternatingStepScalars
+) -> tuple[float, float]:
     """What the way does to the slope, and how far to go along it and along the last one."""
     down = last_down = p = q = r = 0.0
     for i in range(len(dwells.way)):

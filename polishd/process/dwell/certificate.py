@@ -10,11 +10,10 @@ from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import QuadraticObjective, conditioning_note, projected_gradient, quadratic
 from polishd.process.metrology.spectra import band_rms
-from polishd.process.removal.multi_tool_effect import note as effect_note
-from polishd.process.removal.multi_tool_effect import off
+from polishd.process.removal.multi_tool_effect import effect_error, effect_note
 
 
-def certified(
+def certify_dwell(
     problem: DwellProblem,
     time_s: FloatArray,
     *,
@@ -82,7 +81,7 @@ def certified(
 
 def _effect_notes(problem: DwellProblem, removal: FloatArray) -> tuple[str, ...]:
     """What the effect is off by, of this removal in nm, too: beside the gap, which is of the effect as given."""
-    told, share = effect_note(problem.effect), off(problem.effect)
+    told, share = effect_note(problem.effect), effect_error(problem.effect)
     if told is None or not share > 0:
         return () if told is None else (told,)
     return told, f"without a matrix this removal is off by up to {share * removal.max():.2g} nm"

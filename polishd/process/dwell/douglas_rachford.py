@@ -15,7 +15,7 @@ from scipy import fft
 from polishd.model.dwell import DwellSolution, Start
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.douglas_rachford_iteration import Array, Iteration, NumpyIteration, SplitProblem
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, warm_start_s
@@ -100,7 +100,7 @@ class SplittingState:
         self.changed = True
 
 
-def splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.float32) -> SplittingState:
+def start_splitting(problem: DwellProblem, effect: ConvolutionEffect, real: type = np.float32) -> SplittingState:
     """The iteration for a problem with that effect (its own), from its warm start if it has one."""
     size, samples = effect.size, int(np.count_nonzero(problem.solve_mask))
     pull, target = np.zeros(size), np.zeros(size)
@@ -155,7 +155,7 @@ def _iteration(size: tuple[int, int], real: type) -> Iteration:
     return NumpyIteration(size)
 
 
-def continued(last: SplittingState, anew: SplittingState) -> SplittingState:
+def continue_iteration(last: SplittingState, anew: SplittingState) -> SplittingState:
     """``anew``, which has the same domain, from where ``last`` has come to: how float64 takes over from float32."""
     anew.go_on_from(last.state["y"], last.state["w"], last.split.rho, last.split.mu)
     anew.iterations = last.iterations
@@ -223,15 +223,15 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-6) -
             f"{NAME} needs dwell points at rest on the grid's nodes (a sum of convolutions): use newton_cg"
         )
     judge = _Judge(problem, kkt_tolerance)
-    work = splitting(problem, effect)
+    work = start_splitting(problem, effect)
     stopped = minimise(work, judge.stop, limit.expired)
     if stopped == "stalled":
-        work = continued(work, splitting(replace(problem, warm=None), effect, np.float64))
+        work = continue_iteration(work, start_splitting(replace(problem, warm=None), effect, np.float64))
         judge.can_stall = False
         stopped = minimise(work, judge.stop, limit.expired)
     if stopped != "converged":
         judge.stop(work.time_s)
-    found = certified(
+    found = certify_dwell(
         problem,
         judge.best_s,
         solver=NAME,

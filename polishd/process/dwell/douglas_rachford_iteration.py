@@ -204,7 +204,7 @@ def _not_begun() -> None:
 
 
 @dataclass
-class Compiled:
+class CompiledIteration:
     """An Iteration in float32, by compiled code; made by `compiled_iteration`."""
 
     plane: FftFields
@@ -251,9 +251,9 @@ class Compiled:
         return change(field) if field.ndim == dimensions else np.stack([change(one) for one in field])
 
 
-def compiled_iteration(size: tuple[int, int]) -> Compiled:
+def compiled_iteration(size: tuple[int, int]) -> CompiledIteration:
     """For domains of that size."""
-    return Compiled(transform_plane(size))
+    return CompiledIteration(transform_plane(size))
 
 
 def _begin(work: IterationBuffers, order: FftPlanArrays) -> None:

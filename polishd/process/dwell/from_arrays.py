@@ -19,9 +19,18 @@ from polishd.process.checks import require_number
 from polishd.process.dwell import douglas_rachford, interior_point, newton_cg
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
-from polishd.process.dwell.residual_curve import CurvePoint, Goal, Row, Solve, solved, to_goal, to_target, within_budget
+from polishd.process.dwell.residual_curve import (
+    CurvePoint,
+    ResidualGoal,
+    Row,
+    Solve,
+    solve_once,
+    solve_to_goal,
+    solve_to_target,
+    solve_within_budget,
+)
 from polishd.process.removal.convolution import ConvolutionEffect
-from polishd.process.removal.multi_tool_effect import split, together
+from polishd.process.removal.multi_tool_effect import combine_effects, split_by_tool
 from polishd.process.removal.sampled_tif import MapAxes, check_points, check_tif, map_axes, sampled_effect
 
 RHO = 1e-8
@@ -122,12 +131,12 @@ def dwell_from_arrays(
     problem = replace(problem, price_nm2_per_s=price_nm2_per_s)
     run = partial(default_solve, within_s=within_s) if solve is None else solve
     if budget_s is not None:
-        found = within_budget(problem, budget_s, run)
+        found = solve_within_budget(problem, budget_s, run)
     elif target_rms_nm is not None:
-        found = to_target(problem, target_rms_nm, run)
+        found = solve_to_target(problem, target_rms_nm, run)
     else:
         check(problem)
-        found = solved(problem, run)
+        found = solve_once(problem, run)
     return ArrayDwell(points, found.problem, _noted(found.problem, found.solution))
 
 
@@ -325,7 +334,7 @@ def dwell_of_tools(
     Raises:
         ComputeError: as `dwell_from_arrays`; a goal that no choice of tools reaches, with what each came to.
     """
-    goal = Goal(target_rms_nm, target_slope_urad)
+    goal = ResidualGoal(target_rms_nm, target_slope_urad)
     if budget_s is not None and goal.wanted:
         raise ComputeError("budget_s and a target are two ways to the same thing: give one")
     if not 0 < len(tools) <= MOST_TOOLS:
@@ -382,7 +391,7 @@ def _choices(count: int) -> Iterator[tuple[int, ...]]:
 
 def _joined(problems: Sequence[DwellProblem], case: DwellCase) -> DwellProblem:
     """One problem of all; the same map for each, so that the piston of the highest floor holds for all."""
-    effect = together([problem.effect for problem in problems])
+    effect = combine_effects([problem.effect for problem in problems])
     first = problems[0]
     highest = max(problems, key=lambda problem: float(problem.target_nm[first.solve_mask].mean()))
     return replace(
@@ -394,10 +403,10 @@ def _joined(problems: Sequence[DwellProblem], case: DwellCase) -> DwellProblem:
     )
 
 
-def _found(problem: DwellProblem, run: Solve, goal: Goal, budget_s: float | None) -> CurvePoint:
+def _found(problem: DwellProblem, run: Solve, goal: ResidualGoal, budget_s: float | None) -> CurvePoint:
     if goal.wanted:
-        return to_goal(problem, goal, run)
-    return solved(problem, run) if budget_s is None else within_budget(problem, budget_s, run)
+        return solve_to_goal(problem, goal, run)
+    return solve_once(problem, run) if budget_s is None else solve_within_budget(problem, budget_s, run)
 
 
 def _row(found: CurvePoint, names: list[str], change_s: float) -> Row:
@@ -412,6 +421,6 @@ def _row(found: CurvePoint, names: list[str], change_s: float) -> Row:
 
 
 def _passes(own: Sequence[tuple[ArrayTool, DwellProblem, FloatArray]], time_s: FloatArray) -> Iterator[ToolDwell]:
-    times = split(time_s, [len(points) for _, _, points in own])
+    times = split_by_tool(time_s, [len(points) for _, _, points in own])
     for (tool, problem, points), own_s in zip(own, times, strict=True):
         yield ToolDwell(tool, points, own_s, problem.effect.removal_nm(own_s))

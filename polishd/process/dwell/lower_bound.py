@@ -23,7 +23,7 @@ import numpy as np
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.dwell.alternating_directions import stepping
+from polishd.process.dwell.alternating_directions import coarse_problem
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Product, QuadraticObjective, quadratic
 from polishd.process.dwell.time_limit import TimeLimit
@@ -84,7 +84,7 @@ class LowerBound:
         return float(value + (slope * way + p * way**2).sum() + held)
 
 
-def proved(problem: DwellProblem, solution: DwellSolution, enough: float, within_s: float) -> DwellSolution:
+def prove_lower_bound(problem: DwellProblem, solution: DwellSolution, enough: float, within_s: float) -> DwellSolution:
     """The same dwell, its certificate with the smallest gap that could be proved.
 
     Args:
@@ -137,7 +137,7 @@ def _bend(problem: DwellProblem, f: QuadraticObjective) -> Product:
     """The Hessian's product, roughly: of the effect on a coarser grid where it has one."""
     effect = problem.effect
     if isinstance(effect, SpreadEffect) and effect.coarse is not None:
-        return quadratic(stepping(problem, effect)).rough_curvature
+        return quadratic(coarse_problem(problem, effect)).rough_curvature
     return f.rough_curvature
 
 

@@ -13,7 +13,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.removal.effect import Effect, SparseEffect
-from polishd.process.removal.multi_tool_effect import single
+from polishd.process.removal.multi_tool_effect import to_float32
 from polishd.process.removal.spread_effect import SpreadEffect
 
 Product = Callable[[FloatArray], FloatArray]
@@ -111,15 +111,15 @@ def quadratic(problem: DwellProblem) -> QuadraticObjective:
     target = root * problem.target_nm[mask]
     rest = (problem.regularisation, problem.price_nm2_per_s)
     if isinstance(effect, SparseEffect):
-        rows = narrow(sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(mask.ravel())]))
+        rows = use_32_bit_indices(sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(mask.ravel())]))
         if problem.weight is not None:
-            rows = narrow(sparse.csr_array(sparse.diags_array(root) @ rows))
-        columns = narrow(sparse.csr_array(rows.T))
+            rows = use_32_bit_indices(sparse.csr_array(sparse.diags_array(root) @ rows))
+        columns = use_32_bit_indices(sparse.csr_array(rows.T))
         return QuadraticObjective(
             rows.__matmul__, columns.__matmul__, target, effect.n, *rest, gram=_gram(rows, columns)
         )
 
-    rough = single(effect)
+    rough = to_float32(effect)
     roughly = None if rough is effect else _products(rough, mask, root)
     return QuadraticObjective(*_products(effect, mask, root), target, effect.n, *rest, roughly=roughly)
 
@@ -129,7 +129,7 @@ def _gram(rows: sparse.csr_array, columns: sparse.csr_array) -> Product | None:
     met = float((np.diff(rows.indptr).astype(np.float64) ** 2).sum()) / max(rows.nnz, 1)
     if met > min(GRAM_MOST, GRAM_SHARE * rows.nnz / max(rows.shape[1], 1)):
         return None
-    made = cache(lambda: narrow(sparse.csr_array(columns @ rows)))
+    made = cache(lambda: use_32_bit_indices(sparse.csr_array(columns @ rows)))
     return lambda direction: np.asarray(made() @ direction, dtype=np.float64)
 
 
@@ -144,7 +144,7 @@ def _products(effect: Effect, mask: BoolArray, root: FloatArray) -> tuple[Produc
     return lambda time_s: root * effect.removal_nm(time_s)[mask], backward
 
 
-def narrow(matrix: sparse.csr_array) -> sparse.csr_array:
+def use_32_bit_indices(matrix: sparse.csr_array) -> sparse.csr_array:
     """The same matrix with 32-bit indices where they suffice: a third less to read for each product."""
     if max(matrix.nnz, *matrix.shape) >= np.iinfo(np.int32).max:
         return matrix
@@ -224,7 +224,7 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
     if isinstance(effect, SpreadEffect) and effect.coarse is not None:
         vector, _ = _largest(effect.coarse, effect.coarsely(solve_mask.astype(np.float64)), rounds, tolerance)
         return float(np.linalg.norm(effect.removal_nm(vector)[solve_mask]))
-    return float(np.sqrt(_largest(single(effect), solve_mask.astype(np.float64), rounds, tolerance)[1]))
+    return float(np.sqrt(_largest(to_float32(effect), solve_mask.astype(np.float64), rounds, tolerance)[1]))
 
 
 def _largest(effect: Effect, counts: FloatArray, rounds: int, tolerance: float) -> tuple[FloatArray, float]:

@@ -148,7 +148,7 @@ def splats(_typing: Any, array: Any, _index: Any, like: Any) -> Maker:
 
 
 @_intrinsic
-def turned(_typing: Any, x: Any, y: Any, cos: Any, sin: Any) -> Maker:
+def rotate_complex(_typing: Any, x: Any, y: Any, cos: Any, sin: Any) -> Maker:
     """Tuples (x, y) of complex values, all but the first turned by the angles of which (cos, sin) are given."""
 
     def code(context: Any, builder: Any, _signature: Any, args: Any) -> Any:

@@ -15,8 +15,17 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from polishd.process.fft import simd
-from polishd.process.fft.simd import COUNT, gather_difference, gather_sum, loads, scatter, splats, stores, turned
-from polishd.util.jit import compiled, uncounted
+from polishd.process.fft.simd import (
+    COUNT,
+    gather_difference,
+    gather_sum,
+    loads,
+    rotate_complex,
+    scatter,
+    splats,
+    stores,
+)
+from polishd.util.jit import compile_cached, no_refcount_option
 
 # Transforms along one axis of COUNT columns at once, in place.
 
@@ -28,13 +37,13 @@ def inline(function: F) -> F:
     return _njit(function)
 
 
-def within(function: F) -> F:
+def inline_deep(function: F) -> F:
     """The same for what is called for each block: within its caller, as a call hands over each array's every number."""
     return _njit(function, forceinline=True)
 
 
 def _njit(function: F, **options: Any) -> F:
-    made: F = njit(error_model="numpy", nogil=True, **uncounted(), **options)(function)
+    made: F = njit(error_model="numpy", nogil=True, **no_refcount_option(), **options)(function)
     return made
 
 
@@ -136,7 +145,7 @@ def _stage_forth(
         )
         for row in range(q, plan.n, whole):
             x, y = butterfly(loads(re, row, step, like), loads(im, row, step, like))
-            x, y = turned(x, y, cos, sin)
+            x, y = rotate_complex(x, y, cos, sin)
             stores(re, row, step, x)
             stores(im, row, step, y)
 
@@ -153,7 +162,7 @@ def _stage_back(
             splats(plan.sin, at + q * (radix - 1), like),
         )
         for row in range(q, plan.n, whole):
-            x, y = turned(loads(re, row, step, like), loads(im, row, step, like), cos, sin)
+            x, y = rotate_complex(loads(re, row, step, like), loads(im, row, step, like), cos, sin)
             x, y = butterfly(x, y)
             stores(re, row, step, x)
             stores(im, row, step, y)
@@ -329,4 +338,4 @@ def columns_back(field: Field, block: int, columns: Columns, order: FftPlanArray
 def kernel(function: Callable[..., Any], *others: str) -> Callable[..., Any]:
     """The function by numba; ``others``: files of what it calls, but for this package and its own."""
     own = (function.__code__.co_filename, __file__, simd.__file__, __file__)
-    return compiled(function, map(Path, (*own, *others)), error_model="numpy")
+    return compile_cached(function, map(Path, (*own, *others)), error_model="numpy")

@@ -12,8 +12,18 @@ from polishd.model.errors import ComputeError
 from polishd.model.estimates import Estimate, MachineEstimates
 from polishd.model.surface import FloatArray
 from polishd.model.text import with_error
-from polishd.process.identification.identify import IdentificationResult, conditioned, length_error, without
-from polishd.process.identification.parameters import PriorKnowledge, advanced, unlearned, usual_parameters
+from polishd.process.identification.identify import (
+    IdentificationResult,
+    condition_on_zero,
+    indices_without,
+    length_error,
+)
+from polishd.process.identification.parameters import (
+    PriorKnowledge,
+    initial_knowledge,
+    knowledge_before_pass,
+    usual_parameters,
+)
 from polishd.process.identification.removal_check import MAX_SHIFT_MM
 
 CERTAIN = 3.0
@@ -187,9 +197,9 @@ def _sizes(found: IdentificationResult) -> list[EstimatedShift]:
 # What is known of a machine as the record that a job keeps, and as the knowledge that the next pass begins with.
 
 
-def knowledge_of(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
+def knowledge_from_estimates(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
     """As the next pass's prior (`usual_parameters`); ComputeError where another polishd kept other parameters."""
-    known = unlearned(usual_parameters(turns=turns))
+    known = initial_knowledge(usual_parameters(turns=turns))
     if not beliefs.mean:
         return known
     if tuple(beliefs.mean) != known.names:
@@ -202,15 +212,15 @@ def knowledge_of(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
     )
 
 
-def on_the_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates:
+def estimates_for_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates:
     """What a job begins with, so many days after the pass that taught it: what belongs to a mounted part is forgotten.
 
     ComputeError as of `knowledge_of`.
     """
-    known = knowledge_of(beliefs, turns="turn" in beliefs.mean)
+    known = knowledge_from_estimates(beliefs, turns="turn" in beliefs.mean)
     if not beliefs.mean:
         return beliefs
-    after = advanced(known, 0.0, max(days, 0.0), anew=("mount",))
+    after = knowledge_before_pass(known, 0.0, max(days, 0.0), anew=("mount",))
     of_part = {p.name for p in known.parameters if p.scope in {"map", "mount"}}
     walked = known.parameters[known.at("rate")].rest * max(days, 0.0) ** 0.5
     sigma = None if beliefs.rate.sigma is None else float(np.hypot(beliefs.rate.sigma, beliefs.rate.value * walked))
@@ -224,7 +234,7 @@ def on_the_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates
     )
 
 
-def beliefs_of(
+def estimates_after_pass(
     learned: PriorKnowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float], volume: FloatArray
 ) -> MachineEstimates:
     """What is believed after a pass of so many hours in contact.
@@ -239,10 +249,10 @@ def beliefs_of(
     The next pass may be another program's: on the tracks of a first touch rate and field cancel, over a part they do
     not. So the stated error is that of an even pass, too, with all extensions in, and what leaving some out has moved.
     """
-    out = without(learned.parameters, frozenset(taken))
-    mean, covariance = conditioned(learned.mean, learned.covariance, out)
-    known = advanced(learned, contact_h)
-    plan = advanced(PriorKnowledge(learned.parameters, mean, covariance), contact_h)
+    out = indices_without(learned.parameters, frozenset(taken))
+    mean, covariance = condition_on_zero(learned.mean, learned.covariance, out)
+    known = knowledge_before_pass(learned, contact_h)
+    plan = knowledge_before_pass(PriorKnowledge(learned.parameters, mean, covariance), contact_h)
     applied = {
         p.name: float(value)
         for p, value in zip(plan.parameters, plan.mean, strict=True)

@@ -29,7 +29,7 @@ WORTH = 0.01
 MOST_STEPS = 400
 
 
-def design(
+def design_track_times(
     model: ForwardModel,
     track: IntArray,
     known: PriorKnowledge,
@@ -80,7 +80,7 @@ def design(
     return seconds
 
 
-def after(model: ForwardModel, known: PriorKnowledge, noise_nm: float) -> PriorKnowledge:
+def knowledge_after_pass(model: ForwardModel, known: PriorKnowledge, noise_nm: float) -> PriorKnowledge:
     """What is known after a pass of the model's blocks that shows the machine as it was believed."""
     theta = np.zeros(len(known.mean))
     columns = model.columns(theta, model.lay(theta))

@@ -14,7 +14,7 @@ import scipy
 
 from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, levelled, regressed
+from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, regress_signals, remove_plane
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
 # What a planned pass is expected to leave, as a distribution, before it is made; and how far off passes have been.
@@ -91,7 +91,9 @@ def forecast(
     return Forecast(float(low), float(median), float(high), LEVEL, better)
 
 
-def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, noise_nm: float) -> float | None:
+def unexplained_share(
+    predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, noise_nm: float
+) -> float | None:
     """What no rate explains of a pass, relative to all that it removed; None where the pass is too weak to tell.
 
     Args:
@@ -100,7 +102,7 @@ def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArr
         mask: (ny, nx) the clear aperture.
         noise_nm: RMS of one map's noise on these samples.
     """
-    predicted, measured = (levelled(np.where(mask, v, 0.0), mask)[mask] for v in (predicted_nm, measured_nm))
+    predicted, measured = (remove_plane(np.where(mask, v, 0.0), mask)[mask] for v in (predicted_nm, measured_nm))
     size = float(np.sqrt(np.mean(predicted**2)))
     change_nm = 2**0.5 * noise_nm
     if size < max(MIN_SIGNAL_NM, SURE_NOISE * change_nm):
@@ -110,7 +112,7 @@ def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArr
     return float(np.sqrt(max(rest - change_nm**2, 0.0) / np.mean(predicted_nm[mask] ** 2)))
 
 
-def pooled(known: float, shown: float | None) -> float:
+def pool_unexplained(known: float, shown: float | None) -> float:
     """What is expected of the next pass: the last one counts as much as all before it."""
     return known if shown is None else float(np.sqrt((known**2 + shown**2) / 2))
 
@@ -323,7 +325,7 @@ def traces(
         pitch_mm: of the grid.
         spot_mm: the spot's RMS half width along one direction, s.
     """
-    signal = levelled(predicted_nm, mask)[mask]
+    signal = remove_plane(predicted_nm, mask)[mask]
     if mask.sum() < FEWEST or np.sqrt(np.mean(signal**2)) < MIN_SIGNAL_NM:
         return WearIndicators()
     reach = spot_mm / pitch_mm
@@ -336,7 +338,7 @@ def traces(
     def figures(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., 1:3] / factors[..., :1], dtype=np.float64)
 
-    found = regressed([predicted, late, bent, *slopes], measured, mask, figures)
+    found = regress_signals([predicted, late, bent, *slopes], measured, mask, figures)
     (fade, width), (fade_sigma, width_sigma) = figures(found.factors), found.sigma
     return WearIndicators(float(fade), float(fade_sigma), float(width), float(width_sigma))
 

@@ -48,7 +48,7 @@ class MapFit:
 
 
 @dataclass(frozen=True, slots=True)
-class Data:
+class FitSamples:
     """N samples, and which of them count."""
 
     removal_nm: FloatArray
@@ -62,7 +62,7 @@ class Data:
 
 def estimate(
     model: ForwardModel,
-    data: Data,
+    data: FitSamples,
     prior: PriorKnowledge,
     *,
     robust: bool = False,
@@ -123,7 +123,7 @@ class _Point:
 class _Aim:
     """What is to be small: half the squares of residual and of departure from the prior, in standard deviations."""
 
-    def __init__(self, model: ForwardModel, data: Data, prior: PriorKnowledge, bend_nm: float) -> None:
+    def __init__(self, model: ForwardModel, data: FitSamples, prior: PriorKnowledge, bend_nm: float) -> None:
         self.model, self.data, self.prior, self.bend_nm = model, data, prior, bend_nm
         self.precision = np.linalg.inv(prior.covariance)
         self.scale = 1 / (data.noise.sigma_nm**2 * data.cells)
@@ -254,7 +254,7 @@ PLACES = (("offset_x", "offset_y"), ("shift_x", "shift_y"))
 """Parameters by which a spot may be elsewhere, in the tool's frame or in the part's."""
 
 
-def beginning(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> FloatArray:
+def initial_guess(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> FloatArray:
     """(k,) parameters to begin a fit at: the prior's mean, moved step by step to where the removal is."""
     here, measured = prior.mean, without_plane(removed.removal_nm[removed.mask], removed.mask)
     left_nm = _left_nm(model, here, measured)
@@ -303,7 +303,9 @@ LAYING, HERTZ_LAYING = 1e-3, 2e-3
 second of Hertz's, whose rim is steep."""
 
 
-def fit(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> tuple[Data, dict[str, MapFit], BoolArray]:
+def fit(
+    model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge
+) -> tuple[FitSamples, dict[str, MapFit], BoolArray]:
     """All parameters by each projection, robustly; then without what is none of the pass, with the noise that is left.
 
     Outliers, noise and the slopes of the second fit are those of the projection that fits best: what another leaves
@@ -311,9 +313,9 @@ def fit(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> tupl
     """
     mask, pitch = removed.mask, removed.grid.pitch_mm
     measured = removed.removal_nm[mask]
-    stated = removed.noise.with_another(laying(model, removed), pitch)
-    all_of_it = Data(measured, np.ones(measured.size, dtype=bool), stated, stated.cells(pitch))
-    own = estimate(model, all_of_it, prior, robust=True, start=beginning(model, removed, prior))
+    stated = removed.noise.with_another(cell_average_error(model, removed), pitch)
+    all_of_it = FitSamples(measured, np.ones(measured.size, dtype=bool), stated, stated.cells(pitch))
+    own = estimate(model, all_of_it, prior, robust=True, start=initial_guess(model, removed, prior))
     first = {model.projection: own}
     for name in model.blocks.depth_ratio:
         if name != model.projection:
@@ -335,7 +337,7 @@ def _best(found: Mapping[str, MapFit]) -> str:
 
 
 def _once_more(
-    model: ForwardModel, found: Mapping[str, MapFit], data: Data, prior: PriorKnowledge
+    model: ForwardModel, found: Mapping[str, MapFit], data: FitSamples, prior: PriorKnowledge
 ) -> dict[str, MapFit]:
     """By squares, with slopes laid anew.
 
@@ -350,14 +352,14 @@ def _once_more(
     return final
 
 
-def _far_off(data: Data, after: Data) -> bool:
+def _far_off(data: FitSamples, after: FitSamples) -> bool:
     """Whether a fit began too far from where the spot was to tell noise and outliers, as what it leaves says."""
     out, still_out = (int(np.count_nonzero(~one.keep)) for one in (data, after))
     fewer = out > SOME * data.keep.size and still_out < HOME * out
     return fewer or after.noise.sigma_nm < HOME * data.noise.sigma_nm
 
 
-def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalMap, stated: RemovalNoise) -> Data:
+def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalMap, stated: RemovalNoise) -> FitSamples:
     """Without what is none of the pass, and with the noise that the best of these fits leaves."""
     best = _best(found)
     mask, pitch = removed.mask, removed.grid.pitch_mm
@@ -366,10 +368,10 @@ def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalM
     rejected = outliers(residual, mask, stated, pitch)
     keep = mask & ~rejected
     noise = own_noise(residual, keep, stated, pitch)
-    return Data(removed.removal_nm[mask], keep[mask], noise, noise.cells(pitch))
+    return FitSamples(removed.removal_nm[mask], keep[mask], noise, noise.cells(pitch))
 
 
-def laying(model: ForwardModel, removed: RemovalMap) -> RemovalNoise:
+def cell_average_error(model: ForwardModel, removed: RemovalMap) -> RemovalNoise:
     """What the effect matrix itself is off by: in proportion to how the removal varies, and as wide as the spot."""
     varies = abs(without_plane(removed.removal_nm[removed.mask], removed.mask))
     share = HERTZ_LAYING if isinstance(model.spot, HertzSpot) else LAYING
@@ -381,7 +383,7 @@ def _core_mm2(model: ForwardModel, theta: FloatArray) -> float:
     return np.pi * float(np.median(2 * model.spot.step_mm(model.gamma(theta)))) ** 2
 
 
-def followed_rate(model: ForwardModel, found: MapFit, data: Data) -> float:
+def rate_bias(model: ForwardModel, found: MapFit, data: FitSamples) -> float:
     """By how much the rate may be too high: half the map's noise is also what the plan followed, as far as it could.
 
     Noise finer than the spot is not polished in: of white noise a spot follows the share of a sample in its core.

@@ -319,7 +319,7 @@ _ASKED = {
 }
 
 
-def forward(
+def build_forward_model(
     blocks: ExecutedBlocks,
     grid: Grid,
     mask: BoolArray,

@@ -11,8 +11,8 @@ import numpy as np
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
-from polishd.process.identification.fit import fit, followed_rate, without_plane
-from polishd.process.identification.forward_model import ParameterAction, forward
+from polishd.process.identification.fit import fit, rate_bias, without_plane
+from polishd.process.identification.forward_model import ParameterAction, build_forward_model
 from polishd.process.identification.parameters import (
     ExecutedBlocks,
     Parameter,
@@ -59,11 +59,11 @@ def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: Floa
         theta: (k,) posterior mean.
         covariance: (k, k) of the posterior.
     """
-    names = extensions(parameters)
+    names = extension_names(parameters)
     found = []
     for taken in product((True, False), repeat=len(names)):
         inside = frozenset(name for name, is_in in zip(names, taken, strict=True) if is_in)
-        out = without(parameters, inside)
+        out = indices_without(parameters, inside)
         odds = _density_at_zero(parameters, theta, covariance, out) + PRICE * (len(names) - len(inside))
         found.append(CandidateModel(inside, odds))
     found.sort(key=lambda one: -one.log_odds)
@@ -74,17 +74,17 @@ def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: Floa
     return ModelComparison(best, rivals, probability)
 
 
-def extensions(parameters: Sequence[Parameter]) -> tuple[str, ...]:
+def extension_names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
     """Their names, each once, in order."""
     return tuple(dict.fromkeys(p.extension for p in parameters if p.extension is not None))
 
 
-def without(parameters: Sequence[Parameter], taken: frozenset[str]) -> list[int]:
+def indices_without(parameters: Sequence[Parameter], taken: frozenset[str]) -> list[int]:
     """Indices of the parameters that a model with these extensions leaves at 0."""
     return [k for k, p in enumerate(parameters) if p.extension is not None and p.extension not in taken]
 
 
-def conditioned(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tuple[FloatArray, FloatArray]:
+def condition_on_zero(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tuple[FloatArray, FloatArray]:
     """(k,) mean and (k, k) covariance where the parameters ``out`` are known to be 0."""
     if not out:
         return theta, covariance
@@ -97,8 +97,10 @@ def conditioned(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tu
 def detection_limits(parameters: Sequence[Parameter], covariance: FloatArray) -> dict[str, float]:
     """By parameter of an extension: the size at which evidence is even, were it the only thing wrong."""
     found = {}
-    for name in extensions(parameters):
-        _, alone = conditioned(np.zeros(len(parameters)), covariance, without(parameters, frozenset({name})))
+    for name in extension_names(parameters):
+        _, alone = condition_on_zero(
+            np.zeros(len(parameters)), covariance, indices_without(parameters, frozenset({name}))
+        )
         own = [k for k, p in enumerate(parameters) if p.extension == name]
         prior = 2 * sum(np.log(parameters[k].sigma) for k in own)
         occam = (prior - np.linalg.slogdet(alone[np.ix_(own, own)])[1]) / 2
@@ -108,7 +110,7 @@ def detection_limits(parameters: Sequence[Parameter], covariance: FloatArray) ->
     return found
 
 
-def worth(
+def residual_gain(
     parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray, next_columns: FloatArray, name: str
 ) -> float:
     """What an extension takes off the next pass's residual, mean square in nm^2: its gain less its cost in noise.
@@ -334,7 +336,7 @@ def identify(
         ComputeError: input that cannot be, or a fit that does not settle.
     """
     check_pass(blocks, removed, projection)
-    model = forward(
+    model = build_forward_model(
         blocks,
         removed.grid,
         removed.mask,
@@ -352,7 +354,7 @@ def identify(
     found, model = by_projection[chosen], model.of(chosen)
     covariance = found.covariance.copy()
     if followed and "rate" in prior.names:
-        covariance[prior.at("rate"), prior.at("rate")] += followed_rate(model, found, data) ** 2
+        covariance[prior.at("rate"), prior.at("rate")] += rate_bias(model, found, data) ** 2
     learned = replace(prior, mean=found.theta, covariance=covariance, odds=_levelled_odds(odds))
     weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
     columns = model.columns(found.theta, found.laid, weight)
@@ -455,9 +457,11 @@ def _applied(
     taken = best.extensions
     worths: dict[str, float] = {}
     while True:
-        out = without(learned.parameters, taken)
-        mean, covariance = conditioned(learned.mean, learned.covariance, out)
-        own = {name: worth(learned.parameters, mean, covariance, future, name) - least_gain_nm**2 for name in taken}
+        out = indices_without(learned.parameters, taken)
+        mean, covariance = condition_on_zero(learned.mean, learned.covariance, out)
+        own = {
+            name: residual_gain(learned.parameters, mean, covariance, future, name) - least_gain_nm**2 for name in taken
+        }
         worths |= own
         poor = [name for name, gain in own.items() if gain <= 0]
         if not poor:
@@ -470,7 +474,7 @@ def _estimates(
 ) -> tuple[ParameterEstimate, ...]:
     """What is told of the rate is of that in the middle of the pass."""
     limits = detection_limits(learned.parameters, learned.covariance)
-    before, after = (in_the_middle(known, middle_h) for known in (prior, learned))
+    before, after = (covariance_at_mid_pass(known, middle_h) for known in (prior, learned))
     seen = confounding_of(learned.parameters, before, after)
     columns = zip(learned.parameters, learned.mean, learned.sigma, prior.sigma, strict=True)
     return tuple(
@@ -487,7 +491,7 @@ def _estimates(
     )
 
 
-def in_the_middle(known: PriorKnowledge, middle_h: float) -> FloatArray:
+def covariance_at_mid_pass(known: PriorKnowledge, middle_h: float) -> FloatArray:
     """(k, k) covariance with the rate that of so many hours after: the first minute's has the wear's error, too."""
     middle = np.eye(len(known.mean))
     if {"rate", "wear"} <= set(known.names):

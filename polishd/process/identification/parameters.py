@@ -14,7 +14,7 @@ from polishd.model.estimates import MapPixels
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.checks import refuse_where, require_number
-from polishd.process.metrology.resampling import Registration, averaging
+from polishd.process.metrology.resampling import Registration, averaging_matrix
 from polishd.process.removal.contact import relative_removal
 
 Scope = Literal["map", "mount", "tool", "cell"]
@@ -105,13 +105,13 @@ def usual_parameters(instrument: Iterable[str] = INSTRUMENT, *, turns: bool = Tr
     )
 
 
-def unlearned(parameters: Sequence[Parameter]) -> PriorKnowledge:
+def initial_knowledge(parameters: Sequence[Parameter]) -> PriorKnowledge:
     """Before anything was measured: all of them 0, each with its prior."""
     prior = np.array([p.sigma for p in parameters])
     return PriorKnowledge(tuple(parameters), np.zeros(len(prior)), np.diag(prior**2))
 
 
-def advanced(
+def knowledge_before_pass(
     known: PriorKnowledge, contact_h: float, days: float = 0.0, anew: Iterable[Scope] = ("map",)
 ) -> PriorKnowledge:
     """What is known when the next pass begins.
@@ -275,7 +275,7 @@ class RemovalMap:
         coarse = Grid(ny, nx, grid.pitch_mm * odd)
         pixels = self.pixels
         if pixels is not None:
-            means = averaging(grid, coarse, Registration()) @ pixels.means
+            means = averaging_matrix(grid, coarse, Registration()) @ pixels.means
             pixels = replace(pixels, means=scipy.sparse.csr_array(means))
         return RemovalMap(coarse, np.where(mask, total / np.maximum(count, 1), 0.0), mask, noise, pixels)
 

@@ -10,7 +10,15 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
 from polishd.process.frames import ORIENTATIONS, orientations
-from polishd.process.identification.removal_fit import MIN_SIGNAL_NM, Fit, contest, fit, levelled, no_fit, shifted
+from polishd.process.identification.removal_fit import (
+    MIN_SIGNAL_NM,
+    Fit,
+    compare_predictions,
+    fit,
+    remove_plane,
+    shift_samples,
+    unknown_fit,
+)
 from polishd.process.metrology.commissioning import Explanation, explanations
 from polishd.process.metrology.statistics import Removal
 
@@ -73,7 +81,7 @@ class RemovalCheckResult:
         return SCALED_WORD not in self.undecidable
 
 
-def judge(
+def check_removal(
     predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float,
     rates: tuple[float, float] = RATES, *, removal: Removal = "tilt", most_shift_mm: float = MAX_SHIFT_MM,
 ) -> RemovalCheckResult:  # fmt: skip
@@ -92,7 +100,7 @@ def judge(
         ComputeError: shapes that do not fit, or too few samples.
     """
     _check(predicted_nm, measured_nm, mask)
-    levels = levelled(predicted_nm, mask, removal), levelled(measured_nm, mask, removal)
+    levels = remove_plane(predicted_nm, mask, removal), remove_plane(measured_nm, mask, removal)
     seen = _Pass(*levels, mask, pitch_mm, rates, most_shift_mm)
     own = fit(seen.predicted_nm, seen.measured_nm, mask, None, pitch_mm)
     if np.sqrt(np.mean(seen.predicted_nm[mask] ** 2)) < MIN_SIGNAL_NM:
@@ -145,11 +153,13 @@ class _Pass:
     def contest(self, other: Explanation, own: Explanation) -> tuple[float, float]:
         """By how much one explanation tells more than the other, and its standard error: `removal_fit.contest`."""
         (own_nm, own_mask), (other_nm, other_mask) = self._placed(own), self._placed(other)
-        return contest(other_nm, own_nm, self.measured_nm, self.mask & own_mask & other_mask)
+        return compare_predictions(other_nm, own_nm, self.measured_nm, self.mask & own_mask & other_mask)
 
     def _placed(self, told: Explanation) -> tuple[FloatArray, BoolArray]:
         down, right = told.samples(self.pitch_mm)
-        height, mask = (shifted(v, down, right) for v in (told.turn(self.predicted_nm), told.turn_mask(self.mask)))
+        height, mask = (
+            shift_samples(v, down, right) for v in (told.turn(self.predicted_nm), told.turn_mask(self.mask))
+        )
         return height, mask
 
 
@@ -290,6 +300,6 @@ def _without_signal(own: Fit, seen: _Pass) -> RemovalCheckResult:
     everything = tuple(e.name for e in all_of_them if not e.as_it_is)
     note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it shows no mistake of the map"
     best = Explanation(ORIENTATIONS[0], False, max(own.correlation, 0.0), (0.0, 0.0))
-    nothing = no_fit(own.correlation, own.model_nm)
+    nothing = unknown_fit(own.correlation, own.model_nm)
     undecidable = (*everything, "shifted", SCALED_WORD)
     return _verdict(seen, own, nothing, best=best, stop="", undecidable=undecidable, notes=(note,))

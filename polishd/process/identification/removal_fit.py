@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from polishd.model.estimates import Estimates, EstimateUpdate, PassEvidence
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
-from polishd.process.metrology.statistics import Removal, fitted
+from polishd.process.metrology.statistics import Removal, fit_terms
 
 TILES = 4
 """The mask is cut into this many tiles a side for the standard errors: residuals are correlated over a spot."""
@@ -46,9 +46,9 @@ class Fit:
     """(ny, nx) the fit; NaN where the moved prediction has no data."""
 
 
-def levelled(height_nm: FloatArray, mask: BoolArray, removal: Removal = "tilt") -> FloatArray:
+def remove_plane(height_nm: FloatArray, mask: BoolArray, removal: Removal = "tilt") -> FloatArray:
     """(ny, nx) without the least-squares plane over the mask, or plane and power; zero outside it."""
-    return np.where(mask, height_nm - fitted(height_nm, mask, removal), 0.0)
+    return np.where(mask, height_nm - fit_terms(height_nm, mask, removal), 0.0)
 
 
 def fit(
@@ -65,15 +65,15 @@ def fit(
     """
     down, right = samples or (0, 0)
     inner = mask if samples is None else scipy.ndimage.binary_erosion(mask)  # slopes need both neighbours
-    both = shifted(inner, down, right) & mask
+    both = shift_samples(inner, down, right) & mask
     model = np.full(mask.shape, np.nan)
     if np.count_nonzero(both) < FEWEST:
-        return no_fit(0.0, model)
+        return unknown_fit(0.0, model)
     signals = [predicted_nm]
     if samples is not None:
         signals += [np.gradient(predicted_nm, axis=1) / pitch_mm, -np.gradient(predicted_nm, axis=0) / pitch_mm]
     figures = _rate_and_shift(len(signals))
-    found = regressed([shifted(s, down, right) for s in signals], measured_nm, both, figures)
+    found = regress_signals([shift_samples(s, down, right) for s in signals], measured_nm, both, figures)
     terms, factors, sigmas = found.terms, found.factors, found.sigma
     model[both] = terms @ factors
     measured, plane = measured_nm[both], terms[:, len(signals) :]
@@ -98,13 +98,15 @@ def fit(
     )
 
 
-def no_fit(correlation: float, model_nm: FloatArray) -> Fit:
+def unknown_fit(correlation: float, model_nm: FloatArray) -> Fit:
     """Where rate and shift are unknown."""
     unknown = float("inf")
     return Fit(float("nan"), unknown, unknown, unknown, (0.0, 0.0), (unknown, unknown), correlation, model_nm)
 
 
-def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
+def compare_predictions(
+    other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray
+) -> tuple[float, float]:
     """Whether another prediction explains what was measured, rather than the one at hand, both fitted together.
 
     The right one of two has a factor of about the rate, the wrong one of about 0 (J. R. Davidson, J. G. MacKinnon,
@@ -125,7 +127,7 @@ def contest(other_nm: FloatArray, own_nm: FloatArray, measured_nm: FloatArray, m
     def gap(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., :1] - factors[..., 1:2], dtype=np.float64)
 
-    found = regressed([other_nm, own_nm], measured_nm, mask, gap)
+    found = regress_signals([other_nm, own_nm], measured_nm, mask, gap)
     return float(gap(found.factors)[0]), float(found.sigma[0])
 
 
@@ -138,7 +140,7 @@ def _told(signals: FloatArray) -> BoolArray:
     return np.zeros(2, dtype=np.bool_)
 
 
-def shifted(array: NDArray[Any], down: int, right: int) -> NDArray[Any]:
+def shift_samples(array: NDArray[Any], down: int, right: int) -> NDArray[Any]:
     """The array moved by whole samples; zeros come in."""
     put = np.zeros_like(array)
     ny, nx = array.shape
@@ -182,7 +184,7 @@ def _rate_and_shift(signals: int) -> Callable[[FloatArray], FloatArray]:
     return figures
 
 
-class Regressed(NamedTuple):
+class Regression(NamedTuple):
     """A linear fit, and standard errors of figures made of its factors."""
 
     terms: FloatArray
@@ -199,14 +201,14 @@ class Regressed(NamedTuple):
         return np.hypot(self.scatter, self.drift)
 
 
-def regressed(
+def regress_signals(
     signals: Sequence[FloatArray],
     measured_nm: FloatArray,
     mask: BoolArray,
     figures: Callable[[FloatArray], FloatArray],
     *,
     with_drift: bool = True,
-) -> Regressed:
+) -> Regression:
     """Least squares of (ny, nx) signals and a plane over a mask, by normal equations, whole and without each tile.
 
     ``with_drift`` False: power and astigmatism are among the signals, and are no error of the others.
@@ -225,7 +227,7 @@ def regressed(
     drifted = _drift(terms, measured, rows, columns) if with_drift else np.zeros_like(measured)
     drift = figures(factors - inverse @ (terms.T @ drifted)) - figures(factors)
     square = (len(tiles) - 1) * np.mean((scatter - scatter.mean(axis=0)) ** 2, axis=0)
-    return Regressed(terms, np.asarray(factors), np.sqrt(square), drift)
+    return Regression(terms, np.asarray(factors), np.sqrt(square), drift)
 
 
 # What a pass teaches: the removal rate. Whether map and machine agree on left and right is the gate's to judge.
@@ -245,7 +247,7 @@ def learn_rate(evidence: PassEvidence) -> EstimateUpdate:
     of the measured removal's variance that the scaled prediction explains.
     """
     mask, believed = evidence.mask, evidence.beliefs.rate
-    predicted, measured = (levelled(v, mask) for v in (evidence.predicted_nm, evidence.measured_nm))
+    predicted, measured = (remove_plane(v, mask) for v in (evidence.predicted_nm, evidence.measured_nm))
     own = fit(predicted, measured, mask, None, evidence.pitch_mm)
     signal = float(np.sqrt(np.mean(predicted[mask] ** 2)))
     factor, notes = _applied(own, signal, tells_rate=evidence.tells_rate)
@@ -267,7 +269,7 @@ def learn_rate(evidence: PassEvidence) -> EstimateUpdate:
     return EstimateUpdate(replace(evidence.beliefs, rate=replace(believed, value=rate)), how, notes)
 
 
-def later(beliefs: Estimates, days: float) -> Estimates:
+def rate_for_next_part(beliefs: Estimates, days: float) -> Estimates:
     """What a job begins with, so many days after the pass that taught it: the rate, less certain by a random walk."""
     rate = beliefs.rate
     if rate.sigma is None:

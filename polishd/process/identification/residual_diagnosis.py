@@ -16,7 +16,7 @@ from polishd.model.estimates import CauseName, Diagnosis, Estimate
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.model.text import with_error
 from polishd.process.identification.removal_check import MAX_SHIFT_MM, MIN_CORRELATION, RemovalCheckResult
-from polishd.process.identification.removal_fit import FEWEST, levelled, regressed
+from polishd.process.identification.removal_fit import FEWEST, regress_signals, remove_plane
 from polishd.process.metrology.statistics import Removal
 from polishd.process.metrology.zernike import order, values
 
@@ -44,7 +44,7 @@ class ResidualFit:
     trefoil_nm: Estimate
 
 
-def leftover(
+def fit_residual(
     changed_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -67,9 +67,9 @@ def leftover(
     modes, first = _modes(mask), len(fitted)
     if removal == "power":
         modes[0] = np.zeros(mask.shape)
-    signals = [levelled(signal, mask, removal) for signal in (*fitted, *modes[: len(NOLL)])]
-    measured = levelled(changed_nm, mask, removal)
-    found = regressed(signals, measured, mask, lambda factors: factors, with_drift=False)
+    signals = [remove_plane(signal, mask, removal) for signal in (*fitted, *modes[: len(NOLL)])]
+    measured = remove_plane(changed_nm, mask, removal)
+    found = regress_signals(signals, measured, mask, lambda factors: factors, with_drift=False)
     size, left = found.factors, measured[mask] - found.terms @ found.factors
     error = np.concatenate(
         [found.scatter[:first], np.maximum(found.scatter[first:], _chance_nm(left, modes[len(NOLL) :], mask))]
@@ -203,12 +203,12 @@ def is_settling(found: Sequence[Diagnosis], before: Sequence[Diagnosis]) -> bool
     return bool(found) and all(one.cause == "settling" and one.size < last_nm for one in found)
 
 
-def harmful(found: Sequence[Diagnosis], wanted_nm: float) -> tuple[Diagnosis, ...]:
+def limiting_change(found: Sequence[Diagnosis], wanted_nm: float) -> tuple[Diagnosis, ...]:
     """What changes so much from map to map that a part which may be off by ``wanted_nm`` cannot be judged by one."""
     return tuple(one for one in found if one.size > HARM * wanted_nm)
 
 
-def persistent(found: Sequence[Diagnosis]) -> tuple[Diagnosis, ...]:
+def largest_of_each_cause(found: Sequence[Diagnosis]) -> tuple[Diagnosis, ...]:
     """Of what many maps named, each cause once, where it was largest."""
     causes = dict.fromkeys(one.cause for one in found)
     return tuple(max((one for one in found if one.cause == cause), key=lambda one: one.size) for cause in causes)
@@ -221,7 +221,7 @@ def _bent(left: ResidualFit, least_nm: float) -> tuple[Diagnosis, ...]:
         _named("settling", left.astigmatism_nm, least_nm, "nm", "astigmatism changed by {}", sigmas=LOW_SIGMAS),
         _named("mount", left.trefoil_nm, least_nm, "nm", "a trefoil changed by {}", sigmas=LOW_SIGMAS),
     )
-    return persistent([one for one in found if one.size > one.limit])
+    return largest_of_each_cause([one for one in found if one.size > one.limit])
 
 
 def _named(

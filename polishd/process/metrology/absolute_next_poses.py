@@ -12,8 +12,8 @@ from polishd.process.metrology.absolute_poses import (
     LEVEL,
     PartPose,
     information,
-    moved,
     null_space,
+    pose_matrix,
     reference_for,
     term_name,
     terms,
@@ -107,7 +107,7 @@ class _Search:
         return sum((self._information(pose) for pose in poses), np.zeros((size, size)))
 
     def _information(self, pose: PartPose) -> FloatArray:
-        return information(moved(self.degree, pose, self.options.radius_mm)[LEVEL:, LEVEL:])
+        return information(pose_matrix(self.degree, pose, self.options.radius_mm)[LEVEL:, LEVEL:])
 
     def sigma_nm(self, told: FloatArray) -> dict[Term, float]:
         """Of each wanted term of the instrument."""

@@ -53,7 +53,7 @@ def terms(degree: int) -> tuple[tuple[int, int], ...]:
     return order("ansi", (degree + 1) * (degree + 2) // 2)
 
 
-def moved(degree: int, pose: PartPose, radius_mm: float) -> FloatArray:
+def pose_matrix(degree: int, pose: PartPose, radius_mm: float) -> FloatArray:
     """What a pose makes of terms, (k, k): ``seen = moved @ part``, both of RMS norm over the unit circle.
 
     Exact: a polynomial that is turned and shifted is one of the same degree. Solved on a lattice of points.
@@ -82,7 +82,7 @@ OTHER_FOLDS = "more angles that share no fold, and a lateral shift"
 ROUND = "a lateral shift of the part, or a reference"
 
 
-def name_of(n: int, m: int) -> str:
+def family_name(n: int, m: int) -> str:
     """The family's name of a term, without its direction: astigmatism for (2, 2) and (2, -2)."""
     fold = abs(m)
     if (n, fold) == (2, 0):
@@ -95,13 +95,13 @@ def name_of(n: int, m: int) -> str:
 
 def term_name(n: int, m: int) -> str:
     """A single term: its family, and cos or sin where it has a direction."""
-    return name_of(n, m) + (" cos" if m > 0 else " sin" if m < 0 else "")
+    return family_name(n, m) + (" cos" if m > 0 else " sin" if m < 0 else "")
 
 
-def families(pairs: Iterable[tuple[int, int]]) -> list[str]:
+def family_names(pairs: Iterable[tuple[int, int]]) -> list[str]:
     """Names of terms, each family once, lowest order first."""
     ordered = sorted({(n, abs(m)) for n, m in pairs}, key=lambda pair: (pair[0] + pair[1], pair[1]))
-    return list(dict.fromkeys(name_of(n, m) for n, m in ordered))
+    return list(dict.fromkeys(family_name(n, m) for n, m in ordered))
 
 
 def reference_for(n: int, m: int, angles_deg: Iterable[float] = ()) -> str:
@@ -172,7 +172,7 @@ class Design:
         return int(count * size - (2 * size - self.null.shape[1]))
 
 
-def design(poses: Sequence[PartPose], degree: int, radius_mm: float) -> Design:
+def design_poses(poses: Sequence[PartPose], degree: int, radius_mm: float) -> Design:
     """What poses tell of terms up to a radial order over a circle.
 
     Raises:
@@ -181,7 +181,7 @@ def design(poses: Sequence[PartPose], degree: int, radius_mm: float) -> Design:
     """
     if degree < 2:
         raise ValueError(f"terms up to order {degree}: the lowest above tilt is 2")
-    moves = np.stack([moved(degree, pose, radius_mm)[LEVEL:, LEVEL:] for pose in poses])
+    moves = np.stack([pose_matrix(degree, pose, radius_mm)[LEVEL:, LEVEL:] for pose in poses])
     size = moves.shape[1]
     null = null_space(sum((information(move) for move in moves), np.zeros((2 * size, 2 * size))))
     own, strength, _ = np.linalg.svd(null[size:], full_matrices=False)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrology import zernike
-from polishd.process.metrology.absolute_poses import LEVEL, Design, PartPose, design, moved
+from polishd.process.metrology.absolute_poses import LEVEL, Design, PartPose, design_poses, pose_matrix
 from polishd.process.metrology.zernike import values
 
 # Part and instrument by generalised least squares over their Zernike terms, in what the poses tell of them.
@@ -99,7 +99,7 @@ def solve_noise(
     found = np.sqrt(exact.chi2 / design.freedom) if noise_nm is None else noise_nm
     least = float(np.finfo(float).eps * np.abs(seen_nm).max(initial=1.0))
     found = max(float(found), least)
-    own = misplaced(design, exact.part_nm, place)
+    own = pose_error_covariance(design, exact.part_nm, place)
     if not own.any():
         return _scaled(exact, found), found
 
@@ -113,12 +113,12 @@ def solve_noise(
     return solve(design, seen_nm, found**2 * per_noise + own), found
 
 
-def misplaced(design: Design, part_nm: FloatArray, place: PlaceError) -> FloatArray:
+def pose_error_covariance(design: Design, part_nm: FloatArray, place: PlaceError) -> FloatArray:
     """(maps, j, j) covariance that errors of the poses give to the terms that are seen, nm^2."""
     whole = np.concatenate([np.zeros(LEVEL), part_nm])
 
     def seen(pose: PartPose) -> FloatArray:
-        return np.asarray((moved(design.degree, pose, design.radius_mm) @ whole)[LEVEL:])
+        return np.asarray((pose_matrix(design.degree, pose, design.radius_mm) @ whole)[LEVEL:])
 
     found = []
     for pose in design.poses:
@@ -205,7 +205,7 @@ class _Turned:
         return np.where(self.there, found, np.nan)
 
 
-def split(
+def split_remainder(
     heights_nm: Sequence[FloatArray], poses: Sequence[PartPose], axis_px: tuple[float, float], pitch_mm: float
 ) -> PixelRemainder:
     """Part and instrument of maps that piston, tilt and the low terms were taken off.
@@ -277,7 +277,7 @@ def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> fl
         noise = np.where(mask, scipy.ndimage.gaussian_filter(rng.normal(size=mask.shape), WAVE_PX), np.nan)
         print_nm = noise - zernike.surface(zernike.fit(noise, mask, count, "ansi", circle_px=(*axis, RADIUS_PX)), mask)
         seen = [np.where(_on_part(pose, mask, pitch_mm), print_nm, np.nan) for pose in poses]
-        found = split(seen, poses, axis, pitch_mm).instrument_nm
+        found = split_remainder(seen, poses, axis, pitch_mm).instrument_nm
         there = np.isfinite(found)
         whole += float((print_nm[there] ** 2).sum())
         hidden += float(((print_nm - found)[there] ** 2).sum())
@@ -344,7 +344,7 @@ class AbsoluteSolution:
         return float(np.sqrt(np.trace(self.solution.covariance) + rest))
 
 
-def separate(
+def separate_instrument(
     heights_nm: Sequence[FloatArray],
     poses: Sequence[PartPose],
     pitch_mm: float,
@@ -379,7 +379,7 @@ def separate(
         zernike.fit(height, mask, count, "ansi", circle_px=(*axis, radius))
         for height, mask in zip(heights_nm, masks, strict=True)
     ]
-    found = design(poses, degree, radius * pitch_mm)
+    found = design_poses(poses, degree, radius * pitch_mm)
     if noise_nm is None and found.freedom < LEAST_FREEDOM:
         raise MapError(
             f"{len(poses)} maps up to order {degree} have nothing in common to tell their noise by: give it, "
@@ -389,7 +389,7 @@ def separate(
     per_noise = np.stack([fit.per_noise[LEVEL:, LEVEL:] for fit in fits])
     sense = _sense(found, seen, per_noise)
     solution, noise = solve_noise(found, seen, per_noise, place or PlaceError(), noise_nm)
-    rest = split(
+    rest = split_remainder(
         [height - zernike.surface(fit, mask) for height, fit, mask in zip(heights_nm, fits, masks, strict=True)],
         poses, axis, pitch_mm,
     )  # fmt: skip
@@ -424,7 +424,7 @@ def _require_alike(heights_nm: Sequence[FloatArray], poses: Sequence[PartPose]) 
 
 def _middles(masks: Sequence[BoolArray], poses: Sequence[PartPose], pitch_mm: float) -> FloatArray:
     """(maps, 2) row and column of the middle of each map's data, less its shift."""
-    middle = np.array([zernike.enclosing(mask)[:2] for mask in masks])
+    middle = np.array([zernike.enclosing_circle(mask)[:2] for mask in masks])
     return middle - np.array([(-pose.y_mm, pose.x_mm) for pose in poses]) / pitch_mm
 
 
@@ -445,7 +445,7 @@ def _hidden_nm(rest: PixelRemainder, share: float, maps: int, noise_nm: float) -
 def _sense(found: Design, seen_nm: FloatArray, per_noise: FloatArray) -> bool:
     """Whether the maps tell that angles are counter-clockwise; BadMap where they tell the opposite."""
     turned = [replace(pose, angle_deg=-pose.angle_deg) for pose in found.poses]
-    other = design(turned, found.degree, found.radius_mm)
+    other = design_poses(turned, found.degree, found.radius_mm)
     least = float(np.finfo(float).eps * (seen_nm**2).sum() / per_noise[0, 0, 0])
     ours, theirs = (solve(one, seen_nm, per_noise).chi2 + least for one in (found, other))
     if theirs * BY_FAR < ours:
@@ -462,5 +462,5 @@ def _surface(
     """(ny, nx) nm of terms where ``wanted`` has data, NaN elsewhere."""
     mask = np.isfinite(wanted)
     surface = np.full(wanted.shape, np.nan)
-    surface[mask] = terms_nm @ values(found.terms, "rms", *zernike.unit(mask, (*axis_px, radius_px)))
+    surface[mask] = terms_nm @ values(found.terms, "rms", *zernike.unit_coordinates(mask, (*axis_px, radius_px)))
     return surface

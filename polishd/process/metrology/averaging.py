@@ -11,7 +11,7 @@ from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology.conditioning import SAME_PITCH
 from polishd.process.metrology.instrument import same_system
-from polishd.process.metrology.statistics import Removal, without
+from polishd.process.metrology.statistics import Removal, remove_terms
 
 FEWEST = 3
 """Maps that must be left: of two that differ nobody knows which is wrong."""
@@ -46,7 +46,7 @@ class AverageResult:
     """Single samples left out of maps that were used."""
 
 
-def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> AverageResult:
+def average_maps(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> AverageResult:
     """Mean of repeated maps, registered to each other, without those that deviate.
 
     A map is left out where its RMS deviation from the median map is more than ``MAP_SIGMAS`` robust standard
@@ -67,7 +67,7 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed:
     if not mixed:
         _require_one_setup(surfaces)
     common = _common(surfaces)
-    heights = np.stack([without(surface.height_nm, common, removal)[common] for surface in surfaces])
+    heights = np.stack([remove_terms(surface.height_nm, common, removal)[common] for surface in surfaces])
     names = _names(surfaces)
     deviation = np.sqrt(np.mean((heights - np.median(heights, axis=0)) ** 2, axis=1))
     good = ~_outliers(deviation)

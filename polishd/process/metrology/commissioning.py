@@ -202,7 +202,7 @@ def require_asymmetric(bumps: Sequence[ArtefactBump]) -> None:
                           "cannot prove a profile; move a bump, or give it another height or shape")  # fmt: skip
 
 
-def prove(surface: SurfaceMap, bumps: Sequence[ArtefactBump]) -> ProfileProof:
+def prove_profile(surface: SurfaceMap, bumps: Sequence[ArtefactBump]) -> ProfileProof:
     """Show that a map shows the artefact as it is: not turned, flipped or negated, and of its height and size.
 
     Args:

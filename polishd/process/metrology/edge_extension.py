@@ -15,7 +15,7 @@ import scipy
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.checks import require_number
-from polishd.process.metrology.spectra import FIT_DEGREE, frequencies, tapered
+from polishd.process.metrology.spectra import FIT_DEGREE, frequencies, taper_rim
 from polishd.process.metrology.statistics import polynomial
 
 Extension = Literal["nearest", "c1", "gerchberg_papoulis"]
@@ -43,7 +43,7 @@ class ExtendedSurface:
     """RMS of data less band-limited surface, over the RMS of the data (low-order fit off): what is out of its band."""
 
 
-def extend(
+def extend_surface(
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -161,7 +161,7 @@ def _band_limited(
     if scale <= 1e-12 * float(np.abs(height_nm[mask]).max()):
         return fit, 0, 0.0
     margin = int(np.ceil(cutoff))
-    start, inside, window = tapered(_thin_plate(rest, mask, reached), reached, margin)
+    start, inside, window = taper_rim(_thin_plate(rest, mask, reached), reached, margin)
     data = np.zeros(start.shape)
     inside[window], data[window] = mask, rest
     band = frequencies(start.shape, 1.0) <= 1 / cutoff

@@ -24,7 +24,7 @@ from polishd.process.metrology.resampling import Point, Registration
 
 ComplexArray = NDArray[np.complex128]
 
-FEWEST = 3
+MIN_MARKS = 3
 NEEDED = 2 / 3
 """Share of the nominal marks that must be found."""
 MOST_FOUND = 40
@@ -58,7 +58,7 @@ class _Match:
         return (self.used, -self.residual_mm)
 
 
-def fit(
+def fit_marks(
     found_px: Sequence[Point],
     nominal_mm: Sequence[Point],
     shape: tuple[int, int],
@@ -81,7 +81,7 @@ def fit(
     require_asymmetric(nominal_mm, tolerance_mm)
     p = _complex(nominal_mm)
     q = _in_mm(found_px, shape, pitch_mm)
-    needed = max(FEWEST, ceil(NEEDED * p.size - 1e-9))
+    needed = max(MIN_MARKS, ceil(NEEDED * p.size - 1e-9))
     where = f"{q.size} marks found, {p.size} on the part"
     if q.size < needed:
         raise MapError(f"{where}: at least {needed} are needed to place it; clean it, mend what covers the marks, or "
@@ -126,8 +126,8 @@ def require_asymmetric(nominal_mm: Sequence[Point], tolerance_mm: float = 0.5) -
 def _require_asymmetric(nominal_mm: tuple[Point, ...], tolerance_mm: float) -> None:
     p = _complex(nominal_mm)
     where = "instrument.fiducials_mm"
-    if p.size < FEWEST:
-        raise ConfigError(f"{where} has {p.size} marks: at least {FEWEST} are needed, in no symmetric arrangement")
+    if p.size < MIN_MARKS:
+        raise ConfigError(f"{where} has {p.size} marks: at least {MIN_MARKS} are needed, in no symmetric arrangement")
     gaps = abs(p[:, None] - p[None, :])[np.triu_indices(p.size, 1)]
     if gaps.min() <= 4 * tolerance_mm:
         raise ConfigError(f"{where}: two marks are {gaps.min():g} mm apart, less than four tolerances "
@@ -203,7 +203,7 @@ def _refined(
     p: ComplexArray, q: ComplexArray, partner: NDArray[np.int64], tolerance_mm: float, *, rigid: bool
 ) -> _Match | None:
     """The least-squares placement of the matched points, without those that it puts out of tolerance."""
-    while np.count_nonzero(partner >= 0) >= FEWEST:
+    while np.count_nonzero(partner >= 0) >= MIN_MARKS:
         held = np.flatnonzero(partner >= 0)
         if np.unique(partner[held]).size < held.size:
             return None  # two marks on one point
@@ -288,7 +288,7 @@ LEAST_FULL = 0.7
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.bool_)
 
 
-def find(height_nm: FloatArray, pitch_mm: float) -> tuple[Point, ...]:
+def find_marks(height_nm: FloatArray, pitch_mm: float) -> tuple[Point, ...]:
     """(row, column) px of the centroid of each hole that may be a mark, largest first; open to the outside is none.
 
     The missing pixels of a mark d pixels wide place its centre within about 0.15 / sqrt(d) pixels, RMS.

@@ -11,7 +11,7 @@ from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.frames import ArrayOrientation
-from polishd.process.metrology.conditioning import scale_fault, squared
+from polishd.process.metrology.conditioning import resample_square, scale_fault
 
 ANSWERS = {
     "pitch": "pitch_mm, the width of a pixel on the part",
@@ -26,7 +26,7 @@ SHORT = 2**16
 """Zygo's ``.dat`` keeps the last 16 bits of the system's number; its texts and ``.datx`` keep all."""
 
 
-def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> SurfaceMap:
+def apply_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> SurfaceMap:
     """The map as it lies on the part, in nm of surface: flipped, turned, signed and scaled as the profile says.
 
     Args:
@@ -42,7 +42,7 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: b
         BadMap: as `require_profile` does.
     """
     require_profile(surface, instrument, partly=partly)
-    surface = squared(surface)
+    surface = resample_square(surface)
     if instrument is None:
         return surface
     pitch = _pitch_mm(surface, instrument)
@@ -89,11 +89,11 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
         return
     _of_this_instrument(name, surface, instrument)
     if not partly:
-        require_answered(surface, instrument)
+        require_complete(surface, instrument)
     _require_pitch(name, surface, instrument)
 
 
-def require_answered(surface: SurfaceMap, instrument: Instrument) -> None:
+def require_complete(surface: SurfaceMap, instrument: Instrument) -> None:
     """BadMap where neither the map, nor the profile, says all that polishing takes of it."""
     name = surface.path.name if surface.path is not None else "the map"
     unanswered = sorted(_asked(surface) - _answered(instrument))

@@ -261,9 +261,9 @@ def _by_aperture(surface: SurfaceMap, instrument: Instrument, part: Outline) -> 
 def _by_fiducials(surface: SurfaceMap, instrument: Instrument) -> Registration:
     """By the marks that the file lists; where it lists too few, by those seen in the map."""
     listed, pitch = surface.fiducials_px, surface.grid.pitch_mm
-    found = listed if len(listed) >= fiducials.FEWEST else fiducials.find(surface.height_nm, pitch)
+    found = listed if len(listed) >= fiducials.MIN_MARKS else fiducials.find_marks(surface.height_nm, pitch)
     shape = surface.grid.shape
-    return fiducials.fit(found, instrument.fiducials_mm, shape, pitch, instrument.fiducial_tolerance_mm)
+    return fiducials.fit_marks(found, instrument.fiducials_mm, shape, pitch, instrument.fiducial_tolerance_mm)
 
 
 def _by_both(surface: SurfaceMap, instrument: Instrument, part: Outline) -> Registration:

@@ -91,7 +91,7 @@ def resample_registered(
     return np.where(enough, volume / np.where(enough, area, 1.0), np.nan)
 
 
-def averaging(source: Grid, target: Grid, registration: Registration) -> scipy.sparse.csr_array:
+def averaging_matrix(source: Grid, target: Grid, registration: Registration) -> scipy.sparse.csr_array:
     """`resample_registered` of a map with data everywhere, as a matrix (target.ny * target.nx, source.ny * source.nx).
 
     Each row is a cell's mean over the pixels that it covers; the row of a cell that lies beyond the map is empty.

@@ -140,7 +140,7 @@ def _interpolated(height_nm: FloatArray, way: FloatArray) -> tuple[FloatArray, f
     return height_nm, gain
 
 
-def summed(laid: Sequence[PlacedMap], heights_nm: Sequence[FloatArray]) -> StitchSum:
+def sum_maps(laid: Sequence[PlacedMap], heights_nm: Sequence[FloatArray]) -> StitchSum:
     """Mean and count of maps' heights, each (ny, nx) as the map is laid."""
     shape = np.max([np.add(one.corner, one.height_nm.shape) for one in laid], axis=0)
     total, count = np.zeros(shape), np.zeros(shape)
@@ -270,7 +270,7 @@ def _shifted(maps: Sequence[SubAperture], pitch_mm: float, fit: _Fit, *, power: 
 
 
 def _fit(laid: Sequence[PlacedMap], *, power: bool, slope: tuple[FloatArray, FloatArray] | None = None) -> _Fit:
-    surface = summed(laid, [one.height_nm for one in laid])
+    surface = sum_maps(laid, [one.height_nm for one in laid])
     shared = surface.count >= 2
     used = [one.valid & shared[one.window] for one in laid]
     _require_overlap(laid, used)
@@ -284,7 +284,7 @@ def _fit(laid: Sequence[PlacedMap], *, power: bool, slope: tuple[FloatArray, Flo
     inverse[1:, 1:] = _inverted(matrix, laid, size).reshape(count - 1, size, count - 1, size).transpose(0, 2, 1, 3)
     values = np.einsum("klpq,lq->kp", inverse, right)
     flat = [one.height_nm - np.tensordot(own, base, 1) for one, own, base in zip(laid, values, bases, strict=True)]
-    surface = summed(laid, flat)
+    surface = sum_maps(laid, flat)
     off = [np.where(use, z - surface.mean[one.window], 0.0) for one, use, z in zip(laid, used, flat, strict=True)]
     # interpolation takes noise off single samples, not off the long waves that the unknowns are
     freedom = sum(one.gain * float((use * (1 - share[one.window])).sum()) for one, use in zip(laid, used, strict=True))

@@ -62,7 +62,7 @@ class AbsoluteTestResult:
     def shape(self, term: Term, mask: BoolArray) -> FloatArray:
         """(ny, nx) of a term of size 1 inside ``mask`` of the map's frame, NaN outside: RMS 1 over the circle."""
         height = np.full(mask.shape, np.nan)
-        height[mask] = values((term,), "rms", *zernike.unit(mask, self.circle_px))[0]
+        height[mask] = values((term,), "rms", *zernike.unit_coordinates(mask, self.circle_px))[0]
         return height
 
     def facts(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import scipy.ndimage
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrology import zernike
-from polishd.process.metrology.absolute_poses import LEVEL, OTHER_FOLDS, name_of, reference_for, terms
+from polishd.process.metrology.absolute_poses import LEVEL, OTHER_FOLDS, family_name, reference_for, terms
 from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.process.metrology.zernike import values
 
@@ -202,9 +202,9 @@ def posterior(
         raise MapError(
             f"errors are given of terms (n, m) {sorted(stray)}, above order {errors.degree}: raise the order"
         )
-    circle = zernike.enclosing(mask) if circle_px is None else circle_px
+    circle = zernike.enclosing_circle(mask) if circle_px is None else circle_px
     fitted = zernike.fit(height_nm, mask, len(found), "ansi", circle_px=circle)
-    evaluated = values(found, "rms", *zernike.unit(mask, circle))
+    evaluated = values(found, "rms", *zernike.unit_coordinates(mask, circle))
     by_source = _by_source(found, errors, fitted.per_noise @ evaluated, mask, pitch_mm)
     weight = evaluated @ evaluated.T / fitted.samples
     noise = errors.noise
@@ -394,7 +394,7 @@ def _rms_bound(
     wanted: tuple[RemeasureAdvice, ...] = ()
     if tolerance_nm is not None:
         own = dict(zip(found.terms, np.diag(weight).tolist(), strict=True))
-        wanted = demands(errors, tolerance_nm, without_power=power, mean_square=own.__getitem__)
+        wanted = required_references(errors, tolerance_nm, without_power=power, mean_square=own.__getitem__)
     return RmsBound(
         rms.mean, rms.interval, rms.bound,
         removed="power" if power else "tilt",
@@ -413,7 +413,7 @@ def _contributions(found: FigurePosterior, errors: MapErrors, weight: FloatArray
     squares: dict[tuple[str, str], float] = {}
     for source, covariance in found.by_source.items():
         for index, (n, m) in list(enumerate(found.terms))[LEVEL:]:
-            key = (name_of(n, m), source)
+            key = (family_name(n, m), source)
             squares[key] = squares.get(key, 0.0) + float(weight[index, index] * covariance[index, index])
     squares[SHORTER, "noise"] = found.rest_square[1]
     squares[SHORTER, "unseen"] = errors.unseen_rest_nm**2
@@ -422,7 +422,7 @@ def _contributions(found: FigurePosterior, errors: MapErrors, weight: FloatArray
     return tuple(sorted(told, key=lambda one: -one.rms_nm))
 
 
-def demands(
+def required_references(
     errors: MapErrors,
     tolerance_nm: float,
     *,
@@ -441,7 +441,7 @@ def demands(
     needs: dict[str, str] = {}
     for (n, m), prior in errors.unseen_nm.items():
         if not (without_power and (n, m) == POWER):
-            name = name_of(n, m)
+            name = family_name(n, m)
             square[name] = square.get(name, 0.0) + mean_square((n, m)) * prior**2
             needs[name] = reference_for(n, m)
     square[SHORTER], needs[SHORTER] = errors.unseen_rest_nm**2, OTHER_FOLDS
@@ -456,8 +456,8 @@ __all__ = [
     "MapNoise",
     "RemeasureAdvice",
     "RmsBound",
-    "demands",
     "errors_from_system_map",
+    "required_references",
     "true_figure_bound",
     "true_rms_bound",
 ]

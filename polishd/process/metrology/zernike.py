@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.metrology.statistics import inside
+from polishd.process.metrology.statistics import samples_inside
 
 # Zernike polynomials by their names: three orderings, two norms, and their values.
 
@@ -199,15 +199,15 @@ def fit(
             not tell the terms apart (condition above ``WORST_CONDITION``).
         ValueError: no such ordering, no terms, or a circle without radius.
     """
-    heights = inside(height_nm, mask)
+    heights = samples_inside(height_nm, mask)
     pairs = order(ordering, terms)
     norm = USUAL_NORM[ordering] if norm is None else norm
-    row, column, radius = circle = enclosing(mask) if circle_px is None else circle_px
+    row, column, radius = circle = enclosing_circle(mask) if circle_px is None else circle_px
     if not radius > 0:
         raise ValueError(f"a unit circle of radius {radius:g} pixels")
     if heights.size < terms:
         raise MapError(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
-    found = triangle(lambda x, y: values(pairs, norm, x, y), *unit(mask, circle), heights)
+    found = triangle(lambda x, y: values(pairs, norm, x, y), *unit_coordinates(mask, circle), heights)
     own, projected = found[:terms, :terms], found[:terms, terms]
     condition = float(np.linalg.cond(own))
     if not condition <= WORST_CONDITION:
@@ -235,7 +235,7 @@ def fit(
 
 def surface(fitted: ZernikeFit, mask: BoolArray) -> FloatArray:
     """(ny, nx) the fitted surface in nm over a mask; NaN outside the mask."""
-    x, y = unit(mask, (*fitted.centre_px, fitted.radius_px))
+    x, y = unit_coordinates(mask, (*fitted.centre_px, fitted.radius_px))
     heights = np.zeros(x.size)
     for start in range(0, x.size, BLOCK):
         part = slice(start, start + BLOCK)
@@ -273,7 +273,7 @@ def pvr(height_nm: FloatArray, mask: BoolArray, terms: int = 36) -> Pvr:
     return Pvr(pv + 3 * fitted.residual_rms_nm, pv, fitted.residual_rms_nm, terms, fitted.ordering)
 
 
-def enclosing(mask: BoolArray) -> tuple[float, float, float]:
+def enclosing_circle(mask: BoolArray) -> tuple[float, float, float]:
     """(row, column, radius) in pixels of a circle around a mask: the middle of its box, out to its furthest sample.
 
     Raises:
@@ -289,7 +289,7 @@ def enclosing(mask: BoolArray) -> tuple[float, float, float]:
     return float(row), float(column), max(float(np.hypot(rows - row, across).max()), 0.5)
 
 
-def unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+def unit_coordinates(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
     """Coordinates of the mask's samples, 1 = the circle's radius, y up."""
     row, column, radius = circle_px
     x = (np.arange(mask.shape[1]) - column) / radius

@@ -16,7 +16,7 @@ from polishd.process.removal.tif import Spot, cell_shares, tilt_spot
 
 Indices = NDArray[np.int64]
 
-CHUNK = 256
+BLOCK_CHUNK = 256
 """Blocks worked on at a time: bounds memory."""
 
 
@@ -90,7 +90,7 @@ def effect_row(spot: Spot, blocks: PathBlocks, sample_mm: FloatArray, pitch_mm: 
     """(n,) nm/s: the row of `effect_columns` for the cell about (2,) ``sample_mm``, and nothing else of it."""
     reached = _touching(spot, blocks, sample_mm, pitch_mm)
     rates = np.zeros(blocks.n)
-    for which in np.split(reached, range(CHUNK, reached.size, CHUNK)):
+    for which in np.split(reached, range(BLOCK_CHUNK, reached.size, BLOCK_CHUNK)):
         some = blocks.part(which)
         block, place, share = some.positions(spot)
         half = some.half_mm(spot)[block]
@@ -178,7 +178,7 @@ def sampled_rows(grid: Grid, spot: Spot, blocks: PathBlocks, seed: int = 0) -> l
     return found
 
 
-def misses(rows: Iterable[SampledRow], found: Iterable[FloatArray]) -> tuple[float, float]:
+def effect_errors(rows: Iterable[SampledRow], found: Iterable[FloatArray]) -> tuple[float, float]:
     """How far an effect is off that gives these rows, (b,) nm/s each: the removal, and the worst entry of a column.
 
     The removal's error is SIGMAS standard deviations over the samples, for dwells that vary from block to block by as

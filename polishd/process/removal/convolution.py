@@ -160,7 +160,7 @@ def layout(shape: tuple[int, int], place: tuple[Index, Index], sides: tuple[int,
     return Layout((top, left), (rows, columns), corner, (high, wide))
 
 
-def on_nodes(grid: Grid, program: Program) -> bool:
+def are_on_nodes(grid: Grid, program: Program) -> bool:
     """Whether all points rest on nodes of the grid, or of its lattice beyond its edge, each on one of its own."""
     row, column, off = _nearest_nodes(grid, program)
     resting = bool((program.length_mm <= NODE_TOLERANCE * grid.pitch_mm).all()) and bool((off <= NODE_TOLERANCE).all())

@@ -11,7 +11,7 @@ from polishd.model.process import Optic, Placement, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.checks import refuse_where, require_number
-from polishd.process.frames import surface_normals, upright
+from polishd.process.frames import axes_on_level_surface, surface_normals
 from polishd.process.removal import contact
 from polishd.process.removal.contact import CurvedContact
 from polishd.process.removal.convolution import ConvolutionEffect, convolution_effect
@@ -158,4 +158,4 @@ class SpotPath:
 def levelled_axes(program: Program, optic: Optic) -> Program:
     """The program, in the part's frame, with its axes as seen where the surface lies level."""
     here = Placement((0.0, 0.0, 0.0), np.eye(3))
-    return replace(program, axis=upright(program.axis, surface_normals(here, program.end_mm, optic)))
+    return replace(program, axis=axes_on_level_surface(program.axis, surface_normals(here, program.end_mm, optic)))

@@ -19,7 +19,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.checks import require_number
-from polishd.process.removal.blocks import PathBlocks, blocks_of, misses, sampled_rows
+from polishd.process.removal.blocks import PathBlocks, blocks_of, effect_errors, sampled_rows
 from polishd.process.removal.convolution import Layout, layout
 from polishd.process.removal.tif import Spot
 from polishd.process.removal.tif_family import Family, meshed_family
@@ -44,7 +44,7 @@ def damping(frequency: FloatArray) -> FloatArray:
     return np.asarray(0.75 + 0.25 * np.cos(2 * np.pi * frequency))
 
 
-def outermost(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def outermost_nodes(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(2,) first and last row, and column, of the nodes that n > 0 blocks weigh on."""
     found = []
     for at in _rows_and_columns(grid, np.concatenate([blocks.start_mm, blocks.end_mm])):
@@ -53,7 +53,7 @@ def outermost(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArra
     return found[0], found[1]
 
 
-def spread(grid: Grid, spot: Spot, blocks: PathBlocks, where: Layout) -> sparse.csr_array:
+def spread_weights(grid: Grid, spot: Spot, blocks: PathBlocks, where: Layout) -> sparse.csr_array:
     """(n, nodes) weight of each block on each node of the layout's lattice, C order; a row's sum is 1."""
     nodes = where.lattice[0] * where.lattice[1]
     parts = [sparse.csr_array((0, nodes))]
@@ -218,7 +218,7 @@ def spread_effect(
         )
         trials = (_laid_down(row.grid, finer, spot, row.blocks, family.part(row.which)) for row in rows)
         found = (trial.adjoint(row.only_sample) for trial, row in zip(trials, rows, strict=True))
-        error, entry = misses(rows, found)
+        error, entry = effect_errors(rows, found)
         if error <= tolerance:
             whole = _laid_down(grid, finer, spot, blocks, family)
             return replace(whole, error=error, entry_error=entry, coarse=_coarse(whole, spot, blocks, depth_ratio))
@@ -244,12 +244,12 @@ def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: PathBlocks, family: F
     """The effect of these blocks, of a family on the finer grid; its error not yet known."""
     fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
     side = family.kernels.shape[1]
-    where = layout(fine.shape, outermost(fine, blocks), (side, side))
+    where = layout(fine.shape, outermost_nodes(fine, blocks), (side, side))
     damped = damping(scipy.fft.fftfreq(where.size[0]))[:, None] * damping(scipy.fft.rfftfreq(where.size[1]))
     return SpreadEffect(
         grid=grid,
         finer=finer,
-        weights=spread(fine, spot, blocks, where),
+        weights=spread_weights(fine, spot, blocks, where),
         where=where,
         coefficients=family.coefficients * blocks.factor[:, None],
         spectra=np.asarray(scipy.fft.rfft2(family.kernels, where.size) / damped, dtype=np.complex128),

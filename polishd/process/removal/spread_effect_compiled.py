@@ -21,11 +21,11 @@ from polishd.process.fft.transforms import (
     columns_back,
     columns_forth,
     inline,
+    inline_deep,
     kernel,
     rows_back,
     rows_forth,
     transform_plane,
-    within,
 )
 from polishd.process.removal.spread_effect import SpreadEffect
 
@@ -128,7 +128,7 @@ def compiled_spread(effect: SpreadEffect) -> CompiledSpread:
     )
 
 
-@within
+@inline_deep
 def spread_blocks(i: int, time_s: float, laid: BlockWeights, nodes: Nodes) -> None:
     """A block's time onto the nodes of each convolution: two at a time, as to find a node takes as long as to add."""
     rank, time = laid.coefficient.shape[1], np.float32(time_s)
@@ -144,7 +144,7 @@ def spread_blocks(i: int, time_s: float, laid: BlockWeights, nodes: Nodes) -> No
             nodes.flat[rank - 1, laid.node[j]] += laid.weight[j] * last
 
 
-@within
+@inline_deep
 def collect(i: int, laid: BlockWeights, nodes: Nodes) -> np.float32:
     """The adjoint of `lay`."""
     rank, whole = laid.coefficient.shape[1], _NONE

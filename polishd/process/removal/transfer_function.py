@@ -56,7 +56,7 @@ class CorrectablePeriods:
     """Whether the map shows periods below the cut-off at all; where it does not, nothing is known of them."""
 
 
-def transfer(
+def spot_transfer_function(
     spot: Spot, depth_ratio: float = 1.0, azimuth_rad: float = 0.0, share: float = SHARE
 ) -> SpotTransferFunction:
     """Transfer function of a spot at one depth ratio; moving it along a block takes more away.
@@ -79,7 +79,7 @@ def transfer(
     return SpotTransferFunction(frequency, modulus, share, max(cutoff, null or 0.0), null)
 
 
-def correctable(
+def correctable_surface(
     height_nm: FloatArray, mask: BoolArray, pitch_mm: float, of: SpotTransferFunction
 ) -> CorrectablePeriods:
     """What of a surface the spot can correct, by `split_bands` at its cut-off.

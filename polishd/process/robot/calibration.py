@@ -219,7 +219,7 @@ def fit_stiffness(
         predicted = compliance_of(robot, hold_out, projection)(values)
         unseen = percent_errors(predicted / hold_out.compliance_um_per_n - 1)
     return StiffnessFit(
-        robot=with_elastic(robot, values),
+        robot=replace_elastic_numbers(robot, values),
         stiffnesses=tuple(
             Stiffness(*number, float(v), float(s), bool(free), *map(float, ends)) for number, v, s, free, ends in rows
         ),
@@ -343,7 +343,7 @@ def elastic_numbers(robot: HybridRobot | SerialRobot) -> tuple[Number, ...]:
     return tuple(Number(name, unit, float(getattr(robot, name))) for name, unit in names)
 
 
-def with_elastic(robot: Elastic, values: FloatArray) -> Elastic:
+def replace_elastic_numbers(robot: Elastic, values: FloatArray) -> Elastic:
     """The robot with these (p,) numbers instead of its own."""
     numbers = [float(value) for value in values]
     if isinstance(robot, SerialRobot):
@@ -370,12 +370,12 @@ def compliance_of(
 
 def _serial_matrix(robot: SerialRobot, tests: LoadingTests) -> Callable[[FloatArray], FloatArray]:
     joints = serial_inverse_kinematics(robot, tests.tip_mm, tests.axis)
-    return lambda values: serial_joint_compliance_mm_per_n(with_elastic(robot, values), joints)
+    return lambda values: serial_joint_compliance_mm_per_n(replace_elastic_numbers(robot, values), joints)
 
 
 def _hybrid_matrix(robot: HybridRobot, tests: LoadingTests) -> Callable[[FloatArray], FloatArray]:
     matrix = hybrid_compliance_at(robot, tests.tip_mm, tests.axis)
-    return lambda values: matrix(with_elastic(robot, values))
+    return lambda values: matrix(replace_elastic_numbers(robot, values))
 
 
 # Whether loading tests say what a fit makes of them, or would be explained as well by nothing.
@@ -388,7 +388,7 @@ INFORMATIVE = 0.9
 """Share of the error of one number for all tests that a fit must be below, where there is more than noise."""
 
 
-def doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
+def fit_doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
     """Why a fit should not be believed; empty where it may be.
 
     It is judged by what it predicts of tests that it has not seen, or, where they are too few for that, by its own

@@ -110,7 +110,7 @@ def complex_eigenvalues(matrix: FloatArray) -> BoolArray:
     return np.asarray((np.abs(values.imag) > ROUNDING * np.abs(values)).any(axis=1), dtype=np.bool_)
 
 
-def jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
+def compliance_jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
     """(n - 1,) True where the equivalent compliance changes by over 5 % more than its matrix does, point to point.
 
     ``compliance`` (n,) and ``matrix`` (n, 3, 3) in one unit. Such a change comes from the projection, not the robot.
@@ -326,7 +326,7 @@ def compliance_at(
     normal, fallbacks = _normals(options, placement, process.dip_deg, tip=tip, axis=base_axis, surface=surface)
     matrix = tip_compliance_mm_per_n(robot, tip, base_axis, moment=options.moment, path=True)
     compliance = equivalent_compliance(matrix, base_axis, normal, options.projection)
-    return PathCompliance(compliance, int(jumps(compliance, matrix).sum()), fallbacks)
+    return PathCompliance(compliance, int(compliance_jumps(compliance, matrix).sum()), fallbacks)
 
 
 def _normals(
@@ -346,7 +346,7 @@ def _normals(
         facing = np.where(np.einsum("ni,ni->n", binormal, surface) < 0, -1.0, 1.0)
         return np.where(defined[:, None], binormal * facing[:, None], surface), int((~defined).sum())
     lean = frames.lean_directions(options, placement, tip, surface)
-    return frames.turned_back(axis, lean, dip_deg), 0
+    return frames.normals_from_axes(axis, lean, dip_deg), 0
 
 
 # The equivalent compliance over the workspace (paper fig. 10): what a place of the cell is worth.

@@ -138,7 +138,7 @@ def executed_s(point_block: IntArray, seq: IntArray, duration_s: FloatArray) -> 
     return np.asarray(np.diff(np.cumsum(blocks)[point_block], prepend=0.0), dtype=np.float64)
 
 
-def reached(least_s: FloatArray, after: int, within_s: float) -> int:
+def last_reachable_block(least_s: FloatArray, after: int, within_s: float) -> int:
     """End (excluded) of the blocks that may have begun within that time of the end of block ``after``.
 
     Args:
@@ -151,7 +151,7 @@ def reached(least_s: FloatArray, after: int, within_s: float) -> int:
     return min(first + 1 + int(np.searchsorted(ends_s, within_s)), least_s.size)
 
 
-def pace(process_s: float, wall_s: float, late_s: float) -> float | None:
+def clock_rate(process_s: float, wall_s: float, late_s: float) -> float | None:
     """Most seconds of a process clock that can have passed in one of the wall's, from two words and their times.
 
     Each word came at most ``late_s`` after what it tells, so that a short while tells little: None then.

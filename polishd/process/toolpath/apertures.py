@@ -143,7 +143,7 @@ def require_points(count: float) -> None:
     require_number("the number of points", count, "", above=0.0, below=MOST_POINTS)
 
 
-def evenly(curve: Curve, knots: FloatArray, corners: IntArray, step_mm: float) -> FloatArray:
+def resample_evenly(curve: Curve, knots: FloatArray, corners: IntArray, step_mm: float) -> FloatArray:
     """(m, 3) points of a curve at equal ways along it between its corners, of about ``step_mm`` each.
 
     Args:
@@ -179,7 +179,7 @@ def along_polyline(optic: Optic, corners_mm: FloatArray, step_mm: float) -> Floa
         return on_optic(optic, np.stack([np.interp(parameter, index, axis) for axis in corners_mm.T], axis=1))
 
     first = np.concatenate([[0], np.cumsum(cells)])
-    return evenly(curve, np.interp(np.arange(first[-1] + 1.0), first, index), first, step_mm)
+    return resample_evenly(curve, np.interp(np.arange(first[-1] + 1.0), first, index), first, step_mm)
 
 
 def _cells(curve: Curve, knots: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,14 @@ from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
 from polishd.process.checks import require_number
 from polishd.process.optic_surface import is_flat, unit_normals
-from polishd.process.toolpath.apertures import TOWARDS, Aperture, along_polyline, evenly, on_optic, require_points
+from polishd.process.toolpath.apertures import (
+    TOWARDS,
+    Aperture,
+    along_polyline,
+    on_optic,
+    require_points,
+    resample_evenly,
+)
 
 LEAD_IN_MM = 5.0
 """Length of the straight way in and out, at least."""
@@ -183,7 +190,7 @@ def spiral(
     require_points(count)
     far = np.sqrt(np.linspace(first**2, last**2, 2 * int(count) + 2))
     knots = np.union1d(far, np.linspace(first, last, int((last - first) / NEAR_RAD) + 2))
-    points = evenly(curve, knots, np.array([0, len(knots) - 1]), step_mm)
+    points = resample_evenly(curve, knots, np.array([0, len(knots) - 1]), step_mm)
     outside = aperture.larger(landing_mm)
     way_out = _straight(optic, points[-1, :2], curve.heading(last - SMALL_RAD), outside, step_mm)
     points = np.concatenate([points, way_out[1:]])

@@ -11,7 +11,7 @@ from scipy import sparse
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.dwell.certificate import certified, kkt_residual, largest_gap
+from polishd.process.dwell.certificate import certify_dwell, kkt_residual, largest_gap
 from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic
@@ -28,7 +28,7 @@ def two_samples(target: tuple[float, float], lower: float = 0.0) -> DwellProblem
 
 
 def certify(problem: DwellProblem, time_s: FloatArray) -> DwellSolution:
-    return certified(problem, time_s, solver="hand", iterations=3, seconds=0.5, stopped="converged")
+    return certify_dwell(problem, time_s, solver="hand", iterations=3, seconds=0.5, stopped="converged")
 
 
 def test_every_figure_by_hand() -> None:

@@ -13,7 +13,7 @@ from scipy import optimize, sparse
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.removal.effect import SparseEffect
@@ -237,7 +237,10 @@ def test_weights_and_price_enter_as_written() -> None:
     assert solution.certificate.objective == pytest.approx(written, rel=1e-12)
     for _ in range(20):  # no feasible dwell nearby is better
         near = np.clip(t + 1e-3 * rng.standard_normal(t.size), problem.lower_s, problem.upper_s)
-        assert certified(priced, near, solver="x", iterations=0, seconds=0, stopped="x").certificate.objective > written
+        assert (
+            certify_dwell(priced, near, solver="x", iterations=0, seconds=0, stopped="x").certificate.objective
+            > written
+        )
     assert solution.certificate.predicted_band_rms_nm is not None
     assert 0 < solution.certificate.predicted_band_rms_nm < solution.certificate.predicted_rms_nm
 

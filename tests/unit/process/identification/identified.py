@@ -21,7 +21,7 @@ from polishd.process.identification.parameters import (
     PriorKnowledge,
     RemovalMap,
     RemovalNoise,
-    unlearned,
+    initial_knowledge,
     usual_parameters,
 )
 from polishd.process.removal.tif import MeasuredSpot, measured_spot
@@ -71,7 +71,7 @@ def found(removed: RemovalMap, blocks: ExecutedBlocks, prior: PriorKnowledge) ->
 def knowing(names: str = "") -> PriorKnowledge:
     """Nothing but the priors of the rate, piston, tilt and of the parameters or extensions named."""
     wanted = {"rate", "piston", "tilt_x", "tilt_y", *names.split()}
-    return unlearned([p for p in all_parameters() if {p.name, (p.extension or "").split(" ")[0]} & wanted])
+    return initial_knowledge([p for p in all_parameters() if {p.name, (p.extension or "").split(" ")[0]} & wanted])
 
 
 def all_parameters() -> tuple[Parameter, ...]:

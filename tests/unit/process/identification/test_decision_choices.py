@@ -13,23 +13,28 @@ import pytest
 from polishd.model.errors import ComputeError
 from polishd.model.estimates import Estimate, MachineEstimates
 from polishd.model.surface import FloatArray
-from polishd.process.identification.decision import EstimatedShift, beliefs_of, decide, on_the_next_part
-from polishd.process.identification.forward_model import forward
+from polishd.process.identification.decision import (
+    EstimatedShift,
+    decide,
+    estimates_after_pass,
+    estimates_for_next_part,
+)
+from polishd.process.identification.forward_model import build_forward_model
 from polishd.process.identification.identify import (
     IdentificationResult,
     compare,
     confounding_of,
     displaced_error_mm,
     displaced_mm,
-    extensions,
+    extension_names,
     identify,
     length_error,
 )
 from polishd.process.identification.parameters import (
     PriorKnowledge,
     RemovalNoise,
-    advanced,
-    unlearned,
+    initial_knowledge,
+    knowledge_before_pass,
     usual_parameters,
 )
 from polishd.process.identification.prediction import Prediction, interval, predict, rms_samples
@@ -105,7 +110,7 @@ def test_a_weak_removal_shows_nothing() -> None:
 
 
 def test_a_single_number_is_told_or_not() -> None:
-    parameters = unlearned(usual_parameters()).parameters[:2]
+    parameters = initial_knowledge(usual_parameters()).parameters[:2]
     before = np.diag([0.09, 0.01])
     unseen = confounding_of(parameters, before, np.diag([0.08, 0.0001]))
     assert (unseen["rate"].decided, unseen["rate"].confounded_with) == (False, ())
@@ -171,7 +176,7 @@ def test_evidence_by_density_is_that_of_each_model() -> None:
 
     covariance = np.linalg.inv(columns.T @ columns / 0.25 + np.diag(sigma**-2))
     found = compare(parameters, covariance @ columns.T @ data / 0.25, covariance)
-    assert extensions(parameters) == ("wear", "width")
+    assert extension_names(parameters) == ("wear", "width")
     models = {one.extensions: one.log_odds for one in (found.best, *found.rivals)}
     assert found.best.extensions == {"wear"}
     expected = log_density([0, 1]) - log_density([0, 1, 2]) + np.log(20.0)
@@ -201,7 +206,7 @@ def test_a_second_pass_with_another_lean_tells_offset_from_shift() -> None:
     truth = {"offset_x": 0.4, "shift_x": 0.1}
     one = polished(lean="fixed")
     first = one.identified(truth, "offset shift")
-    prior = advanced(first.learned, 0.2)
+    prior = knowledge_before_pass(first.learned, 0.2)
     turned = replace(polished(2, lean="fixed"), azimuth=one.azimuth + np.pi / 2)
     second = turned.identified(truth, prior=prior, seed=1)
     assert not first["shift_x"].told.decided
@@ -218,18 +223,18 @@ def test_a_second_pass_halves_the_variance() -> None:
 
 
 def test_time_and_use_widen_what_is_known() -> None:
-    known = unlearned(usual_parameters())
+    known = initial_knowledge(usual_parameters())
     sure = replace(known, mean=np.full(known.mean.shape, 0.01), covariance=1e-8 * known.covariance)
     rate, wear, shift, offset = (known.at(name) for name in ("rate", "wear", "shift_x", "offset_x"))
     sure.mean[wear] = 0.2
-    later = advanced(sure, contact_h=4.0, days=1.0)
+    later = knowledge_before_pass(sure, contact_h=4.0, days=1.0)
     walk = {p.name: (p.use, p.rest) for p in known.parameters}
     assert later.mean[rate] == pytest.approx(0.01 - 4 * 0.2)
     assert later.sigma[rate] == pytest.approx(np.hypot(2 * walk["rate"][0], walk["rate"][1]), rel=1e-3)
     assert later.sigma[shift] == pytest.approx(sure.sigma[shift]), "the part was not taken off"
     assert later.mean[known.at("piston")] == 0
     assert later.sigma[known.at("piston")] == known.sigma[known.at("piston")]
-    years = advanced(sure, contact_h=1e5, days=1e4, anew=("tool",))
+    years = knowledge_before_pass(sure, contact_h=1e5, days=1e4, anew=("tool",))
     assert years.sigma[offset] == pytest.approx(known.sigma[offset])
     assert years.sigma[rate] == pytest.approx(known.sigma[rate]), "a new tool"
     assert years.mean[rate] == 0
@@ -239,7 +244,7 @@ def test_time_and_use_widen_what_is_known() -> None:
 
 def planned(one: Polished, known: PriorKnowledge) -> Prediction:
     grid, mask = disc()
-    model = forward(
+    model = build_forward_model(
         one.blocks(), grid, mask, spot(), PROCESS,
         parameters=known.parameters, projection="linear", radius_mm=RADIUS_MM,
     )  # fmt: skip
@@ -448,22 +453,22 @@ def test_a_stop_says_what_else_it_may_be() -> None:
 
 
 def test_on_the_next_part_only_what_belonged_to_the_mounted_one_is_forgotten() -> None:
-    known = unlearned(usual_parameters())
+    known = initial_knowledge(usual_parameters())
     mean = dict.fromkeys(known.names, 0.1)
     covariance = tuple(tuple(row) for row in (0.01**2 * np.eye(len(mean))).tolist())
     taught = MachineEstimates(
         Estimate(1.1, 0.011), {"offset_x": 0.1, "shift_x": 0.1, "field_2": 0.1}, mean, covariance, {}, 0.5
     )
-    after = on_the_next_part(taught, 4.0)
+    after = estimates_for_next_part(taught, 4.0)
     assert after.applied == {"offset_x": 0.1, "field_2": 0.1}
     assert (after.mean["shift_x"], after.mean["offset_x"], after.mean["rate"]) == (0.0, 0.1, 0.1)
     variance = dict(zip(known.names, np.diag(np.array(after.covariance)), strict=True))
     assert variance["shift_x"] == pytest.approx(0.3**2), "its prior"
     assert variance["rate"] == pytest.approx(0.01**2 + 4 * 0.03**2), "a random walk of four days"
     assert after.rate == Estimate(1.1, pytest.approx(1.1 * variance["rate"] ** 0.5))
-    assert on_the_next_part(MachineEstimates(), 4.0) == MachineEstimates()
+    assert estimates_for_next_part(MachineEstimates(), 4.0) == MachineEstimates()
     with pytest.raises(ComputeError, match="kept of the machine has the parameters"):
-        on_the_next_part(replace(taught, mean={"rate": 0.1}), 1.0)
+        estimates_for_next_part(replace(taught, mean={"rate": 0.1}), 1.0)
 
 
 def test_the_rates_stated_error_is_that_of_all_that_is_removed() -> None:
@@ -475,5 +480,5 @@ def test_the_rates_stated_error_is_that_of_all_that_is_removed() -> None:
     covariance = 1e-12 * np.eye(len(volume))
     covariance[np.ix_([rate, compliance], [rate, compliance])] = 0.1**2 * np.array([[1.0, 5.0], [5.0, 25.0]])
     covariance[rate, rate] += 0.001**2
-    after = beliefs_of(replace(known, covariance=covariance), ["compliance"], 0.0, (0.5, 1.5), volume)
+    after = estimates_after_pass(replace(known, covariance=covariance), ["compliance"], 0.0, (0.5, 1.5), volume)
     assert after.rate.sigma == pytest.approx(0.001, rel=0.01)

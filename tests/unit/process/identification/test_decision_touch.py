@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from polishd.pipeline.steps import TOUCH_MISS_MM
-from polishd.process.identification.decision import LOGARITHMS, EstimatedShift, beliefs_of, decide
+from polishd.process.identification.decision import LOGARITHMS, EstimatedShift, decide, estimates_after_pass
 from polishd.process.identification.parameters import PriorKnowledge
 from tests.unit.process.identification.identified import EVERYTHING, Polished, disc, knowing, polished, removal
 
@@ -136,7 +136,7 @@ def stated(
                 name = estimate.parameter.name
                 held.add(f"learned: {name}", (estimate.value - truth[name]) / estimate.sigma)
         taken = [each.name for each in decision.corrected if each.name != "rate"]
-        told = beliefs_of(found.learned, taken, hours, (0.1, 10.0), found.volume)
+        told = estimates_after_pass(found.learned, taken, hours, (0.1, 10.0), found.volume)
         assert told.rate.sigma is not None
         believed = removed_evenly(known, {**told.applied, "rate": float(np.log(told.rate.value))})
         off = np.log(believed / removed_evenly(known, in_use(known, truth, hours, seed)))
@@ -182,6 +182,6 @@ def test_what_is_left_out_draws_nothing_that_is_corrected_far_from_where_it_was_
     decision = decide(found)
     assert {"compliance", "field 2", "field 3"} <= {each.name for each in decision.corrected}
     taken = [each.name for each in decision.corrected if each.name != "rate"]
-    told = beliefs_of(found.learned, taken, 0.0, (0.1, 10.0), found.volume)
+    told = estimates_after_pass(found.learned, taken, 0.0, (0.1, 10.0), found.volume)
     at = found["compliance"]
     assert abs(told.applied["compliance"] - at.value) < at.sigma

@@ -13,8 +13,8 @@ from polishd.process.identification.findings import (
     Forecast,
     forecast,
     gain_too_small,
-    pooled,
-    unexplained,
+    pool_unexplained,
+    unexplained_share,
 )
 
 N = 72
@@ -109,22 +109,22 @@ def test_what_no_rate_explains_is_found_beside_noise() -> None:
     predicted[MASK], odd[MASK] = 40.0 + 18.0 * figure(rng), figure(rng)
     noise = NOISE_NM * rng.standard_normal((2, *MASK.shape))
     measured = 0.9 * predicted + 40.0 + 3.0 * X + odd + noise[0] - noise[1]
-    assert unexplained(predicted, measured, MASK, NOISE_NM) == pytest.approx(1.0 / np.hypot(40.0, 18.0), rel=0.1)
+    assert unexplained_share(predicted, measured, MASK, NOISE_NM) == pytest.approx(1.0 / np.hypot(40.0, 18.0), rel=0.1)
     nothing = 0.9 * predicted + noise[0] - noise[1]
-    assert unexplained(predicted, nothing, MASK, NOISE_NM) == pytest.approx(0.0, abs=0.002)
+    assert unexplained_share(predicted, nothing, MASK, NOISE_NM) == pytest.approx(0.0, abs=0.002)
 
 
 def test_a_weak_pass_shows_nothing_of_it() -> None:
     predicted = np.zeros(MASK.shape)
     predicted[MASK] = 1.2 * figure(np.random.default_rng(5))
-    assert unexplained(predicted, predicted, MASK, 0.0) is None
-    assert unexplained(10.0 * predicted, predicted, MASK, 4.0) is None
-    assert pooled(UNEXPLAINED, None) == UNEXPLAINED
+    assert unexplained_share(predicted, predicted, MASK, 0.0) is None
+    assert unexplained_share(10.0 * predicted, predicted, MASK, 4.0) is None
+    assert pool_unexplained(UNEXPLAINED, None) == UNEXPLAINED
 
 
 def test_what_a_pass_showed_counts_as_much_as_all_before() -> None:
-    assert pooled(0.05, 0.05) == pytest.approx(0.05)
-    assert pooled(0.05, 0.01) == pytest.approx(np.sqrt((0.05**2 + 0.01**2) / 2))
+    assert pool_unexplained(0.05, 0.05) == pytest.approx(0.05)
+    assert pool_unexplained(0.05, 0.01) == pytest.approx(np.sqrt((0.05**2 + 0.01**2) / 2))
 
 
 def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from polishd.model.errors import ComputeError
 from polishd.process.identification.fit import own_noise
-from polishd.process.identification.forward_model import forward
+from polishd.process.identification.forward_model import build_forward_model
 from polishd.process.identification.parameters import PriorKnowledge, RemovalMap, RemovalNoise
 from tests.unit.process.identification.identified import (
     EVERYTHING,
@@ -168,7 +168,7 @@ def test_correlated_noise_widens_the_errors_as_it_should() -> None:
 def test_the_derivatives_are_those_of_the_removal() -> None:
     one = polished()
     grid, mask = disc()
-    model = forward(
+    model = build_forward_model(
         one.blocks(), grid, mask, spot(), PROCESS, parameters=all_parameters(), projection="linear", radius_mm=RADIUS_MM
     )
     theta = np.array([0.05 * min(p.sigma, 1.0) for p in all_parameters()])

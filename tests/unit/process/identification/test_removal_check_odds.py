@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.frames import ORIENTATIONS
-from polishd.process.identification.removal_check import RemovalCheckResult, judge
+from polishd.process.identification.removal_check import RemovalCheckResult, check_removal
 from tests.unit.process.gaussian import rough
 
 MASKS = ("circle", "D", "rectangle", "cut ring", "hole beside")
@@ -42,7 +42,7 @@ class Pass:
     added: FloatArray
 
     def judged(self, removed: FloatArray) -> RemovalCheckResult:
-        return judge(self.predicted, removed + self.added, self.mask, self.grid.pitch_mm)
+        return check_removal(self.predicted, removed + self.added, self.mask, self.grid.pitch_mm)
 
 
 @cache

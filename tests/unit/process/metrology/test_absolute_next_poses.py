@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from polishd.process.metrology.absolute_next_poses import PoseOptions, next_poses
-from polishd.process.metrology.absolute_poses import PartPose, design
+from polishd.process.metrology.absolute_poses import PartPose, design_poses
 
 RADIUS_MM = 50.0
 PORT = tuple(PartPose(angle) for angle in range(15, 360, 15))
@@ -37,7 +37,7 @@ def test_a_fold_that_is_missing_is_filled_by_one_map() -> None:
     found = next_poses(wanted, [PartPose(0), PartPose(90)], options(*PORT))
     assert found.met
     assert len(found.poses) == 1
-    left = {(one.n, one.m) for one in design([PartPose(0), PartPose(90), *found.poses], 6, RADIUS_MM).unknown}
+    left = {(one.n, one.m) for one in design_poses([PartPose(0), PartPose(90), *found.poses], 6, RADIUS_MM).unknown}
     assert not left & set(wanted)
 
 

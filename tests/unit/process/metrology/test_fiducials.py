@@ -20,7 +20,7 @@ SEVEN_MM = (*MARKS_MM, (46.0, 2.0), (5.0, -46.0), (-46.0, 9.0))
 
 
 def fit(found: np.ndarray, nominal: Points = MARKS_MM, grid: Grid = MAP) -> Registration:
-    return fiducials.fit([tuple(p) for p in found], nominal, grid.shape, grid.pitch_mm)
+    return fiducials.fit_marks([tuple(p) for p in found], nominal, grid.shape, grid.pitch_mm)
 
 
 @pytest.mark.parametrize("seed", range(8))

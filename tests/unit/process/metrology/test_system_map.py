@@ -9,14 +9,14 @@ import pytest
 
 from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.absolute_test import separate
+from polishd.process.metrology.absolute_test import separate_instrument
 from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
 from tests.unit.process.metrology.turned_maps import PITCH_MM, instrument_nm, maps, part_nm, rms_nm, true_nm, turns
 
 
 @pytest.fixture(scope="module")
 def system() -> SystemMap:
-    found = separate(maps(turns(4)), turns(4), PITCH_MM, degree=6)
+    found = separate_instrument(maps(turns(4)), turns(4), PITCH_MM, degree=6)
     return SystemMap(SurfaceMap(found.instrument_nm, PITCH_MM), AbsoluteTestResult.of(found))
 
 

@@ -21,7 +21,7 @@ ORDERINGS: tuple[Ordering, ...] = ("noll", "fringe", "ansi")
 
 def of_terms(coefficients: FloatArray, mask: BoolArray, ordering: Ordering, norm: Norm) -> FloatArray:
     """The surface with these terms over the circle around a mask."""
-    row, column, radius = zernike.enclosing(mask)
+    row, column, radius = zernike.enclosing_circle(mask)
     y, x = np.mgrid[: mask.shape[0], : mask.shape[1]]
     x, y = (x - column) / radius, (row - y) / radius
     terms = values(order(ordering, len(coefficients)), norm, x.ravel(), y.ravel())
@@ -94,7 +94,7 @@ def test_over_the_mask_terms_are_shares_of_the_variance(name: str) -> None:
 
 def test_a_fit_is_that_of_the_whole_design_matrix() -> None:
     mask, height = MASKS["ellipse"], rough(GRID, seed=5)
-    row, column, radius = zernike.enclosing(mask)
+    row, column, radius = zernike.enclosing_circle(mask)
     i, j = np.nonzero(mask)
     design = values(order("noll", 21), "rms", (j - column) / radius, (row - i) / radius).T
     expected = np.linalg.lstsq(design, height[mask], rcond=None)[0]
@@ -137,11 +137,11 @@ def test_the_unit_circle_can_be_named() -> None:
 def test_the_enclosing_circle() -> None:
     mask = np.zeros((9, 11), dtype=bool)
     mask[2:7, 4] = True
-    assert zernike.enclosing(mask) == (4.0, 4.0, 2.0)
+    assert zernike.enclosing_circle(mask) == (4.0, 4.0, 2.0)
     mask[4, 1:8] = True
-    assert zernike.enclosing(mask) == (4.0, 4.0, 3.0)
+    assert zernike.enclosing_circle(mask) == (4.0, 4.0, 3.0)
     with pytest.raises(MapError, match="no sample"):
-        zernike.enclosing(np.zeros((3, 3), dtype=bool))
+        zernike.enclosing_circle(np.zeros((3, 3), dtype=bool))
 
 
 def test_what_cannot_be_told_apart_is_refused() -> None:
