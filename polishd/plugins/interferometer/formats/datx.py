@@ -50,7 +50,7 @@ WAVELENGTH_M, SCALE, OBLIQUITY = 632.8e-9, 0.5, 1.0
 
 
 def write(surface: SurfaceMap) -> bytes:
-    """Content of a file that reads back exactly; NaN is ``No FitSamples``, no pitch is a lateral resolution of 0.
+    """Content of a file that reads back exactly; NaN is ``No Data``, no pitch is a lateral resolution of 0.
 
     The same map gives the same bytes. BadMap where nobody has said the map's unit.
     """
