@@ -28,10 +28,14 @@ from polishd.maps.stitch import one_pitch, require_listed
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.metrology.absolute_poses import PartPose, family_names, reference_for, term_name
-from polishd.process.metrology.absolute_test import AbsoluteSolution, PlaceError, separate_instrument
+from polishd.process.metrology.absolute_test import (
+    AbsoluteSolution,
+    AbsoluteTestResult,
+    PlaceError,
+    separate_instrument,
+)
 from polishd.process.metrology.instrument import same_system
 from polishd.process.metrology.statistics import pv_rms
-from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.rendering.terminal import emit, figure_table
 
 LISTED = 4

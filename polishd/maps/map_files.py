@@ -26,7 +26,7 @@ from polishd.rendering.terminal import stdout
 
 if TYPE_CHECKING:
     from polishd.config.cell import CellConfig
-    from polishd.process.metrology.system_map import SystemMap
+    from polishd.process.metrology.absolute_test import SystemMap
 
 
 # ``--mask`` of the map verbs: which samples count, by shapes, by corners in a file, or by what another map has.

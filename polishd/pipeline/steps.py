@@ -33,13 +33,13 @@ from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.identification.removal_fit import MOST_DRIFT_NM
 from polishd.process.identification.residual_diagnosis import fit_residual
 from polishd.process.metrology import conditioning
+from polishd.process.metrology.absolute_test import SystemMap
 from polishd.process.metrology.conditioning import Masks, clean_map
 from polishd.process.metrology.instrument import apply_profile
 from polishd.process.metrology.registration import register
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import surface_stats
 from polishd.process.metrology.statistics import Removal, remove_terms
-from polishd.process.metrology.system_map import SystemMap
 from polishd.process.metrology.tolerance import alignment_notes, judge_lines, subtract_nominal, tolerance_notes
 from polishd.process.removal.transfer_function import SpotTransferFunction, correctable_surface
 from polishd.process.robot import motion

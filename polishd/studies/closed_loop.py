@@ -47,9 +47,8 @@ from polishd.process.identification import residual_diagnosis
 from polishd.process.identification.experiment_design import WANTED
 from polishd.process.identification.findings import extend_series, findings
 from polishd.process.metrology.absolute_poses import PartPose
-from polishd.process.metrology.absolute_test import separate_instrument
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap, separate_instrument
 from polishd.process.metrology.instrument import apply_profile
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
 from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.measured_tif import tif_from_maps, volume_mm3_min

@@ -24,10 +24,9 @@ from polishd.model.errors import ConfigError
 from polishd.model.instrument import SystemErrorRecord
 from polishd.model.surface import SurfaceMap
 from polishd.plugin_loader import Hooks, load_cell
-from polishd.process.metrology.absolute_next_poses import PoseOptions, next_poses
-from polishd.process.metrology.absolute_poses import LEVEL, PartPose, family_name, terms
+from polishd.process.metrology.absolute_poses import LEVEL, PartPose, PoseOptions, family_name, next_poses, terms
+from polishd.process.metrology.absolute_test import AbsoluteTestResult
 from polishd.process.metrology.instrument import apply_profile
-from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.rendering.terminal import emit, stderr
 
 ORDER = 4

@@ -12,7 +12,7 @@ from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrology import zernike
 from polishd.process.metrology.absolute_poses import LEVEL, OTHER_FOLDS, family_name, reference_for, terms
-from polishd.process.metrology.system_map import AbsoluteTestResult
+from polishd.process.metrology.absolute_test import AbsoluteTestResult
 from polishd.process.metrology.zernike import values
 
 # What is wrong with a measured map: noise, the instrument's terms as they are known, those that nothing has seen.

@@ -6,6 +6,7 @@ those over the cells of the process grid: an entry keeps its meaning, the remova
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -19,10 +20,10 @@ from polishd.model.errors import ComputeError
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.checks import require_number
-from polishd.process.removal.blocks import PathBlocks, blocks_of, effect_errors, sampled_rows
 from polishd.process.removal.convolution import Layout, layout
+from polishd.process.removal.effect import Effect, SparseEffect
 from polishd.process.removal.tif import Spot
-from polishd.process.removal.tif_family import Family, meshed_family
+from polishd.process.removal.tif_family import Family, PathBlocks, blocks_of, effect_errors, meshed_family, sampled_rows
 
 # Weights of places between the nodes of a lattice on the nodes about them: those of quadratic splines.
 
@@ -254,3 +255,92 @@ def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: PathBlocks, family: F
         coefficients=family.coefficients * blocks.factor[:, None],
         spectra=np.asarray(scipy.fft.rfft2(family.kernels, where.size) / damped, dtype=np.complex128),
     )
+
+
+# Several tools over the same part as one effect: the points of one follow those of the other.
+
+# An effect's products to float32, by what is the quickest for its size.
+
+COMPILED_BLOCKS = 10_000
+"""From which on compiled code, loaded in half a second, is the quicker way."""
+
+
+def to_fast_float32(effect: SpreadEffect) -> Effect:
+    """The same, right to about 1e-6 of the peak."""
+    if effect.n < COMPILED_BLOCKS:
+        return effect.single()
+    from polishd.process.removal.spread_effect_compiled import compiled_spread
+
+    return compiled_spread(effect)
+
+
+@dataclass(frozen=True, slots=True)
+class CombinedEffect:
+    """The sum of effects on the same samples (paper eq. 47 with ``R = [R_1, R_2, ...]``); made by `together`."""
+
+    parts: tuple[Effect, ...]
+
+    @property
+    def grid(self) -> Grid:
+        """The process grid of the rows, which all have."""
+        return self.parts[0].grid
+
+    @property
+    def n(self) -> int:
+        """Number of timed points, of all together."""
+        return sum(part.n for part in self.parts)
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(n,) s -> (ny, nx) nm."""
+        own = zip(self.parts, split_by_tool(time_s, [part.n for part in self.parts]), strict=True)
+        return np.asarray(sum(part.removal_nm(times) for part, times in own), dtype=np.float64)
+
+    def adjoint(self, weight: FloatArray) -> FloatArray:
+        """(ny, nx) -> (n,)."""
+        return np.concatenate([part.adjoint(weight) for part in self.parts])
+
+
+def combine_effects(effects: Sequence[Effect]) -> Effect:
+    """One effect of all; a matrix where each has one.
+
+    Raises:
+        ComputeError: there is none, or they are not on the same samples.
+    """
+    if not effects:
+        raise ComputeError("there is no tool")
+    first = effects[0]
+    for number, effect in enumerate(effects[1:], 2):
+        if effect.grid != first.grid:
+            raise ComputeError(f"tool {number} acts on {effect.grid}, the first on {first.grid}: give one grid to all")
+    if len(effects) == 1:
+        return first
+    matrices = [effect.matrix for effect in effects if isinstance(effect, SparseEffect)]
+    if len(matrices) == len(effects):
+        return SparseEffect(first.grid, sparse.csr_array(sparse.hstack(matrices, format="csr")))
+    return CombinedEffect(tuple(effects))
+
+
+def split_by_tool(values: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
+    """Of (n,) values of all points those of each tool, whose points are so many."""
+    return np.split(values, np.cumsum(lengths)[:-1])
+
+
+def to_float32(effect: Effect) -> Effect:
+    """The same with products to float32 where those are quicker, else itself."""
+    if isinstance(effect, CombinedEffect):
+        return CombinedEffect(tuple(to_float32(part) for part in effect.parts))
+    return to_fast_float32(effect) if isinstance(effect, SpreadEffect) else effect
+
+
+def effect_note(effect: Effect) -> str | None:
+    """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
+    if isinstance(effect, CombinedEffect):
+        return "; ".join(told for part in effect.parts if (told := effect_note(part)) is not None) or None
+    return effect.note if isinstance(effect, SpreadEffect) else None
+
+
+def effect_error(effect: Effect) -> float:
+    """By which share of its peak the removal is off at most, at samples, of an effect without a matrix; 0 of one."""
+    if isinstance(effect, CombinedEffect):
+        return max(effect_error(part) for part in effect.parts)
+    return effect.error if isinstance(effect, SpreadEffect) else 0.0

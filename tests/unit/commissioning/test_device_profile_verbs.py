@@ -19,8 +19,8 @@ from polishd.maps.convert import store
 from polishd.maps.map_files import MapSource
 from polishd.model.instrument import SystemErrorRecord
 from polishd.model.surface import FloatArray, MapStep, SurfaceMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult
 from polishd.process.metrology.statistics import remove_terms
-from polishd.process.metrology.system_map import AbsoluteTestResult
 from tests.commissioned import commissioned
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.said import Polishd

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.process.metrology.absolute_next_poses import PoseOptions, next_poses
-from polishd.process.metrology.absolute_poses import PartPose, design_poses
+from polishd.process.metrology.absolute_poses import PartPose, PoseOptions, design_poses, next_poses
 
 RADIUS_MM = 50.0
 PORT = tuple(PartPose(angle) for angle in range(15, 360, 15))

@@ -9,8 +9,7 @@ import pytest
 
 from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.absolute_test import separate_instrument
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap, separate_instrument
 from tests.unit.process.metrology.turned_maps import PITCH_MM, instrument_nm, maps, part_nm, rms_nm, true_nm, turns
 
 

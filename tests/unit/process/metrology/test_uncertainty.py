@@ -12,9 +12,8 @@ import scipy.ndimage
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
 from polishd.process.metrology.absolute_poses import PartPose
-from polishd.process.metrology.absolute_test import separate_instrument
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, separate_instrument
 from polishd.process.metrology.statistics import pv_rms, remove_terms
-from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.process.metrology.uncertainty import (
     MapErrors,
     MapNoise,
