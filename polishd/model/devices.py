@@ -69,7 +69,7 @@ class SensedForce:
     force_n: float
     """Pressing is positive; 0 is what it read when it was last tared."""
     fault: int = 0
-    """Bits of its own: over its range, no cell connected."""
+    """Fault bits of the sensor: over range, no cell connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,15 +149,15 @@ class ActuatorTimes:
     """The longest that a force actuator takes, wall time, and how far its tool can follow the part."""
 
     silence_s: float = 0.3
-    """No answer for so long: it counts as silent."""
+    """Without an answer for so long, the actuator counts as silent."""
     watchdog_s: float = 1.0
-    """It hears nothing for so long: it takes the force off and lifts, by itself."""
+    """Without a message for so long, the actuator takes the force off and lifts."""
     landing_s: float = 10.0
     """From engaging to the force."""
     release_s: float = 0.2
     """From the order, or its watchdog, to force off."""
     retract_s: float = 5.0
-    """From force off until it tells that the tool is up."""
+    """From force off until it reports that the tool is up."""
     stroke_mm: float = 10.0
     unpowered: Unpowered = "lifts"
     """Beside its watchdog, which needs power: one that stays leaves it to the robot to take the tool away."""
@@ -171,7 +171,7 @@ class ActuatorTimes:
 
     @property
     def alone_s(self) -> float:
-        """From the last word that reached it until it has lifted by itself."""
+        """From the last message that reaches it until its watchdog has lifted the tool."""
         return self.watchdog_s + self.lifted_s
 
 
@@ -180,9 +180,9 @@ class RobotTimes:
     """The longest that a robot takes, wall time."""
 
     silence_s: float = 1.5
-    """No sound word for so long: its link counts as lost."""
+    """Without a valid message for so long, the link counts as lost."""
     watchdog_s: float = 8.0
-    """It hears nothing for so long: it stops by itself. Infinite for one that runs its program to the end."""
+    """Without a message for so long, the robot stops. Infinite for a robot that runs its program to the end."""
     stop_s: float = 5.0
     """From the order to standstill; also for lifting along the tool's axis."""
     lifts: bool = True
@@ -205,7 +205,7 @@ class SpindleTimes:
 
     silence_s: float = 0.8
     watchdog_s: float = 1.0
-    """It hears nothing for so long: it stops by itself."""
+    """Without a message for so long, the spindle stops."""
     spin_s: float = 8.0
     """From standstill to its speed, or back."""
     keys: Mapping[str, str] = field(default_factory=dict)
@@ -291,7 +291,7 @@ class SignalLimits:
     name: str
     """Of its section, `[signals.NAME]`."""
     monitor: str
-    """The device that tells it."""
+    """The device that reports it."""
     signal: str
     """As that calls it."""
     unit: str

@@ -21,9 +21,9 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """What a removal model believes of the process, carried over the cycles of a job and kept with its passes.
+    """Estimates of the process by a removal model, carried over the cycles of a job and kept with its passes.
 
-    A model that learns more than the rate has a subclass with fields of its own: whatever JSON can hold.
+    A model that estimates more than the rate has a subclass with further fields of JSON values.
     """
 
     rate: Estimate = Estimate(1.0)
@@ -68,7 +68,7 @@ class PassEvidence:
     executed_s: FloatArray
     """(n,) s: time that each timed point really had."""
     predicted_nm: FloatArray
-    """(ny, nx) nm, positive = removed, without what nobody knows of it (piston, tilt); NaN outside the mask."""
+    """(ny, nx) nm, positive = removed, without the unknown terms (piston, tilt); NaN outside the mask."""
     measured_nm: FloatArray
     """(ny, nx) nm: map before less map after, levelled alike."""
     mask: BoolArray
@@ -186,7 +186,7 @@ class DiagnosisClass:
     """A class of causes."""
 
     members: str
-    """What it may be: no evidence of a pass tells these apart."""
+    """The possible causes, which the evidence of a pass cannot separate."""
     todo: str
     """What is done about it, and what a person can do."""
 
@@ -203,8 +203,8 @@ CAUSES: dict[CauseName, DiagnosisClass] = {
         "held beyond half a millimetre; less is noted",
     ),
     "rate": DiagnosisClass(
-        "a worn tool, the slurry, process.preston, a compliance that is off all over, a force or speed that nobody "
-        "reads, or the factor of the map's heights",
+        "a worn tool, the slurry, process.preston, a compliance that is wrong everywhere, an unmonitored "
+        "force or speed, or the factor of the map's heights",
         "held beyond what learning takes up; less is learned, and the next plan counts with it",
     ),
     "settling": DiagnosisClass(
@@ -236,12 +236,12 @@ class Diagnosis:
     """The least size at which these maps would have named it."""
     unit: str
     what: str
-    """In words."""
+    """Description."""
     again: bool = False
-    """Suspected only: another map, with no pass between, tells."""
+    """Suspected only: another map without a pass between decides."""
 
     @property
     def words(self) -> str:
-        """With what cannot be told from it, and what is done."""
+        """Return the finding with its possible causes and the action."""
         cause = CAUSES[self.cause]
-        return f"{self.what}: {cause.members}, which cannot be told apart; {cause.todo}"
+        return f"{self.what}: {cause.members}, which cannot be separated; {cause.todo}"

@@ -15,7 +15,7 @@ from polishd.model.surface import SurfaceStats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that happened. Each kind is a class of its own, known by ``name``."""
+    """An event of the daemon. Each kind is one class, identified by ``name``."""
 
     name: ClassVar[str]
     cycle: Annotated[int | None, "the cycle in which it happened; None outside of all"] = None
@@ -34,7 +34,7 @@ class Event:
         return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
 
     def concern(self) -> OperatorNotice | None:
-        """Nobody's."""
+        """Return None: the event needs no operator."""
         return None
 
 
@@ -49,7 +49,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShopRateReceived(Event):
-    """The shop tells what another cell has learned of a recipe; a job begins with it where this cell has no lesson."""
+    """The shop sends another cell's estimates of a recipe; a job begins with them where this cell has none."""
 
     name: ClassVar[str] = "rate_offered"
     recipe: Annotated[str, "of process and tool, a hash"]
@@ -228,7 +228,7 @@ class MapRefused(Event):
     waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
 
     def concern(self) -> OperatorNotice:
-        """Warning: no map comes by itself."""
+        """Return a warning: the operator must measure again."""
         since = f", refused {self.waited_s / 60:.0f} min ago" if self.waited_s else ""
         waits = "the cell measures: it waits for another map; nothing moves"
         return OperatorNotice(
@@ -298,7 +298,7 @@ class SignalOutOfRange(Event):
     leads_to: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
 
     def concern(self) -> OperatorNotice | None:
-        """Warning where nothing but this follows; what else follows tells of itself."""
+        """Return a warning where the reaction is only a notification; other reactions raise their events."""
         if self.leads_to != "notify":
             return None
         return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
@@ -426,7 +426,7 @@ class RunFolderCompleted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotificationFailed(Event):
-    """Nobody was reached through a notifier. Told once until it has sent all that waits, and when some is given up."""
+    """A notifier failed. Raised once until it has sent all that waits, and when the sender gives up some."""
 
     name: ClassVar[str] = "notification_failed"
     notifier: Annotated[str, "its name: `mail` of `[notify.mail]`"]

@@ -28,7 +28,7 @@ class CommissioningRecord:
 
 @dataclass(frozen=True, slots=True)
 class UnmeasuredTerms:
-    """How large the instrument's own terms may be where nothing has told them: one standard deviation, nm RMS.
+    """Prior size of the instrument's undetermined terms: one standard deviation, nm RMS.
 
     Those of a transmission flat of a twentieth of a wave: much power and astigmatism, less of what polishing evens out.
     """
@@ -51,7 +51,7 @@ class UnmeasuredTerms:
 
 @dataclass(frozen=True, slots=True)
 class SystemErrorRecord:
-    """The record of a system map: the instrument's own error was told from maps of a part that was turned."""
+    """Record of a system map: the instrument's error from maps of a turned part."""
 
     map: str
     """Its file, as the profile names it."""

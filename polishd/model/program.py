@@ -45,7 +45,7 @@ class Program:
     """Largest feed that the program itself asks for in a timed block."""
     warnings: tuple[str, ...] = ()
     feed_mm_min: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(n,) feed of the move that leads to each point; NaN where unknown; empty where nobody asked."""
+    """(n,) feed of the move that leads to each point; NaN where unknown; empty where not requested."""
     unit: str = "s"
     """Unit of the numbers that carry the time, as they are written: "s", "ms", "mm/min", "1/min", ..."""
     frame: Literal["program", "part"] = "program"

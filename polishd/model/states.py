@@ -58,9 +58,9 @@ class Severity(StrEnum):
     """How soon a person is wanted."""
 
     INFO = "info"
-    """Nobody: it is good to know."""
+    """Information only; no action is needed."""
     WARNING = "warning"
-    """The cell is safe, and waits for somebody."""
+    """The cell is safe and waits for the operator."""
     ALARM = "alarm"
     """Now: the daemon is gone, or a device did not confirm that it is safe."""
 
@@ -72,7 +72,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OperatorNotice:
-    """An event in the words of whoever is called at night; commands in it name ``CELL.toml``."""
+    """Message of an event for the operator on call; commands in it name ``CELL.toml``."""
 
     severity: Severity
     what: str
@@ -231,7 +231,9 @@ TRANSITIONS: tuple[StateTransition, ...] = (
     StateTransition(_HELD, StateEvent.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
     StateTransition(_HELD, StateEvent.UNFIT, _HELD, "the same", _END),
     StateTransition(_HELD, StateEvent.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
-    StateTransition(_HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
+    StateTransition(
+        _HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: the interruption is reported before it goes on", _END
+    ),
     StateTransition(_HELD, StateEvent.HOLD, _HELD, "its reason is added"),
     StateTransition(_HELD, StateEvent.ESTOP, _HELD, "its reason is added"),
     StateTransition(_HELD, StateEvent.STOP, _END, "over an error, the daemon ends with that error"),

@@ -32,7 +32,7 @@ class MapInput:
     sha256: str
     """Of its file's bytes."""
     history: MapStep | None = None
-    """How it came about itself; None: as an instrument, or somebody else's program, wrote it."""
+    """Processing step that made it; None: written by an instrument or another program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class MapStep:
 
     @property
     def profiled(self) -> bool:
-        """Whether an instrument's profile is in it, of its own or of all that it was made of."""
+        """Return whether an instrument's profile was applied to it or to all its inputs."""
         before = [one.history is not None and one.history.profiled for one in self.inputs]
         return "profile" in self.options or (bool(before) and all(before))
 
@@ -100,7 +100,7 @@ class MapStep:
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 DateFrom = Literal["header", "file system", "guessed"]
-"""Who dates a map: its header; the system that keeps the file; nobody (no year, not a date of any map, filled in)."""
+"""Source of a map's date: its header, the file system, or a guess (the header has no plausible date)."""
 
 
 @dataclass(frozen=True, slots=True)

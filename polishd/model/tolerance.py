@@ -71,9 +71,9 @@ class LineResult:
     uncertainty: float | None = None
     """By how much the instrument's repeatability may have changed it, at most; None: not known."""
     bound: float | None = None
-    """Below it the part's own figure lies in 95 % of cases: by it the line is judged; None: as it was measured."""
+    """95 % upper bound of the true figure, by which the line is judged; None: judged by the measured value."""
     removed: str = ""
-    """What the bound leaves out, since nothing has told it of the instrument: "power"; empty: nothing."""
+    """Term that the bound leaves out because the instrument's error is undetermined: "power"; empty: none."""
 
     @property
     def counted(self) -> float:
@@ -125,9 +125,9 @@ class LineResult:
 
 
 def line_results(measured: Mapping[str, Any]) -> tuple[LineResult, ...]:
-    """Of a measurement's facts; none of one of an earlier polishd."""
-    told: Iterable[Mapping[str, Any]] = measured.get("judged") or ()
-    return tuple(map(LineResult.of, told))
+    """Read the results of a measurement record; empty for a record of an earlier polishd."""
+    rows: Iterable[Mapping[str, Any]] = measured.get("judged") or ()
+    return tuple(map(LineResult.of, rows))
 
 
 def worst_line(judged: Sequence[LineResult]) -> LineResult | None:

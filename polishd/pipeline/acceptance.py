@@ -47,7 +47,7 @@ def bounded(
     if recipe.accept == "figure":
         return judged
     some = _some(clear)
-    circle = zernike.enclosing_circle(clear) if recipe.system is None else recipe.system.told.circle_px
+    circle = zernike.enclosing_circle(clear) if recipe.system is None else recipe.system.result.circle_px
     removed = "power" if _without_power(recipe) else ""
     found = []
     for line, one in zip(recipe.lines, judged, strict=True):
@@ -73,7 +73,7 @@ def errors_of(recipe: Recipe, *, periods: bool = False) -> MapErrors:
     priors = {(n, m): unseen.of(n, m) for n, m in terms(_degree(recipe))[LEVEL:]}
     if recipe.system is None:
         return MapErrors(MapNoise(white), _degree(recipe), unseen_nm=priors, unseen_rest_nm=unseen.shorter_nm)
-    return errors_from_system_map(recipe.system.told, MapNoise(white), priors)
+    return errors_from_system_map(recipe.system.result, MapNoise(white), priors)
 
 
 def demanded(recipe: Recipe) -> tuple[RemeasureAdvice, ...]:
@@ -119,7 +119,7 @@ def _without_power(recipe: Recipe) -> bool:
 
 
 def _degree(recipe: Recipe) -> int:
-    return MapErrors(MapNoise(0.0)).degree if recipe.system is None else recipe.system.told.degree
+    return MapErrors(MapNoise(0.0)).degree if recipe.system is None else recipe.system.result.degree
 
 
 def _some(mask: BoolArray) -> BoolArray:

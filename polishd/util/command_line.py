@@ -19,7 +19,7 @@ Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, t
 
 
 def spread_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the fields of its parameter that is a dataclass as options: typer sees each field by itself.
+    """Expand a command's dataclass parameter into options, one for each field.
 
     So an option's name, unit, default and help stand in one place, and what the command does is handed one record.
     """
@@ -42,7 +42,7 @@ def spread_options(command: Callable[..., None]) -> Callable[..., None]:
     return with_record
 
 
-# Who sits at the terminal: for the journal, which names whoever gives an order.
+# The user at the terminal, whom the journal names with each command.
 
 
 def account_name(number: int) -> str:

@@ -70,7 +70,7 @@ def require_writable(folder: Path) -> None:
 
 
 def require_new(out: Path) -> None:
-    """ConfigError unless it can become a folder of its own: it is not there, or empty."""
+    """Raise ConfigError unless the folder does not exist or is empty."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
 

@@ -52,6 +52,6 @@ def _folder(version: str, sources: tuple[Path, ...]) -> str | None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except (OSError, RuntimeError):  # nobody's home
+    except (OSError, RuntimeError):  # the account has no home
         return None
     return str(folder)

@@ -1,4 +1,4 @@
-"""Secrets: a config says where one is kept, and never what it is; what is read is used at once, and told to nobody."""
+"""Secrets: a config names the location of a secret, never its value, which is used at once and never logged."""
 
 from __future__ import annotations
 

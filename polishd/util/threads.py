@@ -25,10 +25,10 @@ class LoopThreads(ThreadPoolExecutor):
     """What ``asyncio.to_thread`` runs in. Shut down, it waits ``END_S`` for its threads, and leaves the others."""
 
     def __init__(self) -> None:
-        """All threads begin now, and none later.
+        """Start all threads now, and none later.
 
-        Where memory is out a thread that begins may end before it says that it has begun, and whoever starts it, which
-        would be the loop in contact, waits for that word for ever.
+        Without memory a new thread may end before it reports its start. The thread that starts it, which would be the
+        loop in contact, then waits for ever.
         """
         super().__init__(thread_name_prefix=NAME)
         begun = threading.Barrier(self._max_workers)

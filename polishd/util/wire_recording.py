@@ -1,7 +1,7 @@
-"""Where a cell's recorder listens in: each link tells it what passes, as bytes or frames, before anybody reads them.
+"""Recording of a cell's links: each link passes its bytes or frames to the recorder before they are parsed.
 
-Whose link it is nobody hands down: the cell says which device it talks to (``record_sent``), and what that opens
-meanwhile is that device's.
+The device of a link is not an argument: the cell states the device that it talks to (``record_sent``), and links that
+open meanwhile belong to that device.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class WireMessage:
     at_s: float
     """``time.monotonic``; in a file: since the recording began."""
     role: str
-    """The device's name in the cell; empty where nobody said."""
+    """The device's name in the cell; empty where unknown."""
     link: str
     """Its address."""
     way: Way
@@ -42,7 +42,7 @@ class WireMessage:
     values: Mapping[str, object] | None = None
     """By name, in place of bytes: of a link that a library hides."""
     clock_s: float | None = None
-    """Of values that came: when, on the clock of whoever has them."""
+    """Time of received values on the sender's clock."""
     changed_s: Mapping[str, float] | None = None
     """On that clock, when some came to their values."""
 
@@ -81,7 +81,7 @@ _role: ContextVar[str] = ContextVar("role", default="")
 
 
 def tap(link: str) -> LinkTap | None:
-    """Of a link that was opened just now; None where nobody records."""
+    """Return the tap of a link that was just opened; None without a recorder."""
     if (recorder := _recorder.get()) is None:
         return None
     found = LinkTap(recorder, _role.get(), link)
@@ -131,8 +131,8 @@ class Recording:
         """Line and record of all that passed on that device's links; ConfigError where nothing did."""
         found = [(line, one) for line, one in zip(self.lines, self.passed, strict=True) if one.role == role]
         if not found:
-            roles = ", ".join(sorted({one.role for one in self.passed})) or "nobody"
-            raise ConfigError(f"{self.path}: nothing of {role!r} is recorded; it has {roles}")
+            roles = ", ".join(sorted({one.role for one in self.passed})) or "no device"
+            raise ConfigError(f"{self.path}: no message of {role!r} is recorded; the file holds {roles}")
         return found
 
 
@@ -227,8 +227,8 @@ def _passed(path: Path, at: int, row: Mapping[str, Any]) -> WireMessage:
         identifier = None if row.get("id") is None else int(row["id"])
         clock_s = None if row.get("clock_s") is None else float(row["clock_s"])
         changed_s = {str(name): float(at_s) for name, at_s in dict(row.get("changed_s", {})).items()} or None
-        why, told = row.get("why", ""), (values, clock_s, changed_s)
-        return WireMessage(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *told)
+        why, received = row.get("why", ""), (values, clock_s, changed_s)
+        return WireMessage(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *received)
     except KeyError as error:
         raise _bad(path, at, f"has no {error.args[0]!r}") from error
     except (TypeError, ValueError) as error:

@@ -1,13 +1,13 @@
 """Alternating directions for an effect without a matrix: a large part, a large spot, a tool that moves.
 
-One dwell minimises the objective, another keeps to the bounds, and a multiplier draws them together (ADMM; Boyd et al.,
-Found. Trends Mach. Learn. 3 (2011) 1). The first is never solved for: from where it was it takes one step down, in the
-metric of the mean spot under a path that is everywhere as dense, which transforms invert in closed form. A step costs
-one product and one adjoint of the effect on a coarser grid, which knows how the objective bends well enough; where it
-stands is found with the effect itself, every so many steps, and what the coarser one was off by is put right (defect
-correction). Projected Newton-CG needs many times as many where the spot is large.
+One dwell minimizes the objective, another keeps to the bounds, and a multiplier draws them together (ADMM; Boyd et al.,
+Found. Trends Mach. Learn. 3 (2011) 1). The first is never solved exactly: it takes one step down, in the metric of the
+mean spot under a path of constant density, which transforms invert in closed form. A step costs one product and one
+adjoint of the effect on a coarser grid, whose curvature is accurate enough. Every LOOK_EVERY steps the effect gives the
+gradient, and the error of the coarser grid is corrected (defect correction). Projected Newton-CG needs many times as
+many products where the spot is large.
 
-Nothing here is trusted: the certificate is computed anew.
+The certificate does not rely on this solver: it is computed anew.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ from polishd.process.removal.spread_effect_compiled import (
 
 RELAXATION = 1.7
 PULL, HARDER = 1.0, 1.5
-"""How strongly the two dwells are drawn together at first, over the geometric mean of the objective's least and most
-curvature; and how many times as strongly where they come no nearer. The weaker, the fewer steps, down to where a step
-down does not follow any more: between 0.5 and 2, as path, part and spot are."""
+"""Initial coupling of the two dwells, over the geometric mean of the objective's least and most curvature, and its
+factor where they do not approach each other. A weaker coupling needs fewer steps, down to a value between 0.5 and 2
+(by path, part and spot) below which the steps do not converge."""
 LOOK_APART = 20
-"""Steps between two looks at how far they are apart."""
+"""Steps between two checks of the distance between them."""
 LEAST_REGULARISATION = 1e-5
-"""Regularisation below this share of the most curvature is taken for this, in the pull only."""
+"""Least regularization for the pull, as a share of the most curvature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class StepMetric:
 
 @dataclass(slots=True)
 class AlternatingStep:
-    """Where the two dwells stand; (n,) each, s."""
+    """State of the two dwells; (n,) each, s."""
 
     problem: DwellProblem
     """Whose curvature steps are found with."""
@@ -121,12 +121,12 @@ class AlternatingStep:
     _apart: float = np.inf
 
     def seen(self, gradient: FloatArray) -> None:
-        """The objective's gradient at ``bounded``, exactly: what the slope was off by is put right."""
-        # of what is small: float32's floor is of that
+        """Correct the slope by the exact gradient of the objective at ``bounded``."""
+        # float32 products of the small difference: their rounding error is relative to it
         self.slope = gradient + self.f.rough_curvature(self.free - self.bounded)
 
     def step(self) -> None:
-        """One step down in the metric, and one towards each other; drawn harder where that leads nowhere."""
+        """Take one step down in the metric and one towards each other; increase the pull where they do not approach."""
         self._go()
         self.steps += 1
         if self.steps % LOOK_APART == 0:
@@ -141,7 +141,7 @@ class AlternatingStep:
         self.near = replace(self.near, pull=pull)
 
     def _go(self) -> None:
-        """Down to the least of all that the metric's way and the last step's can be combined to."""
+        """Minimize over all combinations of the metric's direction and the last step's."""
         pull = self.near.pull
         uphill = self.slope + pull * (self.free - self.bounded + self.multiplier)
         way = self.near.inverse(-uphill)
@@ -163,10 +163,10 @@ class AlternatingStep:
 
 
 def step_sizes(slopes: tuple[float, float], curvatures: tuple[float, float, float]) -> tuple[float, float]:
-    """How far to go along two ways, down to the least of a quadratic.
+    """Step sizes along two directions to the minimum of a quadratic.
 
-    ``slopes`` along each, and ``curvatures``: of the first, of both, of the second; along the first only where the
-    second is none of its own.
+    ``slopes`` along each, and ``curvatures``: of the first, of both, of the second. Only along the first where the
+    second does not differ from it.
     """
     (a, b), (p, q, r) = slopes, curvatures
     across = p * r - q * q
@@ -242,7 +242,7 @@ class CompiledAlternatingStep(AlternatingStep):
     _spread: CompiledSpread | None = None
     _fields: NodeBuffers | None = None
     _bounds: tuple[FloatArray, FloatArray] | None = None
-    """Copies: compiled code is another one for arrays that nobody may write to."""
+    """Copies, because numba compiles a second version for read-only arrays."""
 
     def _go(self) -> None:
         """See Walk."""
@@ -379,12 +379,12 @@ def _bend(
 NAME = "spectral"
 MAX_STEPS = 5000
 LOOK_EVERY = 60
-"""Steps between two looks with the effect itself: each costs as much as two to thirty of them, and in so many the
-objective comes four to ten times as near to the least."""
+"""Steps between two checks with the effect itself. A check costs as much as two to thirty steps; in so many steps the
+distance of the objective from the minimum falls to a quarter or a tenth."""
 ACCEPTED = 5e-5
 """KKT residual at which a gap that is small enough ends it: a cell accepts 1e-4."""
 FINELY = 1e-6, 1e-5
-"""KKT residual and gap below which looks that may be the last are in float64; float32 tells as much in less time."""
+"""KKT residual and gap below which checks that may be the last are in float64. Above, float32 is as good and faster."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 
@@ -486,7 +486,7 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
 
 
 class _Look:
-    """Where a dwell stands, by the effect itself: in float64 where float32 does not tell enough."""
+    """Objective and KKT residual of a dwell by the effect itself, in float64 where float32 is too coarse."""
 
     def __init__(self, problem: DwellProblem, f: QuadraticObjective, *, finely: bool) -> None:
         self._f, self._finely = f, finely

@@ -543,8 +543,8 @@ def dwell_of_tools(
         if best is None or score < best[0]:
             best = score, chosen, found, change_s
     if best is None:
-        told = "\n".join(f"  {', '.join(row['tools'])}: {row['refused']}" for row in rows)  # type: ignore[arg-type]
-        raise ComputeError(f"no choice of tools gets there:\n{told}")
+        reasons = "\n".join(f"  {', '.join(row['tools'])}: {row['refused']}" for row in rows)  # type: ignore[arg-type]
+        raise ComputeError(f"no choice of tools reaches the target:\n{reasons}")
     _, chosen, found, change_s = best
     own = [(tools[k], *alone[k]) for k in chosen]
     return ToolsDwell(

@@ -184,7 +184,7 @@ def choose_piston_nm(
     """The mean removal to add to a surface so that it can be reached by removing only.
 
     The rule: the smallest piston p such that the removal wanted, ``height + p``, is not below what motion at the lower
-    bound removes by itself, save at the fraction ``unreached`` of the samples (the deepest pits: to wait for a single
+    bound already removes, save at the fraction ``unreached`` of the samples (the deepest pits: to wait for a single
     scratch costs time over the whole part). How much to remove overall moves the residual more than any solver does:
     more piston buys more reach, and costs time in proportion.
 

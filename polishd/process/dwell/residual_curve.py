@@ -67,7 +67,7 @@ class CurvePoint:
 
 @dataclass(frozen=True, slots=True)
 class ResidualCurve:
-    """A path of solved problems, in the order they were solved, each certified by itself."""
+    """Solved problems in the order of solution, each with its certificate."""
 
     points: tuple[CurvePoint, ...]
 
@@ -172,7 +172,7 @@ def solve_within_budget(
     """The best residual with ``sum(t) <= budget_s``: the price of time at which the budget is just used up.
 
     Args:
-        problem: the problem; a price of its own is the least that is tried.
+        problem: the problem. The search starts no lower than its price.
         budget_s: total time, s.
         solve: the solver; each solve starts from the last.
         tolerance: how much of the budget may stay unused, as a fraction of it, where it binds.

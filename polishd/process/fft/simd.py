@@ -1,8 +1,8 @@
 """Sixteen float32 side by side as one value that numba knows; LLVM makes of it what the processor has.
 
-numba leaves it to LLVM to find what can be done side by side, and in a butterfly that works in place it finds nothing:
-it cannot know that the rows which are read and written do not overlap. Here it is said. With AVX-512 a value is one
-register, on other processors two or four.
+numba leaves vectorization to LLVM, which does not vectorize a butterfly that works in place: LLVM cannot know that the
+rows which are read and written do not overlap. This module states it. With AVX-512 a value is one register, on
+other processors two or four.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ UPWARDS = ("compliance",)
 """Limited only where it is more than configured, too: an actuator may take up all that the robot gives way."""
 PLACE = ("offset", "shift", "rotation")
 LOGARITHMS = ("rate", "width", "compliance")
-"""Extensions whose parameter is a natural logarithm: told as what it stands for, in percent."""
+"""Extensions whose parameter is a natural logarithm; messages state the change in percent."""
 PLAIN = ("exponent",)
 """Those that are no share of anything."""
 LOOK = "look at tool, seat and map before the next pass"
@@ -92,7 +92,7 @@ class EstimatedShift:
         return 100.0 if self._unit == "%" else 1.0
 
     def _value(self, value: float) -> float:
-        """What a natural logarithm stands for; else itself."""
+        """Return the relative change of a logarithmic parameter, else the value itself."""
         return (float(np.expm1(value)) if self.name in LOGARITHMS else value) * self._scale
 
 

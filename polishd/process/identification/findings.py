@@ -22,7 +22,7 @@ from polishd.process.removal.transfer_function import SpotTransferFunction
 LEVEL = 0.9
 UNEXPLAINED = 0.009
 """Of the removal, RMS, before a pass has shown it: so that most first passes in each of this package's scenarios
-come as expected, those with a ripple that no touch tells among them (docs/scenarios.md)."""
+come as expected, also those with a ripple that no touch shows (docs/scenarios.md)."""
 WITHIN = 0.6
 """Standard deviation of the natural logarithm of how large it is in the next pass."""
 MODES = 12

@@ -26,7 +26,7 @@ robust fit, which is asked for outliers and noise only."""
 STEPS = 40
 DAMPINGS = 8
 LEAST_DAMPING, EASED = 1e-3, 8.0
-"""Of a step that does not lower the loss by itself, and by how much less the next one is damped."""
+"""Least damping after a step that does not lower the loss, and the factor by which the next step is damped less."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -172,7 +172,7 @@ class ExecutedBlocks:
     azimuth_rad: FloatArray
     """(n,) where the spindle leaned, counterclockwise from x."""
     depth_ratio: Mapping[str, FloatArray]
-    """By projection of the compliance, (n,) gamma of each block: what is to be told apart."""
+    """By projection of the compliance, (n,) gamma of each block."""
     factor: FloatArray | None = None
     """(n,) on the removal, as of `dynamic_tif.corrected_spot`; None: 1."""
     force_n: FloatArray | None = None

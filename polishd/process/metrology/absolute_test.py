@@ -1,7 +1,8 @@
 """Maps of one part at several turns and shifts as two: the instrument's own error, and the part.
 
-Low orders are Zernike terms, since in them the design says exactly what is told and how sure it is; what they leave
-goes sample by sample (`rest`). What no pose tells is the part's, and named: the instrument's map has nothing of it.
+Low orders are Zernike terms: for them the design of the poses gives exactly which are determined, and their errors. The
+remainder is separated sample by sample (`split_remainder`). A term that no pose determines stays in the part, is listed
+by name, and is not in the instrument's map.
 """
 
 from __future__ import annotations
@@ -164,7 +165,7 @@ LEAST_MAPS = 2
 SETTLED = 1e-3
 """Change of the instrument's map, of itself, at which it is done."""
 LEAST_SHARE = 0.1
-"""Of the samples that must be more than the unknowns for the noise to be told."""
+"""Share of the samples that must exceed the unknowns to estimate the noise."""
 Way = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """From coordinates in one frame, mm about the axis, to those in the other."""
 
@@ -266,7 +267,7 @@ def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> fl
 
     Args:
         poses: of the part in each map.
-        degree: radial order of the terms that are told otherwise.
+        degree: radial order of the terms, which `solve` determines.
         radius_mm: of the aperture.
     """
     along = np.arange(-RADIUS_PX, RADIUS_PX + 1)
@@ -468,42 +469,42 @@ def _surface(
     return surface
 
 
-# What poses told of an instrument, kept beside its map: how sure each term is, and what nobody has seen.
+# Errors of the instrument's map, kept beside it: covariance of each term, and the terms that no pose determined.
 
 DIGITS = 9
-"""Of the covariance, as it is kept: fewer would leave it no covariance."""
+"""Digits of the stored covariance; with fewer it is not positive definite."""
 Term = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class AbsoluteTestResult:
-    """All that the bound of a figure needs to know of the instrument's map."""
+    """Errors of the instrument's map, as the bound of a figure needs them."""
 
     degree: int
     """Radial order of the terms."""
     terms: tuple[Term, ...]
     """(n, m) of the instrument's terms above tilt: RMS norm, angles from x towards y."""
     covariance: FloatArray
-    """(j, j) nm^2 of them, as far as they were told."""
+    """(j, j) nm^2 of the terms that were determined."""
     unknown: Mapping[Term, float]
-    """Of terms that are not told, which share is not: 0 to 1."""
+    """Undetermined share, 0 to 1, of each term that is not fully determined."""
     rest_nm: float
-    """RMS of the waves above the terms that the poses leave in the part."""
+    """RMS of the waves above the terms that the poses leave undetermined."""
     circle_px: tuple[float, float, float]
     """(row, column, radius) of the terms' unit circle in the map's frame."""
 
     @classmethod
     def of(cls, found: AbsoluteSolution) -> Self:
-        """Of maps that were told apart."""
+        """Return the errors of a solution."""
         design = found.design
         share = {(one.n, one.m): one.share for one in design.unknown}
         return cls(design.degree, design.terms, found.solution.covariance, share, found.hidden_rest_nm, found.circle_px)
 
     def with_reference(self, term: Term, sigma_nm: float) -> AbsoluteTestResult:
-        """The same where a reference has told a term that no pose tells: known to ``sigma_nm``, one standard deviation.
+        """Return the errors with a term that a reference determined to ``sigma_nm``, one standard deviation.
 
         Raises:
-            BadMap: the poses told it already, or there is no such term.
+            MapError: the poses determined the term already, or there is no such term.
         """
         if term not in self.unknown:
             raise MapError(f"the term (n, m) = {term} is none that the poses left unknown: leave the reference out")
@@ -515,13 +516,13 @@ class AbsoluteTestResult:
         return replace(self, covariance=covariance, unknown=unknown)
 
     def shape(self, term: Term, mask: BoolArray) -> FloatArray:
-        """(ny, nx) of a term of size 1 inside ``mask`` of the map's frame, NaN outside: RMS 1 over the circle."""
+        """Return (ny, nx) of a term of RMS 1 over the circle inside ``mask`` of the map's frame, NaN outside."""
         height = np.full(mask.shape, np.nan)
         height[mask] = values((term,), "rms", *zernike.unit_coordinates(mask, self.circle_px))[0]
         return height
 
     def facts(self) -> dict[str, Any]:
-        """Values of JSON: of the covariance the lower triangle, row by row."""
+        """Return JSON values; the covariance is its lower triangle, row by row."""
         lower = self.covariance[np.tril_indices(len(self.terms))]
         return {
             "degree": self.degree,
@@ -534,7 +535,7 @@ class AbsoluteTestResult:
 
     @classmethod
     def load(cls, facts: Mapping[str, Any]) -> Self:
-        """From them again; ValueError, TypeError or KeyError where they are none."""
+        """Read the errors from their JSON values; ValueError, TypeError or KeyError where they are malformed."""
         terms = tuple((int(n), int(m)) for n, m in facts["terms"])
         covariance = np.zeros((len(terms), len(terms)))
         covariance[np.tril_indices(len(terms))] = facts["covariance"]
@@ -551,20 +552,20 @@ class AbsoluteTestResult:
 
 @dataclass(frozen=True, slots=True)
 class SystemMap:
-    """An instrument's own error, which is taken off each of its maps."""
+    """The instrument's error, which is subtracted from each of its maps."""
 
     surface: SurfaceMap
-    """As the instrument's profile turns and scales its maps: of one frame with them."""
-    told: AbsoluteTestResult
+    """In the frame of its maps after the instrument's profile."""
+    result: AbsoluteTestResult
 
     def off(self, surface: SurfaceMap) -> SurfaceMap:
-        """The map less the instrument's error, sample by sample; no data where that has none.
+        """Subtract the instrument's error from a map, sample by sample; no data where the error has none.
 
         Args:
-            surface: as the profile turns and scales it.
+            surface: a map after the instrument's profile.
 
         Raises:
-            BadMap: it is of another frame: other samples, or another pitch.
+            MapError: the map has other samples or another pitch.
         """
         own, other = self.surface.height_nm.shape, surface.height_nm.shape
         pitch, wanted = surface.pitch_mm, self.surface.grid.pitch_mm

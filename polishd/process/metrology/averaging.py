@@ -14,7 +14,7 @@ from polishd.process.metrology.instrument import same_system
 from polishd.process.metrology.statistics import Removal, remove_terms
 
 FEWEST = 3
-"""Maps that must be left: of two that differ nobody knows which is wrong."""
+"""Least number of remaining maps: of two maps that differ, either may be wrong."""
 MAP_SIGMAS = 5.0
 SAMPLE_SIGMAS = 5.0
 SIGMA_PER_MAD = 1.4826
@@ -98,8 +98,8 @@ def _require_one_setup(surfaces: Sequence[SurfaceMap]) -> None:
     names = _names(surfaces)
     bare = [name for name, surface in zip(names, surfaces, strict=True) if surface.pitch_mm is None]
     if bare:
-        raise MapError(f"{', '.join(bare)}: without a lateral scale nobody knows whether repeats are of one zoom; give "
-                     "the instrument's --profile, or say --mixed")  # fmt: skip
+        raise MapError(f"{', '.join(bare)}: without a lateral scale the zoom of the repeats is unknown. Give "
+                     "the instrument's --profile, or --mixed")  # fmt: skip
     known = [(name, surface.instrument) for name, surface in zip(names, surfaces, strict=True) if surface.instrument]
     for name, instrument in known[1:]:
         first, usual = known[0]

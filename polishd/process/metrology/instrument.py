@@ -74,7 +74,7 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
 
     What the file does not say the profile does not either (no matter where ``partly``), they contradict each other, the
     map is of another instrument, or a profile was applied before, to the map or to one that it was made of. Nor is a
-    mean of mixed repeats taken but to look at (``partly``): nobody knows what it shows.
+    mean of mixed repeats that is only for viewing (``partly``): its content is undefined.
     """
     name = surface.path.name if surface.path is not None else "the map"
     steps = [] if surface.history is None else list(surface.history.steps)

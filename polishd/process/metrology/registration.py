@@ -283,7 +283,7 @@ LARGEST_MM = 6.0
 MOST_ELONGATED = 2.0
 """Longest to shortest axis of a hole that may be a mark; scratches are longer."""
 LEAST_FULL = 0.7
-"""Least share of its own ellipse that a hole fills: dirt has arms."""
+"""Least share of its ellipse that a hole fills; dirt has arms."""
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.bool_)
 
 
@@ -321,7 +321,7 @@ def find_marks(height_nm: FloatArray, pitch_mm: float) -> tuple[Point, ...]:
 
 def _compact(row: np.ndarray, column: np.ndarray) -> bool:
     """Whether a hole is about an ellipse, of moments that its pixels have, and not too long."""
-    moments = np.cov(np.stack([row, column]), bias=True) + np.eye(2) / 12  # a pixel is a square of its own
+    moments = np.cov(np.stack([row, column]), bias=True) + np.eye(2) / 12  # a pixel is a square
     short, long = np.sqrt(np.linalg.eigvalsh(moments))
     return bool(long <= MOST_ELONGATED * short and row.size >= LEAST_FULL * 4 * np.pi * short * long)
 
@@ -448,7 +448,7 @@ def _visible_turn(dx: FloatArray, dy: FloatArray) -> float:
 # The part's place by its outline where that is a polygon: its sides through the rim of the data.
 
 LEAST_KNOWN = 0.005
-"""Of the rim's samples, those that would move if the part were shifted or turned: where fewer, nobody sees how far."""
+"""Least share of the rim's samples that move with a shift or turn of the part; with fewer the pose is unknown."""
 PLACES = 400
 """Along the outline, at which it is looked for."""
 

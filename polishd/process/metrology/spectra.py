@@ -132,7 +132,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: 
     half, shape = _density(height_nm, mask, pitch_mm, window)
     frequency = frequencies(shape, pitch_mm)
     ring = np.rint(frequency * (max(shape) * pitch_mm)).astype(np.intp).ravel()
-    times = np.full(half.shape, 2.0)  # a column of the half plane stands for two of the whole, but the first ...
+    times = np.full(half.shape, 2.0)  # a column of the half plane counts for two of the whole, but the first ...
     times[:, 0] = 1.0
     if shape[1] % 2 == 0:  # ... and the last of an even number
         times[:, -1] = 1.0

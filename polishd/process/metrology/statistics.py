@@ -94,7 +94,7 @@ def power(height_nm: FloatArray, mask: BoolArray) -> tuple[FloatArray, float]:
 
 
 def _scaled(mask: BoolArray, *, alike: bool = False) -> tuple[FloatArray, FloatArray]:
-    """(nx,) and (ny,) coordinates that are -1 and 1 at the mask's box, so that low powers of them are well told apart.
+    """(nx,) and (ny,) coordinates that are -1 and 1 at the mask's box, so that low powers of them are well conditioned.
 
     Args:
         mask: (ny, nx).

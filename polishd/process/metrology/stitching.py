@@ -1,6 +1,6 @@
 """Overlapping sub-apertures of one surface as one map, and how sure each of its samples is.
 
-Each map is the surface, and a piston, a tilt and, if asked, a power and a lateral shift of its own. On a grid that has
+Each map is the surface plus a piston, a tilt and, as options, a power and a lateral shift. On a grid that has
 the first map's samples the surface is eliminated exactly: of a sample that n maps have, the least-squares surface is
 their mean, and what remains to be solved for are 3 to 6 unknowns a map [Otsubo, Okada, Tsujiuchi, Opt. Eng. 33 (1994)
 608]. Their normal matrix has blocks only for maps that overlap. The first map's unknowns are 0: it is the reference.
@@ -101,7 +101,7 @@ class StitchSum:
 
 
 def place_map(maps: Sequence[SubAperture], found_px: FloatArray, pitch_mm: float) -> list[PlacedMap]:
-    """Each map where it is said to lie, and by ``found_px`` (maps, 2), right and down, from there.
+    """Place each map at its nominal position plus ``found_px`` (maps, 2), right and down.
 
     The grid is the first map's. Others are interpolated by polynomials of degree 6 through 7 samples a direction, which
     keep 97.8 % of a wave of 4 px halfway between two samples and 99.99 % of one of 8 px (linear: 71 and 92 %).
@@ -180,7 +180,7 @@ class SubAperturePlacement:
     """x, y by which it lies elsewhere than was said."""
     shift_uncertainty_mm: tuple[float, float]
     piston_nm: float
-    """Of its own centre, taken off it."""
+    """Of its center, subtracted from the map."""
     tilt_urad: tuple[float, float]
     """Slope in x and y, taken off it."""
     power_nm: float
@@ -231,8 +231,8 @@ def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False,
     Args:
         maps: of one pitch; the first is the reference.
         pitch_mm: of each.
-        power: each but the first may have a power of its own.
-        shift: each but the first may lie elsewhere than is said, up to some pixels (Gauss-Newton).
+        power: fit a power of each map but the first.
+        shift: fit a shift of each map but the first, up to some pixels (Gauss-Newton).
 
     Raises:
         BadMap: fewer than two; maps that do not overlap; overlaps that do not tell the unknowns.
@@ -371,8 +371,8 @@ def _require_structure(fit: _Fit) -> None:
         unsure = fit.noise_nm / np.sqrt(max(energy - noise, np.finfo(float).tiny))
         if energy < 2 * noise or unsure > SURE_PX:
             raise MapError(
-                f"{one.name}: its overlaps have no structure that tells a shift (it would be known to {unsure:.2g} px "
-                f"only, with {fit.noise_nm:.3g} nm of noise); leave the shift out of --free"
+                f"{one.name}: the overlaps show no shift (its standard error would be {unsure:.2g} px "
+                f"with {fit.noise_nm:.3g} nm of noise). Leave the shift out of --free"
             )
 
 

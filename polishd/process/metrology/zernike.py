@@ -147,7 +147,7 @@ def points(mask: BoolArray, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, Flo
 
 
 WORST_CONDITION = 1e8
-"""Condition of the terms over the mask beyond which they cannot be told apart."""
+"""Condition of the terms over the mask beyond which they cannot be separated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +212,7 @@ def fit(
     condition = float(np.linalg.cond(own))
     if not condition <= WORST_CONDITION:
         raise MapError(
-            f"{terms} Zernike terms cannot be told apart over this mask (condition {condition:.1e}, at most "
+            f"{terms} Zernike terms cannot be separated over this mask (condition {condition:.1e}, at most "
             f"{WORST_CONDITION:.0e}): fit fewer terms, or a circle that lies closer around the mask"
         )
     sign = np.where(np.diag(own) < 0, -1.0, 1.0)

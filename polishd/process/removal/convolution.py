@@ -161,7 +161,7 @@ def layout(shape: tuple[int, int], place: tuple[Index, Index], sides: tuple[int,
 
 
 def are_on_nodes(grid: Grid, program: Program) -> bool:
-    """Whether all points rest on nodes of the grid, or of its lattice beyond its edge, each on one of its own."""
+    """Return whether all points rest on different nodes of the grid or of its lattice beyond the edge."""
     row, column, off = _nearest_nodes(grid, program)
     resting = bool((program.length_mm <= NODE_TOLERANCE * grid.pitch_mm).all()) and bool((off <= NODE_TOLERANCE).all())
     return resting and len(np.unique(np.round(np.stack([row, column])), axis=1).T) == program.n

@@ -189,7 +189,7 @@ class CorrectedSpot:
 def tif_at_point(
     correction: Correction, gamma: FloatArray, exponent: float = 1.5, reference: float = 1.0
 ) -> CorrectedSpot:
-    """The spot that a correction stands for, at (n,) depth ratios gamma (eq. 48).
+    """Return the spot of a correction at (n,) depth ratios gamma (eq. 48).
 
     "exact" takes each point's own depth (eq. 45). The others take one spot for all, that of the depth ratio
     ``reference`` (1: the rigid robot's R_0): "none" as it is, "linear" times gamma (eq. 49 as printed), "power" times

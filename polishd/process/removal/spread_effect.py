@@ -41,7 +41,7 @@ def spline(place: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
 
 
 def damping(frequency: FloatArray) -> FloatArray:
-    """(m,) what `spline` makes of a wave of so many cycles a node along one axis: between 1 and 1/2."""
+    """(m,) factor of `spline` on a wave of ``frequency`` cycles a node along one axis: between 1 and 1/2."""
     return np.asarray(0.75 + 0.25 * np.cos(2 * np.pi * frequency))
 
 
@@ -257,16 +257,14 @@ def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: PathBlocks, family: F
     )
 
 
-# Several tools over the same part as one effect: the points of one follow those of the other.
-
-# An effect's products to float32, by what is the quickest for its size.
+# Several tools over the same part as one effect, and the fastest float32 products for its size.
 
 COMPILED_BLOCKS = 10_000
-"""From which on compiled code, loaded in half a second, is the quicker way."""
+"""Blocks from which compiled code, loaded in half a second, is faster."""
 
 
 def to_fast_float32(effect: SpreadEffect) -> Effect:
-    """The same, right to about 1e-6 of the peak."""
+    """Return the effect with float32 products, accurate to about 1e-6 of the peak."""
     if effect.n < COMPILED_BLOCKS:
         return effect.single()
     from polishd.process.removal.spread_effect_compiled import compiled_spread
@@ -301,7 +299,7 @@ class CombinedEffect:
 
 
 def combine_effects(effects: Sequence[Effect]) -> Effect:
-    """One effect of all; a matrix where each has one.
+    """Combine effects into one; a matrix where each has one.
 
     Raises:
         ComputeError: there is none, or they are not on the same samples.
@@ -321,26 +319,26 @@ def combine_effects(effects: Sequence[Effect]) -> Effect:
 
 
 def split_by_tool(values: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
-    """Of (n,) values of all points those of each tool, whose points are so many."""
+    """Split (n,) values of all points by tool; ``lengths`` are the numbers of points."""
     return np.split(values, np.cumsum(lengths)[:-1])
 
 
 def to_float32(effect: Effect) -> Effect:
-    """The same with products to float32 where those are quicker, else itself."""
+    """Return the effect with float32 products where those are faster, else the effect itself."""
     if isinstance(effect, CombinedEffect):
         return CombinedEffect(tuple(to_float32(part) for part in effect.parts))
     return to_fast_float32(effect) if isinstance(effect, SpreadEffect) else effect
 
 
 def effect_note(effect: Effect) -> str | None:
-    """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
+    """Return the certificate's note on the error of an effect without a matrix; None of a matrix."""
     if isinstance(effect, CombinedEffect):
-        return "; ".join(told for part in effect.parts if (told := effect_note(part)) is not None) or None
+        return "; ".join(note for part in effect.parts if (note := effect_note(part)) is not None) or None
     return effect.note if isinstance(effect, SpreadEffect) else None
 
 
 def effect_error(effect: Effect) -> float:
-    """By which share of its peak the removal is off at most, at samples, of an effect without a matrix; 0 of one."""
+    """Return the largest error of the removal over its peak, at samples, without a matrix; 0 of a matrix."""
     if isinstance(effect, CombinedEffect):
         return max(effect_error(part) for part in effect.parts)
     return effect.error if isinstance(effect, SpreadEffect) else 0.0

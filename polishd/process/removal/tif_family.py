@@ -435,6 +435,6 @@ def _between(mesh: tuple[FloatArray, ...], value: FloatArray, at: tuple[FloatArr
         return np.repeat(value.reshape(1, -1), at[0].size, axis=0)
     flat = value.reshape(*(mesh[axis].size for axis in wide), value.shape[-1])
     found = scipy.interpolate.RegularGridInterpolator(tuple(mesh[axis] for axis in wide), flat, method="cubic")
-    # rounding may leave a block a hair outside of its own range
+    # rounding may leave a block just outside its range
     place = [np.clip(at[axis], mesh[axis][0], mesh[axis][-1]) for axis in wide]
     return np.asarray(found(np.stack(place, axis=1)), dtype=np.float64)

@@ -82,7 +82,7 @@ BEST_TEST = 1e-3
 PULL = 0.03
 """Relative residual that a factor of e from the given stiffness counts as, until it is known which are determined."""
 NOTHING = 1e-9
-"""What a factor of e in a stiffness changes in all tests together (relative), to be told from rounding errors."""
+"""Least relative change of all tests together by a factor of e in a stiffness: less is rounding."""
 STARTS = 4
 """Fits, each from other stiffnesses: those given, all of them at the level of the tests, and others about that."""
 SPREAD = 10.0
@@ -344,7 +344,7 @@ def elastic_numbers(robot: HybridRobot | SerialRobot) -> tuple[Number, ...]:
 
 
 def replace_elastic_numbers(robot: Elastic, values: FloatArray) -> Elastic:
-    """The robot with these (p,) numbers instead of its own."""
+    """Return the robot with these (p,) elastic numbers in place of its present ones."""
     numbers = [float(value) for value in values]
     if isinstance(robot, SerialRobot):
         return replace(robot, joint_stiffness_n_mm_per_rad=tuple(numbers))

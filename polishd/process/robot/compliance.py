@@ -30,7 +30,7 @@ from polishd.process.removal.contact import hertz_depth_mm
 from polishd.process.robot.hybrid import cross, dot, hybrid_reachable, hybrid_tip_compliance_mm_per_n
 from polishd.process.robot.serial import serial_reachable, serial_tip_compliance_mm_per_n
 
-# Compliance of a cell that was only loaded and measured: a table of places, linear between them.
+# Compliance of a cell from loading tests: a table of positions, linear between them.
 
 FLAT_MM = 1.0
 """A table that is not thicker than this either way is flat, and holds for points as near to it."""
@@ -155,7 +155,7 @@ def tip_compliance_mm_per_n(
 
 
 def reachable(robot: RobotModel, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
-    """(n,) True where the robot takes the pose by itself, or the table of a measured one covers it.
+    """(n,) True where the robot reaches the pose alone, or where the table of a measured robot covers it.
 
     Arguments as for `tip_compliance_mm_per_n`; raises ComputeError only for what is not a pose or not a robot.
     """
@@ -449,10 +449,10 @@ def _normals(
     return frames.normals_from_axes(axis, lean, dip_deg), 0
 
 
-# The equivalent compliance over the workspace (paper fig. 10): what a place of the cell is worth.
+# The equivalent compliance over the workspace (paper fig. 10): to compare positions in the cell.
 
 AROUND_MM = 300.0
-"""Half the side of the cube about the part that stands for the workspace of a robot which states none."""
+"""Half the side of the cube about the part that replaces the workspace of a robot which states none."""
 
 
 @dataclass(frozen=True, slots=True)

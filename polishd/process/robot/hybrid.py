@@ -161,7 +161,7 @@ def _require_robot(robot: HybridRobot) -> None:
         require_number(f"the robot's {name}", getattr(robot, name), "deg", above=-np.inf)
 
 
-# The hybrid robot's elastic numbers: how its members give way, each by itself (paper eq. 2-15).
+# The hybrid robot's elastic numbers: the stiffness of each member alone (paper eq. 2-15).
 
 
 class Beam(NamedTuple):
@@ -283,7 +283,7 @@ def solve_pose(robot: HybridRobot, geometry: Geometry, tip: FloatArray, axis: Fl
 
 
 def pose_faults(robot: HybridRobot, placed: RobotPoses) -> Iterator[PoseFault]:
-    """What can be wrong with each pose by itself, the plainest first."""
+    """Yield the faults of each single pose, the most basic first."""
     parallel, below = placed.parallel, placed.wrist_mm[2]
     yield PoseFault(
         below <= 0, below, "the wrist's height below the U joint", "mm", "out of the workspace: not above 0"
@@ -334,7 +334,7 @@ def refuse_unreachable(robot: HybridRobot, placed: RobotPoses) -> None:
 
 
 def hybrid_reachable(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
-    """(n,) True where `hybrid_tip_compliance_mm_per_n` would accept the pose by itself; arguments as there."""
+    """(n,) True where `hybrid_tip_compliance_mm_per_n` accepts the single pose; arguments as there."""
     tip, axis = require_poses(tip_mm, axis)
     placed = solve_pose(robot, geometry_of(robot), tip.T, axis.T)
     bad = np.zeros(len(tip), dtype=np.bool_)

@@ -154,6 +154,6 @@ def last_reachable_block(least_s: FloatArray, after: int, within_s: float) -> in
 def clock_rate(process_s: float, wall_s: float, late_s: float) -> float | None:
     """Most seconds of a process clock that can have passed in one of the wall's, from two words and their times.
 
-    Each word came at most ``late_s`` after what it tells, so that a short while tells little: None then.
+    Each message arrives at most ``late_s`` after its event. A short interval shows little: None then.
     """
     return process_s / (wall_s - late_s) if wall_s >= 2 * late_s else None

@@ -139,7 +139,7 @@ def on_optic(optic: Optic, plane_mm: FloatArray) -> FloatArray:
 
 
 def require_points(count: float) -> None:
-    """Raise ComputeError for so many points that nobody can want them."""
+    """Raise ComputeError where the number of points is out of range."""
     require_number("the number of points", count, "", above=0.0, below=MOST_POINTS)
 
 

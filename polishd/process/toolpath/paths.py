@@ -76,7 +76,7 @@ def raster(
 
 
 def quiet_step_mm(contact_radius_mm: float, at_most_mm: float) -> float:
-    """The largest distance of raster lines, up to ``at_most_mm``, that leaves next to no ripple of its own.
+    """Return the largest distance of raster lines, up to ``at_most_mm``, that adds next to no ripple.
 
     Lines that are a step apart leave a ripple whose depth, relative to the removal, is the spot's spectrum at the
     frequency 1 / step. Along one axis a Hertzian spot removes as ``1 - (y / a)^2``, whose spectrum is
@@ -247,7 +247,7 @@ def _straight(optic: Optic, start: FloatArray, heading: FloatArray, outside: Ape
     return along_polyline(optic, np.stack([start, start + beyond * heading]), step_mm)
 
 
-# Short tracks over a part, each with a lean of its own, joined to one path that stays in contact.
+# Short tracks over a part, each with its lean, joined to one path that stays in contact.
 
 TURN_DEG = 20.0
 """Most that the lean turns in one move of the way to the next track."""
@@ -265,7 +265,7 @@ class Track:
     """Its direction, counterclockwise from x."""
     length_mm: float
     turn_deg: float = 0.0
-    """Of the spindle's lean about the normal, from where it leans by itself, counterclockwise."""
+    """Turn of the spindle's lean about the normal from its direction on the path, counterclockwise."""
 
     def ends_mm(self, *, backwards: bool = False) -> FloatArray:
         """(2, 2) first and last point."""
@@ -287,7 +287,7 @@ class Joined:
     """(m - 1,) which track each move is of, by its place in the sequence; `BETWEEN`: none."""
 
     def axes(self, optic: Optic, own: FloatArray) -> FloatArray:
-        """(m, 3) tool axes: ``own`` (m, 3), as the tool leans by itself, turned about the normals."""
+        """(m, 3) tool axes: ``own`` (m, 3), the axes without a turn, turned about the normals."""
         normals = unit_normals(optic, self.points_mm[:, :2])
         return np.asarray(
             scipy.spatial.transform.Rotation.from_rotvec(np.radians(self.turn_deg)[:, None] * normals).apply(own)

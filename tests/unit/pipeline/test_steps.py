@@ -531,7 +531,7 @@ def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_take
         "learning by itself would have believed it"
     )
     assert taught.believed.rate == 1.0
-    assert "could not show a wrong one: the rate stays" in taught.notes[0]
+    assert "cannot show a wrong rate" in taught.notes[0]
 
 
 def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
@@ -543,7 +543,7 @@ def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
     taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, EstimatesInUse())
     assert taught.verdict.stop == ""
     assert taught.believed.rate == 1.2
-    assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.notes[-1]
+    assert "limited to 1.200 by limits.max_rate_change" in taught.notes[-1]
 
 
 # registration

@@ -168,9 +168,9 @@ def test_others_may_read_what_is_written(tmp_path: Path) -> None:
 
 def test_a_folder_in_its_place_is_told_and_nothing_is_left(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
-    with pytest.raises(OSError, match="it is there, and is no file") as told:
+    with pytest.raises(OSError, match="it is there, and is no file") as raised:
         write_atomic(tmp_path / "a", b"x")
-    assert told.value.errno == errno.EINVAL
+    assert raised.value.errno == errno.EINVAL
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 

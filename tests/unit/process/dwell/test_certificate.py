@@ -1,4 +1,4 @@
-"""The certificate is measured on the solution itself: a wrong dwell is told from a right one."""
+"""The certificate is computed from the solution: it separates a wrong dwell from a right one."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_samples_outside_the_mask_do_not_count() -> None:
 
 
 def test_the_gap_by_hand() -> None:
-    """Each point by itself: f = (2 t - h)^2 / 2 + t^2 / 2 has its least at t = 2 h / 5; P is 1/2, its curvature 5."""
+    """Point by point: f = (2 t - h)^2 / 2 + t^2 / 2 has its least at t = 2 h / 5; P is 1/2, its curvature 5."""
     problem = two_samples((5.0, 10.0), lower=0.0)
     best = np.array([2.0, 4.0])
     assert largest_gap(problem, best) == pytest.approx(0.0, abs=1e-12)

@@ -103,7 +103,9 @@ def test_the_slope_can_be_asked_for_and_is_met() -> None:
 
 @pytest.mark.full
 def test_a_goal_that_none_reaches_is_refused_with_what_each_came_to() -> None:
-    with pytest.raises(ComputeError, match=r"no choice of tools gets there:\n  large: 0\.0001 nm RMS is out of reach"):
+    with pytest.raises(
+        ComputeError, match=r"no choice of tools reaches the target:\n  large: 0\.0001 nm RMS is out of reach"
+    ):
         both(1e-4)
     with pytest.raises(ComputeError, match="two ways"):
         dwell_of_tools(CASE, [LARGE], budget_s=10.0, target_slope_urad=1.0)

@@ -21,7 +21,7 @@ from tests.unit.process.gaussian import dwell_problem
 
 
 def least_squares(problem: DwellProblem) -> tuple[FloatArray, FloatArray]:
-    """The problem as ``|A t - b|^2``: regularisation as rows of its own."""
+    """The problem as ``|A t - b|^2``: regularization as further rows."""
     m = np.count_nonzero(problem.solve_mask)
     rows = problem.effect.matrix.toarray()[problem.solve_mask.ravel()] / np.sqrt(m)
     n = rows.shape[1]

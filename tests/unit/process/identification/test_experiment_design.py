@@ -1,4 +1,4 @@
-"""Which tracks teach most: against what each of them tells."""
+"""Track times of the first touch, against the information of each track."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def test_low_orders_are_suspected_until_another_map_tells(bent: np.ndarray, caus
 
 
 def test_what_low_orders_do_to_the_gate_is_not_believed() -> None:
-    """Power that reads as a shift of a millimetre to the gate: another map comes first, and nobody is called."""
+    """The removal check sees power as a shift of a millimeter: another map comes first, without a notification."""
     verdict = judged(removal() - 12.0 * POWER + noise(0.2))
     left = fit_residual(removal() - 12.0 * POWER + noise(0.2), MASK, 1.0, removal())
     stopped = replace(verdict, stop="the removal lies 1.00 +- 0.01 mm from where it was predicted")
@@ -75,9 +75,9 @@ def test_what_low_orders_do_to_the_gate_is_not_believed() -> None:
 def test_a_limit_is_of_the_removal_or_of_the_noise() -> None:
     """A part of a rate that changes by 1 % over it shows so much of a low order; a noisy map eight of its errors."""
     for sigma, limit in ((0.02, 0.62), (0.5, 4.0)):
-        for size, told in ((0.98 * limit, []), (1.02 * limit, ["mount"])):
+        for size, expected in ((0.98 * limit, []), (1.02 * limit, ["mount"])):
             left = replace(NOTHING, trefoil_nm=Estimate(size, sigma))
-            assert causes(residual_diagnosis.diagnose_pass(judged(removal()), left, 62.0)) == told
+            assert causes(residual_diagnosis.diagnose_pass(judged(removal()), left, 62.0)) == expected
 
 
 def test_no_cause_is_named_by_a_pass_that_shows_none() -> None:

@@ -1,4 +1,4 @@
-"""Which poses to measure next: the fewest, and what no pose tells is demanded otherwise."""
+"""Poses to measure next: the fewest, and another reference for terms that no pose determines."""
 
 from __future__ import annotations
 

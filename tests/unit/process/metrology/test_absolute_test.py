@@ -1,4 +1,4 @@
-"""A known part in a known instrument come back, each with its uncertainty; what is wrong with the poses is told."""
+"""A known part in a known instrument come back, each with its uncertainty; wrong poses are reported."""
 
 from __future__ import annotations
 

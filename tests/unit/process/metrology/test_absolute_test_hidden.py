@@ -1,4 +1,4 @@
-"""What poses leave of an instrument's shorter waves: told beforehand, and so it comes out."""
+"""Share of an instrument's shorter waves that poses leave undetermined: predicted, then confirmed."""
 
 from __future__ import annotations
 

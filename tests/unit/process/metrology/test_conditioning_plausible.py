@@ -1,4 +1,4 @@
-"""Dates and lateral scales that no map has are taken off it, whoever read it."""
+"""Implausible dates and lateral scales are removed from a map of any reader."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_the_mean_does_not_count() -> None:
 def test_a_wave_over_a_disc_is_in_its_band(period: float, above: float) -> None:
     wave = np.sin(2 * np.pi * (X * np.cos(0.4) + Y * np.sin(0.4)) / period)
     share = band_rms(wave, DISC, 1.0, 33.0) / wave[DISC].std()
-    # three periods on the disc: a wave near the cut at 33 mm cannot be told better
+    # three periods on the disc: a wave near the cut at 33 mm cannot be determined better
     assert share == pytest.approx(above, abs=0.04)
 
 

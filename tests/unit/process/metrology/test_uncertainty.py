@@ -147,8 +147,8 @@ def test_terms_of_the_instrument_add_in_squares() -> None:
     _, measured = draw(3, noise, {}, {})
     alone = true_rms_bound(measured, MASK, PITCH, errors(noise, {}, {}))
     both = true_rms_bound(measured, MASK, PITCH, errors(noise, {ASTIGMATISM: 0.3, (4, 4): 0.4}, {}))
-    told = {one.name: one.rms_nm for one in both.contributions if one.source == "instrument"}
-    assert told == pytest.approx({"astigmatism": 0.3, "tetrafoil": 0.4}, rel=0.1)
+    large = {one.name: one.rms_nm for one in both.contributions if one.source == "instrument"}
+    assert large == pytest.approx({"astigmatism": 0.3, "tetrafoil": 0.4}, rel=0.1)
     assert both.bound > alone.bound
     assert both.mean**2 - alone.mean**2 == pytest.approx(0.3**2 + 0.4**2, rel=0.35)
 
@@ -231,7 +231,7 @@ def test_what_the_poses_told_is_taken_from_them() -> None:
     given = errors_from_system_map(
         AbsoluteTestResult.of(found), MapNoise(0.3), {POWER: 5.0, ASTIGMATISM: 5.0, SPHERICAL: 1.0}
     )
-    assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was told
+    assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was determined
     assert given.unseen_nm[POWER] == pytest.approx(5.0)
     assert given.covariance.shape == (len(given.terms),) * 2
     measured = maps([PartPose(0)], 0.3, seed=9)[0] - found.instrument_nm

@@ -149,9 +149,9 @@ def test_what_cannot_be_told_apart_is_refused() -> None:
     line, ring = np.zeros(GRID.shape, dtype=bool), np.abs(GRID.radius_mm() - 50) < 0.4
     line[70, :] = True
     for mask in (line, ring):
-        with pytest.raises(MapError, match="cannot be told apart"):
+        with pytest.raises(MapError, match="cannot be separated"):
             zernike.fit(height, mask, 37)
-    with pytest.raises(MapError, match="cannot be told apart"):  # a spot in a large circle
+    with pytest.raises(MapError, match="cannot be separated"):  # a spot in a large circle
         zernike.fit(height, GRID.radius_mm() < 6, 37, circle_px=(75.0, 70.0, 500.0))
     few = np.zeros(GRID.shape, dtype=bool)
     few[:4, :5] = True
@@ -185,13 +185,13 @@ def test_one_bad_pixel_does_not_set_pvr() -> None:
 
 
 def test_terms_of_noise_scatter_as_their_covariance_says() -> None:
-    """On half a circle, where terms are far from orthogonal: 400 draws, each entry within 4 of its own deviations."""
+    """On half a circle, where terms are far from orthogonal: 400 draws, each entry within 4 standard deviations."""
     small = Grid(24, 24, 1.0)
     x, y = small.axes_mm
     mask = (np.hypot(x, y) <= 12) & (x + 0 * y < 3)
     rng = np.random.default_rng(5)
     drawn = [zernike.fit(rng.normal(size=mask.shape), mask, 6) for _ in range(400)]
-    told = drawn[0].per_noise
+    stated = drawn[0].per_noise
     seen = np.cov(np.array([one.coefficients_nm for one in drawn]).T)
-    deviation = np.sqrt((told**2 + np.outer(np.diag(told), np.diag(told))) / 400)
-    assert (np.abs(seen - told) < 4 * deviation).all()
+    deviation = np.sqrt((stated**2 + np.outer(np.diag(stated), np.diag(stated))) / 400)
+    assert (np.abs(seen - stated) < 4 * deviation).all()

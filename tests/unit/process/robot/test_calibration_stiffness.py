@@ -1,4 +1,4 @@
-"""Stiffnesses found again from synthetic loading tests with noise, and what the fit says of its own errors."""
+"""Stiffnesses found again from synthetic loading tests with noise, and the errors that the fit states."""
 
 from __future__ import annotations
 

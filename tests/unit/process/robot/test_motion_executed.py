@@ -69,4 +69,4 @@ def test_a_pace_is_never_taken_too_slow() -> None:
         found = clock_rate(30.0, wall_s, 1.5)
         assert found is not None
         assert found >= 30.0 / 20.0
-    assert clock_rate(3.0, 2.9, 1.5) is None, "so short a while tells nothing"
+    assert clock_rate(3.0, 2.9, 1.5) is None, "the interval is too short"
