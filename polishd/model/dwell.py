@@ -17,7 +17,7 @@ AS_PROGRAMMED: Choice = "as_programmed"
 
 @dataclass(frozen=True, slots=True)
 class OptimalityCertificate:
-    """What is known of a dwell solution, measured on the solution itself in float64."""
+    """Figures of a dwell solution, computed from the solution in float64."""
 
     solver: str
     objective: float
@@ -45,7 +45,7 @@ class OptimalityCertificate:
     gap: float | None = None
     """Proved: no dwell within the bounds has an objective that is lower by more than this share; None: nothing is."""
     gap_nm: float | None = None
-    """The same of the objective's root: the RMS of the solved area, where price and regularisation count little."""
+    """Gap of the objective's root: the RMS of the solved area, where price and regularization are small."""
     predicted_band_rms_nm: float | None = None
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
     cutoff_period_mm: float | None = None
@@ -74,8 +74,8 @@ class DwellSolution:
     lower_s: FloatArray = field(repr=False)
     upper_s: FloatArray = field(repr=False)
     state: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    """What its solver can start from again, by name; kept with the run."""
+    """State from which its solver can continue, by name; kept with the run."""
 
 
 Start = WarmStart | DwellSolution
-"""Where a solver can start: what was kept of a run, or a solution of a problem much like its own."""
+"""Start of a solver: the kept state of a run, or a solution of a similar problem."""

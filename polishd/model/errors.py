@@ -102,7 +102,7 @@ class PartNotSettled(SurfaceError):
 
 
 class RemovalCheckStop(PolishdError):
-    """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
+    """A mistake in instrument or alignment explains the measured removal better than the plan."""
 
     exit_code = 10
     mendable = True
@@ -196,4 +196,4 @@ class BatchRequestError(PolishdError):
 
 
 class FrameError(PolishdError):
-    """Where the next message to the batch plant begins is not known any more: the connection ends."""
+    """The start of the next message to the batch plant is unknown; the connection ends."""

@@ -1,4 +1,4 @@
-"""What is believed of a process, each number with its standard error, and what a pass adds to it."""
+"""Estimates of a process with their standard errors, and the evidence that a pass adds."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ UNTAUGHT = Estimates()
 
 @dataclass(frozen=True, slots=True)
 class MachineEstimates(Estimates):
-    """What identification believes of a machine, by its parameters (docs/identification.md), 0 as it is configured."""
+    """Estimated parameters of a machine (docs/identification.md); 0 is the configured value."""
 
     applied: Mapping[str, float] = field(default_factory=dict)
-    """Those that plans count with, besides the rate; where none is, a plan is as if nothing were known of it."""
+    """Parameters that plans use besides the rate; a missing one counts as 0."""
     mean: Mapping[str, float] = field(default_factory=dict)
     """All of them, applied or not; empty before the first pass."""
     covariance: tuple[tuple[float, ...], ...] = ()
-    """Of those, in their order."""
+    """Covariance of these parameters, in their order."""
     odds: Mapping[str, float] = field(default_factory=dict)
     """Natural logarithm, by choice (`Knowledge.odds`)."""
     pass_h: float = 0.0
@@ -61,7 +61,7 @@ class MapPixels:
 
 @dataclass(frozen=True, slots=True)
 class PassEvidence:
-    """What a pass removed, for a removal model to learn from: the gate has found nothing wrong with it."""
+    """Measured removal of a pass that the removal check accepted, for a removal model to estimate from."""
 
     beliefs: Estimates
     """With which ``predicted_nm`` was predicted."""
@@ -75,7 +75,7 @@ class PassEvidence:
     """(ny, nx) the clear aperture."""
     pitch_mm: float
     tells_rate: bool
-    """Whether a wrong rate would have been seen: else nothing may be learned of it."""
+    """The pass shows a wrong rate; otherwise the rate must not be estimated from it."""
     rates: tuple[float, float]
     """Least and largest rate, relative to the model's own, that ``limits.max_rate_change`` allows."""
     acted_s: FloatArray | None = None
@@ -94,11 +94,11 @@ class PassEvidence:
 
 @dataclass(frozen=True, slots=True)
 class EstimateUpdate:
-    """What a pass taught a removal model."""
+    """Update of the estimates by a pass."""
 
     beliefs: Estimates
     found: Mapping[str, Any] = field(default_factory=dict)
-    """How it was found, JSON-ready: stands in ``learned.json``."""
+    """Figures of the update, JSON-ready, for ``learned.json``."""
     notes: tuple[str, ...] = ()
     """For people: what was found and not taken."""
     stop: str = ""
@@ -123,14 +123,14 @@ class PassIndicators:
     """RMS that its plan expected after it."""
     after_nm: float
     within_reach_nm: float | None
-    """Of what is left, the RMS of periods that the spot corrects."""
+    """RMS of the residual at periods that the spot corrects."""
     contact_s: float
     rate: Estimate | None
     """Removal rate, relative to the model's own."""
     fade: Estimate | None
     """Change of the rate from the pass's begin to its end, of its mean."""
     width: Estimate | None
-    """By how much the spot is wider than the model's, relative."""
+    """Relative excess of the spot's width over the model's."""
     expected_nm: tuple[float, float] | None = None
     """Between which ``seen_nm`` was expected, with a chance of nine in ten; None: nothing was."""
     seen_nm: float | None = None
@@ -142,13 +142,13 @@ class PassSeries:
     """Passes by one process, over jobs, since the tool was last looked at."""
 
     process: str
-    """What identifies the process: passes by another are no part of it."""
+    """Identity of the process; passes by another process are excluded."""
     passes: int = 0
     contact_h: float = 0.0
     reference: Estimate | None = None
     """Mean rate of the first of them that showed it."""
     rated: int = 0
-    """How many showed it."""
+    """Number of passes that showed it."""
     faded: float = 0.0
     """Sum of the fades of those that showed one, ..."""
     faded_variance: float = 0.0
@@ -167,13 +167,13 @@ class FindingLimits:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found in a pass and those before it."""
+    """Finding from a pass and those before it."""
 
     kind: Kind
     what: str
     """With its numbers, and what to do."""
     stops: Stops
-    """What should not go on: this job only, or all jobs of the cell until a person has looked at the tool."""
+    """Scope of the stop: this job, or all jobs of the cell until the operator has checked the tool."""
 
 
 # What may be wrong with a loop, in classes: what its evidence cannot tell apart bears one name.
@@ -188,7 +188,7 @@ class DiagnosisClass:
     members: str
     """The possible causes, which the evidence of a pass cannot separate."""
     todo: str
-    """What is done about it, and what a person can do."""
+    """Action of the daemon, and actions for the operator."""
 
 
 CAUSES: dict[CauseName, DiagnosisClass] = {
@@ -221,7 +221,7 @@ CAUSES: dict[CauseName, DiagnosisClass] = {
         'noted: process.learns = "machine" learns a rate that changes over the part',
     ),
 }
-"""In the order in which the loop looks for them: of a map that lies wrongly no size is believed."""
+"""In the order of the checks: no size is meaningful in a misplaced map."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What an event is; its kinds are in ``events``."""
+"""Base of the daemon's events and all kinds of them."""
 
 from __future__ import annotations
 

@@ -18,15 +18,15 @@ class Notification:
     """An event that needs an operator, with all that a remote reader needs. ``facts`` has it for programs."""
 
     id: str
-    """The same when it is sent again: a receiver may drop what it has."""
+    """Identifier, also when sent again; a receiver may drop duplicates."""
     event: str
     severity: Severity
     what: str
-    """What happened."""
+    """The event."""
     now: str
-    """What the cell does now."""
+    """The cell's reaction."""
     todo: str
-    """What to do."""
+    """Actions for the operator."""
     cell: str
     job: str
     part: str
@@ -41,7 +41,7 @@ class Notification:
 
     @property
     def thing(self) -> str:
-        """The same for what happens again; words that have a digit in them do not make it another thing."""
+        """Key of repeated events; words with a digit do not count."""
         words = _WITH_A_DIGIT.sub("#", self.what)
         return f"{self.severity} {self.event} {self.job} {self.part} {words}"
 

@@ -78,7 +78,7 @@ class Program:
 
     @property
     def block_count(self) -> int:
-        """How many they are."""
+        """Number of blocks."""
         return self.text.count(b"\n") + 1
 
 
@@ -147,7 +147,7 @@ def _line_ends(text: bytes) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What will be streamed: the rewritten program and what it is expected to do."""
+    """The program to stream, and its expected result."""
 
     program: Program
     """The rewritten program, read back from its own bytes."""

@@ -1,4 +1,4 @@
-"""What several verbs of the command line take, said once; and commands whose options are the fields of a record."""
+"""Shared options of the command line, and commands whose options are the fields of a record."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def require_new(out: Path) -> None:
 
 
 def unwritable_message(path: Path, error: OSError) -> ConfigError:
-    """What to say of a file or folder of ``--out`` that cannot be written."""
+    """Return the message for a file or folder of ``--out`` that cannot be written."""
     todo = "make room, or name another with --out" if error.errno == errno.ENOSPC else "name another with --out"
     return ConfigError(f"{path}: cannot be written: {error.strerror}; {todo}")
 

@@ -42,7 +42,7 @@ def no_refcount_option() -> dict[str, Any]:
 
 
 def _folder(version: str, sources: tuple[Path, ...]) -> str | None:
-    """Where compiled code of these sources is kept; None where there is no home: then each process compiles."""
+    """Return the cache folder of compiled code; None without a home: each process then compiles."""
     digest = hashlib.sha256(version.encode())
     for source in sorted(sources):
         digest.update(source.read_bytes())

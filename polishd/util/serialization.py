@@ -39,7 +39,7 @@ def toml(value: Any) -> str:
 
 
 def finite(value: Any) -> Any:
-    """The same, with null in the place of each."""
+    """Return the values with null in place of each non-finite number."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

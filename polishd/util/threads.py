@@ -17,12 +17,12 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 END_S = 5.0
-"""What a thread that works may take to its end."""
+"""Time for a working thread to finish."""
 NAME = "beside the loop"
 
 
 class LoopThreads(ThreadPoolExecutor):
-    """What ``asyncio.to_thread`` runs in. Shut down, it waits ``END_S`` for its threads, and leaves the others."""
+    """Threads of ``asyncio.to_thread``. Shutdown waits ``END_S`` for them and abandons the others."""
 
     def __init__(self) -> None:
         """Start all threads now, and none later.

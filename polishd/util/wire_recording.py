@@ -24,7 +24,7 @@ Way = Literal["open", "out", "in", "end"]
 
 @dataclass(frozen=True, slots=True)
 class WireMessage:
-    """What passed on a link."""
+    """A message on a link."""
 
     at_s: float
     """``time.monotonic``; in a file: since the recording began."""
@@ -36,9 +36,9 @@ class WireMessage:
     """``out``: polishd wrote it. ``in``: it came. ``open``, ``end``: of the link itself."""
     data: bytes = b""
     identifier: int | None = None
-    """Of a CAN frame."""
+    """Identifier of a CAN frame."""
     why: str = ""
-    """How a link ended."""
+    """Reason for the end of a link."""
     values: Mapping[str, object] | None = None
     """By name, in place of bytes: of a link that a library hides."""
     clock_s: float | None = None
@@ -53,7 +53,7 @@ Recorder = Callable[[WireMessage], None]
 
 @dataclass(frozen=True, slots=True)
 class LinkTap:
-    """That of one link."""
+    """Recording tap of one link."""
 
     recorder: Recorder
     role: str
@@ -70,7 +70,7 @@ class LinkTap:
         clock_s: float | None = None,
         changed_s: Mapping[str, float] | None = None,
     ) -> None:
-        """That passes, now."""
+        """Record a message that passes now."""
         now_s = time.monotonic()
         passed = WireMessage(now_s, self.role, self.link, way, data, identifier, why, values, clock_s, changed_s)
         self.recorder(passed)
@@ -117,7 +117,7 @@ _BROKEN = (EOFError, zlib.error, gzip.BadGzipFile, UnicodeDecodeError)
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a file holds."""
+    """Content of a recording file."""
 
     path: Path
     header: Mapping[str, Any]
@@ -125,7 +125,7 @@ class Recording:
     lines: tuple[int, ...]
     """The line of each, from 1."""
     notes: tuple[str, ...]
-    """What is missing in it, for people."""
+    """Notes on missing content."""
 
     def of(self, role: str) -> list[tuple[int, WireMessage]]:
         """Line and record of all that passed on that device's links; ConfigError where nothing did."""
@@ -142,12 +142,12 @@ def header_line(version: str, cell: str, began: str, devices: Mapping[str, Mappi
 
 
 def note_line(t_s: float, key: str, number: int) -> bytes:
-    """What is missing: ``lost`` or ``full``."""
+    """Note on missing messages: ``lost`` or ``full``."""
     return _line({"t_s": round(t_s, 6), key: number})
 
 
 def passed_line(one: WireMessage, began_s: float) -> bytes:
-    """What passed."""
+    """Line of a message."""
     line: dict[str, Any] = {"t_s": round(one.at_s - began_s, 6), "role": one.role, "link": one.link, "way": one.way}
     line |= {} if one.identifier is None else {"id": one.identifier}
     if one.values is not None:

@@ -69,7 +69,7 @@ class StepMetric:
     """About the objective's curvature and so much more, inverted; made by `metric`."""
 
     effect: SpreadEffect
-    """In float32."""
+    """Effect in float32."""
     least: float
     """Curvature that no spot gives: the regularisation's."""
     square: FloatArray
@@ -77,7 +77,7 @@ class StepMetric:
     density: float
     """Points to a node."""
     pull: float
-    """What is added to the curvature."""
+    """Curvature that the coupling adds."""
 
     @property
     def held(self) -> float:
@@ -86,7 +86,7 @@ class StepMetric:
 
     @property
     def share(self) -> NDArray[np.float32]:
-        """What of each frequency the spots hold, over ``held``."""
+        """Return the spots' share of the curvature at each frequency, over ``held``."""
         return (self.square / (self.held + self.density * self.square)).astype(np.float32)
 
     def inverse(self, slope: FloatArray) -> FloatArray:
@@ -114,7 +114,7 @@ class AlternatingStep:
     """(n,) nm^2/s: the objective's gradient at ``free``."""
     multiplier: FloatArray
     way: FloatArray
-    """Of the last step."""
+    """Direction of the last step."""
     bend: FloatArray
     """(n,) nm^2/s: what it did to the slope."""
     steps: int = 0
@@ -214,20 +214,20 @@ class DwellBuffers(NamedTuple):
 
 
 class NodeBuffers(NamedTuple):
-    """What a step needs beside the effect's own nodes; as `plane` keeps it."""
+    """Arrays of a step beside the effect's nodes, in the layout of `plane`."""
 
     metric: Floats
     """Nodes of the metric."""
     flat: Floats
-    """The same memory."""
+    """Alias of the same memory."""
     share: Floats
     """(blocks, ny, COUNT) the metric's, of each frequency."""
     weight: Floats
-    """What a sample counts in the curvature; 0 where none does."""
+    """Weight of a sample in the curvature; 0 outside the mask."""
 
 
 class AlternatingStepScalars(NamedTuple):
-    """Those of a step."""
+    """Scalars of a step."""
 
     relaxation: float
     pull: float
@@ -302,7 +302,7 @@ def _step(
 
 @inline
 def _lay_uphill(dwells: DwellBuffers, laid: BlockWeights, fields: NodeBuffers, numbers: AlternatingStepScalars) -> None:
-    """Which way is up, onto the metric's nodes."""
+    """Spread the uphill direction onto the metric's nodes."""
     fields.flat[:] = 0
     for i in range(len(dwells.free)):
         apart = dwells.free[i] - dwells.bounded[i] + dwells.multiplier[i]
@@ -361,7 +361,7 @@ def _weigh(nodes: Nodes, fields: NodeBuffers, order: FftPlanArrays) -> None:
 def _bend(
     dwells: DwellBuffers, laid: BlockWeights, nodes: Nodes, numbers: AlternatingStepScalars
 ) -> tuple[float, float]:
-    """What the way does to the slope, and how far to go along it and along the last one."""
+    """Compute the change of the slope and the step sizes along this and the last direction."""
     down = last_down = p = q = r = 0.0
     for i in range(len(dwells.way)):
         way, last = dwells.way[i], dwells.last_way[i]

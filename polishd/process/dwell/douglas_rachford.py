@@ -180,7 +180,7 @@ _ONE, _NONE = np.float32(1), np.float32(0)
 
 
 class IterationBuffers(NamedTuple):
-    """What compiled functions read and write; fields as `plane` keeps them, of rank k."""
+    """Arrays of the compiled functions; fields in the layout of `plane`, of rank k."""
 
     fields: Floats
     """(k + 1, ...) y and each w, transformed along the rows."""
@@ -202,7 +202,7 @@ class IterationBuffers(NamedTuple):
 
 
 class DouglasRachfordScalars(NamedTuple):
-    """Those of an iteration, each a float32."""
+    """Scalars of an iteration, each a float32."""
 
     relaxation: np.float32
     mu: np.float32
@@ -210,7 +210,7 @@ class DouglasRachfordScalars(NamedTuple):
     ratio: np.float32
     """rho over mu."""
     scale: np.float32
-    """What the transforms leave to be divided by."""
+    """Divisor of unnormalized transforms."""
 
 
 def _not_begun() -> None:
@@ -357,7 +357,7 @@ LEAST_REGULARISATION = 1e-5
 ADAPT_AT = (20, 40)
 """Iterations between which the dual and the primal variables' changes are compared, to mend the step of w."""
 ADAPT_POWER = 0.25
-"""How strongly; measured on spots of 1.7 to 20 mm, where the best step varies by 2 and the ratio by 60."""
+"""Strength of the balance, measured on spots of 1.7 to 20 mm, where the best step varies by 2 and the ratio by 60."""
 
 
 @dataclass(slots=True)
@@ -371,7 +371,7 @@ class SplittingState:
     """(k,) by which the effect's kernels are multiplied, and its coefficients divided."""
     iterations: int = 0
     changed: bool = True
-    """Whether arrays or step parameters are others than the last iteration left."""
+    """Return whether arrays or step parameters differ from those of the last iteration."""
     _seen: tuple[Array, Array] | None = None
 
     @property
@@ -381,7 +381,7 @@ class SplittingState:
 
     @property
     def state(self) -> Mapping[str, Array]:
-        """What a later problem on the same domain can start from."""
+        """Return the state from which a later problem on the same domain can start."""
         y, w = (self.iteration.shown(each) for each in (self.split.y, self.split.w))
         return {"y": y, "w": w, "balance": self.balance, "steps": np.array([self.split.rho, self.split.mu])}
 
@@ -495,7 +495,7 @@ def _balance(effect: ConvolutionEffect) -> FloatArray:
 
 
 def _start_warm(found: SplittingState, warm: Start, time_s: FloatArray) -> None:
-    """From the state of a solution where it fits; else from its dwell, (n,) within the bounds."""
+    """Start from the state of a solution where it fits, else from its dwell, (n,) within the bounds."""
     state, split, size = warm.state, found.split, found.effect.size
     if "w" in state and state["w"].shape == (split.rank, *size):
         w = state["w"] * (state["balance"] / found.balance)[:, None, None]

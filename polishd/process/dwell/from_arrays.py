@@ -40,7 +40,7 @@ from polishd.process.removal.spread_effect import combine_effects, split_by_tool
 Indices = NDArray[np.int64]
 
 UNEVEN = 1e-3
-"""How far a sample may lie from its place on an even axis, over the pitch."""
+"""Largest deviation of a sample from an even axis, over the pitch."""
 ON_NODE = 1e-6
 MATRIX_ENTRIES = 20_000_000
 """Above it (half a GB with its transpose), points on the map's own samples are a convolution instead of a matrix."""
@@ -50,7 +50,7 @@ CHUNK = 2_000_000
 
 @dataclass(frozen=True, slots=True)
 class MapAxes:
-    """Where the samples of a map lie; ``grid`` only for their number and pitch, not for their coordinates."""
+    """Axes of a map's samples; ``grid`` gives only number and pitch, not the coordinates."""
 
     x_mm: FloatArray
     """(nx,)"""
@@ -211,7 +211,7 @@ def _columns(grid: Grid, row: Indices, column: Indices, patch: FloatArray) -> sp
 
 
 def _convolution(grid: Grid, node: Indices, spline: _Spline) -> ConvolutionEffect:
-    """The same for points on (n, 2) samples, column and row, of the map's lattice."""
+    """Return the effect for points on (n, 2) samples, column and row, of the map's lattice."""
     half = np.floor(spline.reach_mm / grid.pitch_mm + ON_NODE).astype(int)
     dx, dy = (np.arange(-n, n + 1) * grid.pitch_mm for n in half)
     kernel = spline.at(dx[None, :], dy[:, None])
@@ -243,7 +243,7 @@ class DwellCase:
     points_mm: FloatArray | None = None
     """(n, 2) x and y where the tool dwells, anywhere in the map's coordinates; None: a square lattice."""
     step_mm: float = 1.0
-    """Of that lattice, see `dwell_lattice`."""
+    """Index on that lattice, see `dwell_lattice`."""
     mask: BoolArray | None = None
     """(ny, nx) samples that count; None: all that have data."""
     clear: BoolArray | None = None
@@ -257,17 +257,17 @@ class DwellCase:
     piston_nm: float | None = 0.0
     """Removal wanted everywhere beside ``height_nm``; None: chosen by `choose_piston_nm`."""
     rho: float = RHO
-    """Of the regularisation: ``regularisation N_r / sigma_max^2``."""
+    """Relative regularization: ``regularisation N_r / sigma_max^2``."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayDwell:
-    """What `dwell_from_arrays` gives."""
+    """Result of `dwell_from_arrays`."""
 
     points_mm: FloatArray
     """(n, 2) x and y of the dwell points, in the map's coordinates."""
     problem: DwellProblem
-    """What was solved, with its price of time, regularisation and piston."""
+    """The solved problem, with its price of time, regularization and piston."""
     solution: DwellSolution
 
     @property
@@ -462,7 +462,7 @@ class ArrayTool:
 
 @dataclass(frozen=True, slots=True)
 class ToolDwell:
-    """What one tool does."""
+    """Dwell of one tool."""
 
     tool: ArrayTool
     points_mm: FloatArray
@@ -475,14 +475,14 @@ class ToolDwell:
 
 @dataclass(frozen=True, slots=True)
 class ToolsDwell:
-    """What `dwell_of_tools` gives."""
+    """Result of `dwell_of_tools`."""
 
     passes: tuple[ToolDwell, ...]
-    """Of the tools taken, in the order in which they were given."""
+    """Dwells of the chosen tools, in the given order."""
     problem: DwellProblem
     """The one that was solved, of their points one after another."""
     certificate: OptimalityCertificate
-    """Of all together."""
+    """Removal of all tools together."""
     residual_nm: FloatArray
     """(ny, nx) after the last of them, mean removed in the clear aperture; NaN outside the mask."""
     total_s: float

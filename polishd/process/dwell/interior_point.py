@@ -256,7 +256,7 @@ class _Interior:
         return now.along(way, min(1.0, REACH * self._longest(now, way)))
 
     def _longest(self, now: _State, way: _State) -> float:
-        """How far along ``way``, 1 at most, everything stays above 0."""
+        """Return the largest step along ``way``, at most 1, that keeps everything above 0."""
         shares = [-way.below / now.below, -way.above / now.above, -way.low / now.low]
         shares.append(-way.high[self._closed] / now.high[self._closed])
         return 1 / max(1.0, *(float(share.max(initial=0.0)) for share in shares))

@@ -35,7 +35,7 @@ class DwellProblem:
     weight: FloatArray | None = None
     """(ny, nx) how much a sample counts, not negative; None: all alike."""
     price_nm2_per_s: float = 0.0
-    """What a second of total time costs: the multiplier of a time budget, and what walks a residual-time curve."""
+    """Price of a second of total time: the multiplier of a time budget and the parameter of a residual curve."""
     band_period_mm: float | None = None
     """The certificate states the RMS of periods above it, too."""
     warm: Start | None = field(default=None, repr=False)

@@ -41,7 +41,7 @@ class QuadraticObjective:
     regularisation: float
     """The P of eq. 50, nm^2/s^2."""
     price: float = 0.0
-    """Of a second of total time, nm^2/s."""
+    """Price of a second of total time, nm^2/s."""
     gram: Product | None = None
     """(n,) s -> (n,): R'R, where that is quicker than R and R' one after the other."""
     roughly: tuple[Product, Product] | None = None
@@ -60,7 +60,7 @@ class QuadraticObjective:
         return self._at(time_s, self.forward, self.backward)
 
     def rough_at(self, time_s: FloatArray) -> tuple[float, FloatArray]:
-        """The same to float32, some 1e-6 of what they are at the lower bound, where that is quicker."""
+        """Value and gradient in float32 where that is faster; error some 1e-6 of the values at the lower bound."""
         return self._at(time_s, *(self.roughly or (self.forward, self.backward)))
 
     def _at(self, time_s: FloatArray, forward: Product, backward: Product) -> tuple[float, FloatArray]:
@@ -93,7 +93,7 @@ class QuadraticObjective:
         return self._bent(backward(forward(direction)), direction)
 
     def _bent(self, image: FloatArray, direction: FloatArray) -> FloatArray:
-        """What R'R makes of a direction, in place made what the Hessian makes of it."""
+        """Turn R'R of a direction into the Hessian's product, in place."""
         image *= 2 / self.target.size
         image += 2 * self.regularisation * direction
         return image
@@ -144,7 +144,7 @@ def _products(effect: Effect, mask: BoolArray, root: FloatArray) -> tuple[Produc
 
 
 def use_32_bit_indices(matrix: sparse.csr_array) -> sparse.csr_array:
-    """The same matrix with 32-bit indices where they suffice: a third less to read for each product."""
+    """Return the matrix with 32-bit indices where they suffice: a third less memory traffic for each product."""
     if max(matrix.nnz, *matrix.shape) >= np.iinfo(np.int32).max:
         return matrix
     parts = (matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32))
@@ -265,7 +265,7 @@ def condition(problem: DwellProblem, f: QuadraticObjective | None = None) -> flo
 
 
 def conditioning_note(problem: DwellProblem, f: QuadraticObjective | None = None) -> str | None:
-    """What a certificate has to say of a regularisation that is too small for float64; None where it is not."""
+    """Return the certificate's note on a regularization that is too small for float64; None where it is not."""
     number = condition(problem, f)
     if number <= ILL_CONDITIONED:
         return None

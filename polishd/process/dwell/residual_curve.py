@@ -23,7 +23,7 @@ PRICES = (*np.logspace(-1, -8, 15).tolist(), 0.0)
 
 
 CERTIFIED = ("objective", "kkt_residual", "at_lower", "at_upper", "solver", "iterations", "seconds", "stopped")
-"""Of the certificate, as it is."""
+"""As in the certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class CurvePoint:
         return slope(np.where(clear, residual, 0.0), clear, self.problem.effect.grid.pitch_mm).rms_urad
 
     def row(self) -> Row:
-        """What JSON can hold of it: figures, certificate, and what was asked for; units in the keys."""
+        """Return figures, certificate and request as JSON values; units in the keys."""
         c = self.solution.certificate
         return {
             "total_s": c.dwell_total_s,
@@ -231,7 +231,7 @@ class ResidualGoal:
         return self.rms_nm is not None or self.slope_urad is not None
 
     def share(self, point: CurvePoint) -> float:
-        """What a residual has of what it may have, the worst of both: 1 just reaches it."""
+        """Return the residual over its limit, the worse of both: 1 just reaches the goal."""
         shares = []
         if self.rms_nm is not None:
             shares.append(point.rms_nm / self.rms_nm)
@@ -286,7 +286,7 @@ class FloorCost:
     raised: CurvePoint
 
     def row(self) -> Row:
-        """What JSON can hold of it; a cost is what the floor adds to the free dwell's (0.02 is 2 %)."""
+        """Return JSON values; a cost is the floor's increase of the free dwell's figure (0.02 is 2 %)."""
         bounded, free, raised = self.bounded, self.free, self.raised
         return {
             "floor_s": float(bounded.problem.lower_s.sum()),

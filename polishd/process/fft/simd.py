@@ -23,7 +23,7 @@ _FUSED = ("contract", "nsz")
 """A product and a sum may become one instruction."""
 
 Maker = Any
-"""What numba asks an intrinsic for: its signature, and code that builds it."""
+"""Result of a numba intrinsic: its signature, and the code that builds it."""
 
 
 class Lanes(types.Type):
@@ -112,7 +112,7 @@ gather_sum = _gathering("fadd")
 """(array, base, first, second, at): a square tile, transposed, of rows ``base + first[at:at + COUNT]`` of an array of
 (rows, COUNT), plus that of ``base + second[...]``."""
 gather_difference = _gathering("fsub")
-"""The same, minus."""
+"""Subtraction."""
 
 
 @_intrinsic
@@ -256,7 +256,7 @@ least, most = _of_two(_chosen_by("<")), _of_two(_chosen_by(">"))
 
 
 def _means(sign: Any, name: str) -> None:
-    """What a sign means between two values, or a number and a value."""
+    """Define an operator between two values, or a number and a value."""
     made = _of_two(_signed(name))
 
     @overload(sign, strict=False)

@@ -38,7 +38,7 @@ def inline(function: F) -> F:
 
 
 def inline_deep(function: F) -> F:
-    """The same for what is called for each block: within its caller, as a call hands over each array's every number."""
+    """Inline a function called for each block into its caller, because numba calls pass every field of each array."""
     return _njit(function, forceinline=True)
 
 
@@ -48,7 +48,7 @@ def _njit(function: F, **options: Any) -> F:
 
 
 RADICES = (8, 5, 3, 4, 2)
-"""In the order in which they are taken: large ones first, as they read and write least often."""
+"""Radices in the order of use: large ones first, because they need the fewest passes."""
 _TWO, _THREE, _FOUR, _FIVE, _EIGHT = ((0,) * radix for radix in (2, 3, 4, 5, 8))
 
 _HALF, _SIN_60, _SIN_45 = (np.float32(value) for value in (0.5, math.sqrt(0.75), math.sqrt(0.5)))
@@ -60,12 +60,12 @@ Lanes = Any
 
 
 class Length(NamedTuple):
-    """What a transform of so many values needs; made by `length`."""
+    """Tables of a transform of one length; made by `length`."""
 
     n: int
     radices: NDArray[np.int64]
     at: NDArray[np.int64]
-    """Where each radix' turns begin."""
+    """Start of each radix' twiddle factors."""
     cos: NDArray[np.float32]
     sin: NDArray[np.float32]
 
@@ -234,7 +234,7 @@ _TILE = (0,) * COUNT
 
 
 class FftPlanArrays(NamedTuple):
-    """What compiled functions need of a plane."""
+    """Arguments of the compiled functions for a plane."""
 
     row: Length
     column: Length
@@ -243,7 +243,7 @@ class FftPlanArrays(NamedTuple):
     at: NDArray[np.int64]
     """(blocks * COUNT,) where each column's frequency is along a row."""
     mirrored: NDArray[np.int64]
-    """The same of the frequency's negative."""
+    """Index of the negative frequency."""
 
 
 @dataclass(frozen=True)

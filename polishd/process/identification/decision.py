@@ -1,4 +1,4 @@
-"""What is done about a shift that was found: corrected in the next plan where it is small and certain, else stopped."""
+"""Decision about an identified shift: corrected in the next plan where it is small and certain, else a stop."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PLACE = ("offset", "shift", "rotation")
 LOGARITHMS = ("rate", "width", "compliance")
 """Extensions whose parameter is a natural logarithm; messages state the change in percent."""
 PLAIN = ("exponent",)
-"""Those that are no share of anything."""
+"""Parameters without a percentage."""
 LOOK = "look at tool, seat and map before the next pass"
 
 
@@ -57,7 +57,7 @@ class EstimatedShift:
     error: float = 0.0
     """Standard error of the length that is stated: with all extensions in, and with what leaving some out has moved."""
     errors: Mapping[str, float] = field(default_factory=dict)
-    """The same of each parameter."""
+    """Values of each parameter."""
 
     @property
     def stated_error(self) -> float:
@@ -98,7 +98,7 @@ class EstimatedShift:
 
 @dataclass(frozen=True, slots=True)
 class ShiftDecision:
-    """What the next plan corrects, what it leaves, and why there is none before a person has looked."""
+    """Shifts that the next plan corrects, those that it ignores, and the reasons to stop."""
 
     corrected: tuple[EstimatedShift, ...]
     left: tuple[EstimatedShift, ...]
@@ -198,7 +198,7 @@ def _sizes(found: IdentificationResult) -> list[EstimatedShift]:
 
 
 def knowledge_from_estimates(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
-    """As the next pass's prior (`usual_parameters`); ComputeError where another polishd kept other parameters."""
+    """Return the next pass's prior (`usual_parameters`); ComputeError where the stored parameters differ."""
     known = initial_knowledge(usual_parameters(turns=turns))
     if not beliefs.mean:
         return known

@@ -81,7 +81,7 @@ def design_track_times(
 
 
 def knowledge_after_pass(model: ForwardModel, known: PriorKnowledge, noise_nm: float) -> PriorKnowledge:
-    """What is known after a pass of the model's blocks that shows the machine as it was believed."""
+    """Return the knowledge after a pass of the model's blocks that confirms the present estimate."""
     theta = np.zeros(len(known.mean))
     columns = model.columns(theta, model.lay(theta))
     return replace(known, covariance=_inverse(_inverse(known.covariance) + columns.T @ columns / noise_nm**2))
@@ -95,7 +95,7 @@ def _goals(known: PriorKnowledge, wanted: Mapping[str, float]) -> FloatArray:
 
 
 def _left(columns: FloatArray, precision: FloatArray, noise_nm: float, goal: FloatArray) -> float:
-    """What is still wanted: of each parameter its variance over the goal, as far as that is above 1; 0 is reached."""
+    """Return the distance from the goal: log of variance over goal where above 1, summed; 0 is reached."""
     variance = np.diag(_inverse(precision + columns.T @ columns / noise_nm**2))
     return float(np.log(np.maximum(variance / goal, 1.0)).sum())
 

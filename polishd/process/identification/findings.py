@@ -1,4 +1,4 @@
-"""What passes say together: converging slower than predicted, a rate that drifts, a tool that wears, another spot.
+"""Findings from several passes: slower convergence than predicted, rate drift, tool wear, a changed spot.
 
 How large each must be to be seen, and how often one is found where there is none: docs/wear.md.
 """
@@ -113,7 +113,7 @@ def unexplained_share(
 
 
 def pool_unexplained(known: float, shown: float | None) -> float:
-    """What is expected of the next pass: the last one counts as much as all before it."""
+    """Pool the unexplained shares of the passes; the last pass counts as much as all before it."""
     return known if shown is None else float(np.sqrt((known**2 + shown**2) / 2))
 
 
@@ -122,7 +122,7 @@ SIGMAS = 4.0
 REFERENCE = 3
 """Passes that make the rate that later ones are held against."""
 LEAST_PROMISE = 0.05
-"""Of the RMS: a plan that expects less of a gain expects none."""
+"""Least gain of a plan, as a share of the RMS; a smaller one counts as none."""
 STALLED = 2
 """Passes in a row that gain too little."""
 BY_REACH = 0.5
@@ -136,7 +136,7 @@ DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
 
 
 def has_diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
-    """Whether a surface is clearly worse than it has been: RMS of the earlier measurements, and of this one."""
+    """Return whether a surface is clearly worse than before: RMS of the earlier measurements, and of this one."""
     best = min(earlier_nm, default=math.inf)
     return now_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
@@ -207,7 +207,7 @@ def _tool(word: str, *, falls: bool, within: bool | None) -> Finding:
 
 
 def _by_wear(series: PassSeries, change: float) -> bool | None:
-    """Whether what was lost within the passes explains a fall between them; None: they do not show it."""
+    """Return whether wear within the passes explains a fall between them; None: undetermined."""
     if change >= 0:
         return False
     if not series.faded_h:
@@ -255,7 +255,7 @@ def _gains_little(shown: PassIndicators, limits: FindingLimits) -> bool:
 
 
 def _change(series: PassSeries, shown: PassIndicators) -> Estimate | None:
-    """Of the rate against the series' reference, relative."""
+    """Relative change of the rate against the series' reference."""
     if shown.rate is None or series.reference is None:
         return None
     ratio = shown.rate.value / series.reference.value
@@ -295,10 +295,10 @@ class WearIndicators:
     """Each relative, with its standard error; infinite where the pass does not show it."""
 
     fade: float = 0.0
-    """By how much the removal rate changed from the pass's begin to its end, of its mean."""
+    """Change of the removal rate from the pass's begin to its end, over its mean."""
     fade_sigma: float = float("inf")
     width: float = 0.0
-    """By how much the spot is wider than the predicted one, volume aside."""
+    """Relative excess of the spot's width over the predicted one, at equal volume."""
     width_sigma: float = float("inf")
 
 

@@ -121,7 +121,7 @@ class _Point:
 
 
 class _Aim:
-    """What is to be small: half the squares of residual and of departure from the prior, in standard deviations."""
+    """Return the loss: half the squares of residual and of departure from the prior, in standard deviations."""
 
     def __init__(self, model: ForwardModel, data: FitSamples, prior: PriorKnowledge, bend_nm: float) -> None:
         self.model, self.data, self.prior, self.bend_nm = model, data, prior, bend_nm
@@ -245,7 +245,7 @@ def _box(values: FloatArray) -> FloatArray:
 # Where a fit begins: at what was known, or, where that does not fit at all, where the spot is found by looking.
 
 LOST = 0.3
-"""Of how a removal varies: where what was known leaves more, at whatever rate, its slopes may lead astray."""
+"""Share of the removal's variation: with a larger residual of the prior, at any rate, its slopes may mislead."""
 SHOWS = 3.0
 """Standard deviations of the noise that a removal has to leave to be anything that could be found elsewhere."""
 MOVES = 10
@@ -267,7 +267,7 @@ def initial_guess(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledg
 def _walked(
     model: ForwardModel, here: FloatArray, left_nm: float, measured: FloatArray, place: tuple[str, str]
 ) -> tuple[FloatArray, float]:
-    """From here downhill, a step of the spot at a time: (k,) parameters, and what they leave."""
+    """Descend from here, one step of the spot at a time: (k,) parameters, and their residual."""
     for _ in range(MOVES):
         looked = [(there, _left_nm(model, there, measured)) for there in _beside(model, here, place)]
         there, less_nm = min(looked, key=lambda one: one[1])
@@ -353,7 +353,7 @@ def _once_more(
 
 
 def _far_off(data: FitSamples, after: FitSamples) -> bool:
-    """Whether a fit began too far from where the spot was to tell noise and outliers, as what it leaves says."""
+    """Return whether a fit began too far off to estimate noise and outliers, from its residual."""
     out, still_out = (int(np.count_nonzero(~one.keep)) for one in (data, after))
     fewer = out > SOME * data.keep.size and still_out < HOME * out
     return fewer or after.noise.sigma_nm < HOME * data.noise.sigma_nm
@@ -372,7 +372,7 @@ def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalM
 
 
 def cell_average_error(model: ForwardModel, removed: RemovalMap) -> RemovalNoise:
-    """What the effect matrix itself is off by: in proportion to how the removal varies, and as wide as the spot."""
+    """Error of the effect matrix: proportional to the variation of the removal, and as wide as the spot."""
     varies = abs(without_plane(removed.removal_nm[removed.mask], removed.mask))
     share = HERTZ_LAYING if isinstance(model.spot, HertzSpot) else LAYING
     return RemovalNoise(share * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))

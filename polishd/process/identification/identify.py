@@ -48,7 +48,7 @@ class ModelComparison:
     rivals: tuple[CandidateModel, ...]
     """Other models that the map does not exclude, the most likely first."""
     probability: Mapping[str, float]
-    """Of each extension, over all models."""
+    """Probability of each extension, over all models."""
 
 
 def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray) -> ModelComparison:
@@ -152,7 +152,7 @@ DIGIT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Confounding:
-    """How well a pass determines a parameter."""
+    """Information of a pass on a parameter."""
 
     retained: float
     """Standard error after over before the pass."""

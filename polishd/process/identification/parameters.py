@@ -18,11 +18,11 @@ from polishd.process.metrology.resampling import Registration, averaging_matrix
 from polishd.process.removal.contact import relative_removal
 
 Scope = Literal["map", "mount", "tool", "cell"]
-"""What a parameter belongs to, and with what it begins anew: a map, a mounted part, a tool, or never."""
+"""Scope of a parameter, with which it starts anew: a map, a mounted part, a tool, or never."""
 FIELD_ORDER = 3
 """Largest radial order of the rate's field."""
 INSTRUMENT = ("piston", "tilt_x", "tilt_y", "power")
-"""What two maps may differ by without removal, in Noll's order; ``astigmatism_45``, ``astigmatism_0`` may follow."""
+"""Differences of two maps without removal, in Noll's order; ``astigmatism_45``, ``astigmatism_0`` may follow."""
 ABERRATIONS = (*INSTRUMENT, "astigmatism_45", "astigmatism_0")
 LARGE_NM = 300.0
 """Prior of piston and tilt: more than any map of a part has, less than what costs digits."""
@@ -40,7 +40,7 @@ class Parameter:
     """Standard deviation of what is expected before anything was measured."""
     scope: Scope
     use: float = 0.0
-    """By how much it walks at random in an hour of contact; in n hours by sqrt(n) times this."""
+    """Random walk in an hour of contact; in n hours sqrt(n) times this."""
     rest: float = 0.0
     """Likewise in a day."""
     extension: str | None = None
@@ -51,7 +51,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class PriorKnowledge:
-    """What is known of k parameters: normal, with this mean and covariance."""
+    """Normal distribution of k parameters."""
 
     parameters: tuple[Parameter, ...]
     mean: FloatArray
@@ -63,7 +63,7 @@ class PriorKnowledge:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
@@ -201,7 +201,7 @@ class RemovalNoise:
     """Noise of a removal map: its size at a sample, and the area over which it is one and the same."""
 
     sigma_nm: float
-    """Of a sample of the difference: sqrt(2) times a map's."""
+    """Noise of a sample of the difference: sqrt(2) times a map's."""
     area_mm2: float = 0.0
     """Integral of its autocorrelation; at least a sample's cell. White noise: 0."""
 
@@ -233,13 +233,13 @@ class MapPixelData:
 
     @property
     def turn_rad(self) -> float:
-        """Of the part in the map, counter-clockwise."""
+        """Turn of the part in the map, counterclockwise."""
         return float(np.radians(self.at.rotation_deg))
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalMap:
-    """What two maps say was removed."""
+    """Removal as two maps show it."""
 
     grid: Grid
     removal_nm: FloatArray

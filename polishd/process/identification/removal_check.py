@@ -54,7 +54,7 @@ class RemovalCheckResult:
     stop: str
     """Reason to stop and what to do; "" where the cell may go on."""
     correlation: float
-    """Of measured with predicted removal as they are, both without piston and tilt."""
+    """Correlation of measured and predicted removal, both without piston and tilt."""
     rate: float
     """Measured over predicted removal, of the best explanation; NaN without a signal."""
     rate_sigma: float

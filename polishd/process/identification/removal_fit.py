@@ -41,7 +41,7 @@ class Fit:
     """(x, y)"""
     shift_sigma_mm: tuple[float, float]
     correlation: float
-    """Of the fitted and the measured removal, both without the plane."""
+    """Correlation of the fitted and the measured removal, both without the plane."""
     model_nm: FloatArray
     """(ny, nx) the fit; NaN where the moved prediction has no data."""
 

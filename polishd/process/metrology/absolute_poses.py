@@ -130,7 +130,7 @@ class UnobservedTerm:
     n: int
     m: int
     share: float
-    """Of its square that is unknown: 1 all of it, less where only a mixture with other terms is."""
+    """Undetermined share of its square: 1 all of it, less where only a mixture with other terms is."""
 
     @property
     def name(self) -> str:
@@ -145,7 +145,7 @@ class Design:
     poses: tuple[PartPose, ...]
     degree: int
     radius_mm: float
-    """Of the unit circle."""
+    """Radius of the unit circle."""
     terms: tuple[tuple[int, int], ...]
     """(n, m) of the j terms above tilt; RMS norm, m > 0 cosine, angles from x towards y."""
     moves: FloatArray
@@ -232,9 +232,9 @@ class PoseOptions:
     candidates: tuple[PartPose, ...]
     """Candidate poses: angles of the rotary port, shifts of the stage."""
     radius_mm: float
-    """Of the aperture."""
+    """Radius of the aperture."""
     noise_nm: float
-    """Of one map, in a term of RMS norm."""
+    """Noise of one map, in a term of RMS norm."""
     most: int = 6
     """Maps more, at most."""
 
@@ -307,7 +307,7 @@ class _Search:
         return information(pose_matrix(self.degree, pose, self.options.radius_mm)[LEVEL:, LEVEL:])
 
     def sigma_nm(self, normal: FloatArray) -> dict[Term, float]:
-        """Of each wanted term of the instrument."""
+        """Return the standard deviation of each wanted term of the instrument."""
         size = len(self.terms)
         variance = np.diag(np.linalg.inv(normal + np.eye(2 * size) / PRIOR_SIGMA**2))[size:]
         at = {term: index for index, term in enumerate(self.terms)}

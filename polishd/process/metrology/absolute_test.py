@@ -31,11 +31,11 @@ LEAST_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PlaceError:
-    """How well poses are known, one standard deviation each, independent from map to map."""
+    """Standard deviation of the poses, independent from map to map."""
 
     angle_deg: float = 0.0
     shift_mm: float = 0.0
-    """In x and in y."""
+    """Error in x and in y."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class TermSolution:
     left_nm: FloatArray
     """(maps, j) seen less what part and instrument explain."""
     chi2: float
-    """Of ``left_nm`` in the covariance of what was seen; its expectation is the design's freedom."""
+    """Chi-squared of ``left_nm`` in the covariance of the observations; its expectation is the design's freedom."""
 
 
 def solve(design: Design, seen_nm: FloatArray, covariance: FloatArray) -> TermSolution:
@@ -152,14 +152,14 @@ def _gauge(design: Design) -> FloatArray:
 
 
 def _scaled(found: TermSolution, noise_nm: float) -> TermSolution:
-    """The same for noise that is not 1 nm a sample."""
+    """Rescale the solution to a noise other than 1 nm a sample."""
     return replace(found, covariance=found.covariance * noise_nm**2, chi2=found.chi2 / noise_nm**2)
 
 
 # What Zernike terms leave of the maps, sample by sample: the instrument's in the map's frame, the part's in its own.
 
 SWEEPS = 12
-"""Of both means. A wave of which each sweep finds half is known to 1/4096 after them."""
+"""Sweeps of both means. A wave of which each sweep finds half is known to 1/4096 after them."""
 LEAST_MAPS = 2
 """Maps that must show a sample."""
 SETTLED = 1e-3
@@ -167,7 +167,7 @@ SETTLED = 1e-3
 LEAST_SHARE = 0.1
 """Share of the samples that must exceed the unknowns to estimate the noise."""
 Way = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-"""From coordinates in one frame, mm about the axis, to those in the other."""
+"""Function from coordinates in one frame, mm about the axis, to those in the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ class PixelRemainder:
     part_nm: FloatArray
     """About the axis, as it lies at 0 deg without a shift."""
     noise_nm: float | None
-    """Of one sample of one map, from what both leave; None where nothing is over to tell it by."""
+    """Noise of one sample of one map, from the residual of both; None without degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,11 +255,11 @@ def _mean(heights_nm: Sequence[FloatArray]) -> FloatArray:
 # How much of an instrument's shorter waves poses leave unknown: those above the order of the Zernike terms.
 
 RADIUS_PX = 30
-"""Of the trial's aperture."""
+"""Samples across the trial's aperture."""
 WAVE_PX = 1.5
 """Over which its noise is made smooth, for turning it costs short waves by themselves."""
 TRIALS = 3
-"""Of some 300 waves each: the share is known to a tenth of itself."""
+"""Trials of some 300 waves each: the share is known to a tenth of itself."""
 
 
 def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> float:
@@ -318,17 +318,17 @@ class AbsoluteSolution:
     circle_px: tuple[float, float, float]
     """(row, column) about which the part was turned, and the radius of the terms' unit circle."""
     decentre_mm: tuple[float, ...]
-    """Of each map, how far the middle of its data lies from where its pose puts the axis."""
+    """Distance of each map's data center from the axis by its pose."""
     noise_nm: float
-    """Of one sample of one map, as it acts on the terms."""
+    """Noise of one sample of one map, as it acts on the terms."""
     rest_noise_nm: float | None
-    """The same of what the terms leave; None where too few maps tell it."""
+    """Noise above the terms; None with too few maps."""
     hidden_share: float
-    """Of the square of the instrument's waves above the terms' order, what the poses leave in the part."""
+    """Share of the square of the instrument's waves above the terms' order that stays in the part."""
     hidden_rest_nm: float
     """The RMS of those waves, from what is seen of the rest: for a print that follows no fold of the turns."""
     misfit: float
-    """Of the terms, over its expectation: 1 where the noise was found here."""
+    """Chi-squared of the terms over its expectation: 1 where the noise was estimated here."""
     sense: bool
     """The maps tell that the angles' sense is right; False: both senses fit about alike."""
     left_nm: tuple[float, ...]
@@ -341,7 +341,7 @@ class AbsoluteSolution:
 
     @property
     def uncertainty_nm(self) -> float:
-        """Of a sample of the instrument's map, RMS, one standard deviation, without what is hidden."""
+        """Standard deviation of a sample of the instrument's map, RMS, without the hidden part."""
         noise = self.noise_nm if self.rest_noise_nm is None else self.rest_noise_nm
         rest = 2 * noise**2 / len(self.design.poses)  # of the mean over maps, and of the part's that is taken off
         return float(np.sqrt(np.trace(self.solution.covariance) + rest))
@@ -446,7 +446,7 @@ def _hidden_nm(rest: PixelRemainder, share: float, maps: int, noise_nm: float) -
 
 
 def _sense(found: Design, seen_nm: FloatArray, per_noise: FloatArray) -> bool:
-    """Whether the maps tell that angles are counter-clockwise; BadMap where they tell the opposite."""
+    """Return whether the maps confirm counterclockwise angles; MapError where they show the opposite."""
     turned = [replace(pose, angle_deg=-pose.angle_deg) for pose in found.poses]
     other = design_poses(turned, found.degree, found.radius_mm)
     least = float(np.finfo(float).eps * (seen_nm**2).sum() / per_noise[0, 0, 0])

@@ -38,7 +38,7 @@ class AverageResult:
     rms_uncertainty_nm: float
     """Its standard error: the mean is repeated without each map in turn (jackknife)."""
     names: tuple[str, ...]
-    """Of all maps, in their order."""
+    """Names of all maps, in their order."""
     used: tuple[str, ...]
     rejected: Mapping[str, float]
     """Names of the maps left out, and the RMS in nm by which each deviates from the median map."""
@@ -126,7 +126,7 @@ def _size(surface: SurfaceMap) -> str:
 
 
 def _same_pitch(one: SurfaceMap, other: SurfaceMap) -> bool:
-    """As closely as any format keeps a pitch: ``.dat`` rounds it to 7 digits."""
+    """Precision of a stored pitch: ``.dat`` rounds it to 7 digits."""
     if one.pitch_mm is None or other.pitch_mm is None:
         return one.pitch_mm is other.pitch_mm
     return abs(one.pitch_mm - other.pitch_mm) <= SAME_PITCH * one.pitch_mm

@@ -17,7 +17,7 @@ from polishd.process.metrology.resampling import Registration, resample_register
 from polishd.process.metrology.statistics import Removal, fit_terms
 
 MARGIN_MM = 5.0
-"""How far the process grid reaches beyond the aperture: where the path turns."""
+"""Margin of the process grid beyond the aperture, where the path turns."""
 MOST_DATA = 1.6
 """Area with data, relative to the aperture's, beyond which a map shows another part (a full square frame has 1.27)."""
 MIN_SAMPLES = 100
@@ -28,7 +28,7 @@ MAX_FILLED = 0.05
 
 
 class Masks(NamedTuple):
-    """Which samples count: frozen with the first map of a part."""
+    """Masks of the counted samples, frozen with the first map of a part."""
 
     solve: BoolArray
     """(ny, nx) in the solve."""

@@ -23,7 +23,7 @@ Extension = Literal["nearest", "c1", "gerchberg_papoulis"]
 ROUNDS = 200
 """Most projections of `gerchberg_papoulis`."""
 TOLERANCE = 1e-3
-"""It stops where its misfit on the data falls by less than this share in STALL rounds, or below it."""
+"""The iteration stops where its misfit on the data falls by less than this share in STALL rounds, or below it."""
 STALL = 10
 SLACK = 1e-5
 """Weight of slope beside bending in `c1`: settles what the data leave open (a lone sample), and nothing else."""

@@ -20,7 +20,7 @@ ANSWERS = {
     "orientation": '"orientation" in gives, with mirror and rotation_deg as they are',
     "square pixels": "nothing: its pixels are not square, of a size not known; export the map with its lateral scale",
 }
-"""What a profile answers, and with which key."""
+"""Answers of a profile, and their keys."""
 SYSTEM = re.compile(r"(?:Zygo.*, system )?(\d+)")
 SHORT = 2**16
 """Zygo's ``.dat`` keeps the last 16 bits of the system's number; its texts and ``.datx`` keep all."""
@@ -136,7 +136,7 @@ def system_number(name: str) -> int | None:
 
 
 def same_system(one: str, other: str) -> bool:
-    """Whether two names of instruments may be of one: alike, or of one system number, cut to 16 bits in either."""
+    """Return whether two instrument names may be one: equal, or of one system number, cut to 16 bits in either."""
     numbers = [number for number in map(system_number, (one, other)) if number is not None]
     cut = len(numbers) == 2 and min(numbers) < SHORT and numbers[0] % SHORT == numbers[1] % SHORT
     return one == other or cut or (len(numbers) == 2 and numbers[0] == numbers[1])

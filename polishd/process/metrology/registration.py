@@ -257,7 +257,7 @@ def _by_chance(p: ComplexArray, q: ComplexArray, match: _Match, pitch_mm: float)
 
 
 def _why(p: ComplexArray, q: ComplexArray, mirrored: bool, tolerance_mm: float, needed: int) -> str:
-    """What is wrong with points that no rigid placement explains, in words that say what to do."""
+    """Return the cause and the remedy for points that no rigid placement explains."""
     if mirrored:
         return "and they are the part's mirror image: the profile's mirror is the wrong way round"
     for points, what in ((p, ""), (p.conj(), "mirrored and ")):
@@ -320,7 +320,7 @@ def find_marks(height_nm: FloatArray, pitch_mm: float) -> tuple[Point, ...]:
 
 
 def _compact(row: np.ndarray, column: np.ndarray) -> bool:
-    """Whether a hole is about an ellipse, of moments that its pixels have, and not too long."""
+    """Return whether a hole is about an ellipse, of moments that its pixels have, and not too long."""
     moments = np.cov(np.stack([row, column]), bias=True) + np.eye(2) / 12  # a pixel is a square
     short, long = np.sqrt(np.linalg.eigvalsh(moments))
     return bool(long <= MOST_ELONGATED * short and row.size >= LEAST_FULL * 4 * np.pi * short * long)
@@ -501,7 +501,7 @@ def fit_polygon(height_nm: FloatArray, pitch_mm: float, part: Polygon, tolerance
 
 
 def _fitted(guess: FloatArray, rim: FloatArray, part: Polygon, within_mm: float) -> Any:
-    """What scipy finds; a few samples far off, of a clamp or a chip, draw little."""
+    """Fit by scipy with a robust loss: samples of a clamp or a chip have little weight."""
     return scipy.optimize.least_squares(_gap_mm, guess, args=(rim, part), loss="soft_l1", f_scale=within_mm / 2)
 
 

@@ -15,7 +15,7 @@ from polishd.model.surface import BoolArray, FloatArray
 Removal = Literal["piston", "tilt", "power"]
 """Each with those before it: "tilt" is piston and tilt, "power" is piston, tilt and r^2, fitted together."""
 WORST_RATIO = 1e-12
-"""Of the normal equations' singular values: less is rounding, and the mask does not tell the terms apart."""
+"""Least singular value of the normal equations, relative; below it the mask does not separate the terms."""
 
 
 def pv_rms(height_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
@@ -151,7 +151,7 @@ class SlopeFigures:
     rms_y_urad: float
     pv_y_urad: float
     rms_urad: float
-    """Of the magnitude: root of the sum of squares of both."""
+    """RMS of the magnitude: root of the sum of squares of both."""
     max_urad: float
     """Largest magnitude; its least is near 0, so this is its PV, too."""
     integration_mm: float

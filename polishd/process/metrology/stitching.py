@@ -58,7 +58,7 @@ class PlacedMap:
     centre: tuple[float, float]
     """(row, column) of its centre."""
     radius_px: float
-    """From its centre to its furthest sample with data."""
+    """Distance from its center to its furthest sample with data."""
     gain: float
     """Variance of a sample's noise, of that of the map's own samples: interpolation averages."""
 
@@ -92,7 +92,7 @@ class PlacedMap:
 
 @dataclass(frozen=True, slots=True)
 class StitchSum:
-    """What maps make together, on the grid."""
+    """Sum of maps on the grid."""
 
     mean: FloatArray
     """(ny, nx); 0 where no map has data."""
@@ -162,7 +162,7 @@ def slopes(surface: StitchSum) -> tuple[FloatArray, FloatArray]:
 LEAST_COMMON = 25
 """Samples that two maps must share to count as overlapping."""
 LEAST_EIGENVALUE = 1e-10
-"""Of the normal matrix with a diagonal of 1: below it the overlaps do not tell the unknowns apart."""
+"""Least eigenvalue of the normal matrix with a diagonal of 1; below it the overlaps do not separate the unknowns."""
 SURE_PX = 0.1
 """Uncertainty of a freed shift, pixels, above which the overlaps have no structure to tell it by."""
 CONVERGED_PX = 1e-3
@@ -173,11 +173,11 @@ MOST_SHIFT_PX = 5.0
 
 @dataclass(frozen=True, slots=True)
 class SubAperturePlacement:
-    """What was found of a sub-aperture, against the reference."""
+    """Fitted terms of a sub-aperture, against the reference."""
 
     name: str
     shift_mm: tuple[float, float]
-    """x, y by which it lies elsewhere than was said."""
+    """x, y offset from its nominal position."""
     shift_uncertainty_mm: tuple[float, float]
     piston_nm: float
     """Of its center, subtracted from the map."""
@@ -203,7 +203,7 @@ class StitchResult:
     """(ny, nx) how many maps have the sample."""
     placed: tuple[SubAperturePlacement, ...]
     noise_nm: float
-    """Of one sample of one map, from what the overlaps leave."""
+    """Noise of one sample of one map, from the residual of the overlaps."""
     power_growth: float
     """(R/r)^2: sag at the rim of the result, about the reference's centre, for 1 nm at the rim of a sub-aperture. So a
     power that all maps share, as the reference optic's, grows; no overlap shows it."""

@@ -76,7 +76,7 @@ def in_line_band(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pi
 
 
 def tolerance_notes(judged: Iterable[LineResult]) -> tuple[str, ...]:
-    """What a person should know of figures that are nearer to their limits than the instrument repeats."""
+    """Return notes on figures that are nearer to their limits than the instrument's repeatability."""
     return tuple(
         f"{one}: it {'holds' if one.holds else 'does not hold'}, and the instrument's repeatability could have it "
         "the other way"

@@ -290,7 +290,7 @@ class RemeasureAdvice:
 
 @dataclass(frozen=True, slots=True)
 class RmsBound(FigureBound):
-    """Of the RMS without piston and tilt, nm."""
+    """Bound of the RMS without piston and tilt, nm."""
 
     removed: str
     """"tilt", or "power": piston, tilt and power."""

@@ -110,7 +110,7 @@ BLOCK = 8192
 """Samples at a time: a block of 37 terms stays in the cache."""
 
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
-"""From the coordinates of m samples, x and y, to (k, m): each of k functions there."""
+"""Function from the coordinates of m samples, x and y, to (k, m) values of k functions."""
 
 
 def triangle(basis: Basis, x: FloatArray, y: FloatArray, values: FloatArray) -> FloatArray:
@@ -167,9 +167,9 @@ class ZernikeFit:
     """(row, column) of the unit circle's centre."""
     radius_px: float
     residual_rms_nm: float
-    """What the fit leaves, over the mask."""
+    """RMS of the residual over the mask."""
     condition: float
-    """Of the terms over the mask: near 1 to 3 on a circle."""
+    """Condition of the terms over the mask: near 1 to 3 on a circle."""
     samples: int
     per_noise: FloatArray
     """(k, k) covariance of the coefficients, nm^2, for white noise of 1 nm in each sample."""
@@ -304,7 +304,7 @@ class Primary:
     """Amplitudes at the unit circle's edge (fringe terms 4 to 9), nm of the surface, positive = high."""
 
     power_nm: float
-    """Of 2 r^2 - 1: its PV over the circle is twice this."""
+    """Coefficient of 2 r^2 - 1; its PV over the circle is twice this."""
     astigmatism_nm: float
     """Root of the sum of squares of r^2 cos 2t and r^2 sin 2t."""
     astigmatism_deg: float
@@ -314,7 +314,7 @@ class Primary:
     coma_deg: float
     """Direction of its high side, from x towards y, -180 to 180."""
     spherical_nm: float
-    """Of 6 r^4 - 6 r^2 + 1."""
+    """Coefficient of 6 r^4 - 6 r^2 + 1."""
 
 
 def primary(fitted: ZernikeFit) -> Primary:

@@ -17,7 +17,7 @@ from polishd.process.removal.tif import Spot
 from polishd.process.removal.tif_family import tif_family
 
 NODE_TOLERANCE = 1e-6
-"""How far a dwell point may lie from a node, over the pitch."""
+"""Largest distance of a dwell point from a node, over the pitch."""
 TOLERANCE = 1e-4
 
 Index = FloatArray | NDArray[np.int64]
@@ -74,7 +74,7 @@ class ConvolutionEffect:
 
     @property
     def on_grid(self) -> tuple[slice, slice]:
-        """Where the grid lies in what is transformed."""
+        """Slices of the grid in the transformed array."""
         row, column = self.corner
         return slice(row, row + self.grid.ny), slice(column, column + self.grid.nx)
 
@@ -133,7 +133,7 @@ def sum_of_convolutions(
 
 
 class Layout(NamedTuple):
-    """How a grid and a lattice of dwells about it lie in a transform."""
+    """Layout of a grid and a lattice of dwells about it in a transform."""
 
     first: tuple[int, int]
     """Row and column of the lattice's first node, counted from the grid's first sample."""

@@ -22,7 +22,7 @@ from polishd.process.removal.tif import PATCH, Spot, tilt_spot
 Indices = NDArray[np.int64]
 
 NOTHING = 2e-14
-"""Of a patch: what differences of its integral leave where nothing is. They round to about 1e-15."""
+"""Rounding of a patch's integral differences where it is 0; they round to about 1e-15."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def _bilinear(integral: FloatArray, corner: Indices, below: FloatArray, right: F
 
 @dataclass(frozen=True, slots=True)
 class _Windows:
-    """Of n patches the cells that all positions of each lie in, one window after the other."""
+    """Windows of n patches: the cells at all positions of each, one after the other."""
 
     row: Indices
     """(n,) the first."""
@@ -171,12 +171,12 @@ CHUNK = 1024
 """Positions of a spot of PATCH squares across that are worked on at a time: bounds memory. With four times as many each
 takes twice as long where others want the cache, too; with a quarter numpy's calls do."""
 PATCH_POSITIONS = 4
-"""As many as a patch takes as long to be made as to be laid down at."""
+"""Number of positions at which placing a patch costs as much as computing it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CorrectedSpot:
-    """What a correction makes of the spot at n points."""
+    """Spot under a correction at n points."""
 
     depth_ratio: FloatArray
     """(n,) depth of the contact over the rigid robot's."""
@@ -239,12 +239,12 @@ def effect_matrix(
 
 @dataclass(frozen=True, slots=True)
 class PointLocation:
-    """How n blocks lie, where their spots are the same and no more than moved and widened."""
+    """Positions of n blocks whose spots are equal up to shift and width."""
 
     ends_mm: tuple[FloatArray, FloatArray]
     """(n, 2) where each begins and ends."""
     wider: float | FloatArray = 1.0
-    """What their spots' width is multiplied by, the volume kept; (n, 2) where each has its own along x and y."""
+    """Factor on their spots' width, volume kept; (n, 2) for different factors along x and y."""
 
 
 def effect_columns(

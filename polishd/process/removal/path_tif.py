@@ -104,7 +104,7 @@ def contact_centres_mm(spot: Spot, program: Program, depth_ratio: FloatArray) ->
 
 @dataclass(frozen=True, slots=True)
 class SpotPath:
-    """Where a tool dwells or moves on a part, and what of it removes there."""
+    """Removal of a tool along its path on a part."""
 
     program: Program
     """n timed points in the part's frame, the axes as seen where the surface lies level (`levelled_axes`)."""
@@ -114,7 +114,7 @@ class SpotPath:
     rim: Outline | None
     """The part's, where it is free."""
     curved: CurvedContact | None
-    """What the part's curvature makes of the spot at each point; None on a flat."""
+    """Change of the spot by the part's curvature at each point; None on a flat."""
 
     @property
     def even(self) -> Spot:
@@ -144,14 +144,14 @@ class SpotPath:
         return float((np.pi / 4 * width**2 + width * self.program.length_mm).sum()) / grid.pitch_mm**2
 
     def without_matrix(self, grid: Grid, spots: CorrectedSpot, tolerance: float = TOLERANCE) -> SpreadEffect:
-        """The same in memory that goes with points and samples. ComputeError where its error is above the tolerance."""
+        """Return the effect without a matrix. ComputeError where its error is above the tolerance."""
         bent = None if self.curved is None else np.column_stack([self.curved.wider, self.curved.askew])
         return spread_effect(
             grid, self.spot, self.program, spots.depth_ratio, spots.factor, tolerance=tolerance, bent=bent
         )
 
     def convolutions(self, grid: Grid, spots: CorrectedSpot) -> ConvolutionEffect:
-        """The same as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""
+        """Return the effect as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""
         return convolution_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor)
 
 

@@ -87,7 +87,7 @@ COARSE_CELLS = 5.0
 """Cells to half a spot's width, at least, of the effect that a solver's steps are found with: with 4.5 a solve takes
 half as many steps again, with 3 they lead astray."""
 COARSE_TOLERANCE = 1e-2
-"""What its family may miss of a spot."""
+"""Largest error of its family for a spot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class SpreadEffect:
     spectra: NDArray[np.complexfloating[Any, Any]]
     """(k, ...) transforms of the kernels, averages over cells of the finer grid; all transforms are of their type."""
     error: float = np.nan
-    """Of the removal against the matrix, over its peak: `misses`."""
+    """Error of the removal against the matrix, over its peak: `effect_errors`."""
     entry_error: float = np.nan
     """Largest of a single entry at these samples, over the largest entry."""
     coarse: SpreadEffect | None = None
@@ -124,14 +124,14 @@ class SpreadEffect:
 
     @property
     def note(self) -> str:
-        """What a certificate says of it."""
+        """Note for a certificate."""
         return (
             f"no matrix: {self.rank} convolutions on {self.finer} x {self.finer} nodes a sample; from the matrix, at "
             f"samples, the removal is off by up to {self.error:.1e} of its peak, an entry by {self.entry_error:.1e}"
         )
 
     def single(self) -> SpreadEffect:
-        """The same in float32: half its time and memory, right to about 1e-6 of the peak."""
+        """Return the effect in float32: half its time and memory, accurate to about 1e-6 of the peak."""
         if self.spectra.dtype == np.complex64:
             return self
         return replace(
@@ -172,7 +172,7 @@ class SpreadEffect:
 
     @property
     def on_grid(self) -> tuple[slice, slice]:
-        """Where the finer grid lies in what is transformed."""
+        """Slices of the finer grid in the transformed array."""
         row, column = self.where.corner
         return slice(row, row + self.finer * self.grid.ny), slice(column, column + self.finer * self.grid.nx)
 

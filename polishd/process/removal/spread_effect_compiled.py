@@ -37,12 +37,12 @@ _NONE = np.float32(0)
 
 
 class BlockWeights(NamedTuple):
-    """How n blocks weigh on nodes."""
+    """Weights of n blocks on nodes."""
 
     first: Whole
     """(n + 1,) where each block's nodes begin."""
     node: Whole
-    """Which of a field's, as `plane` keeps it."""
+    """Index in a field in the layout of `plane`."""
     weight: Floats
     coefficient: Floats
     """(n, k)."""
@@ -60,7 +60,7 @@ class Nodes(NamedTuple):
     kernels: Floats
     """(k, 2, blocks, ny, COUNT) spectra."""
     scale: np.float32
-    """What transforms forth and back leave to be divided by."""
+    """Divisor of unnormalized forward and inverse transforms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def collect(i: int, laid: BlockWeights, nodes: Nodes) -> np.float32:
 
 @inline
 def remove(nodes: Nodes, order: FftPlanArrays) -> None:
-    """What has been laid down removes this: the first field, its rows still transformed."""
+    """Compute the removal of the spread dwell into the first field, its rows still transformed."""
     for k in range(len(nodes.fields)):
         for slab in range(order.slabs):
             rows_forth(nodes.fields[k], slab, order)

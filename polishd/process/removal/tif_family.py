@@ -58,7 +58,7 @@ class PathBlocks:
         )  # fmt: skip
 
     def seen_from(self, origin_mm: FloatArray) -> PathBlocks:
-        """The same, (2,) ``origin_mm`` at their origin."""
+        """Return the blocks with (2,) ``origin_mm`` as the origin."""
         return replace(self, start_mm=self.start_mm - origin_mm, end_mm=self.end_mm - origin_mm)
 
     def positions(self, spot: Spot) -> tuple[Indices, FloatArray, FloatArray]:
@@ -152,7 +152,7 @@ class SampledRow:
     blocks: PathBlocks
     """These, the sample at their origin."""
     grid: Grid
-    """As much of the process grid as they reach, the sample in its middle."""
+    """Window of the process grid that they reach, the sample in its middle."""
     rate: FloatArray
     """(b,) nm/s, what each enters the row with."""
 
@@ -330,10 +330,10 @@ LEAST = 9
 """Ratios or azimuths over a range, at least."""
 MOST_RATIOS = 65
 STEP_CELLS = 0.25
-"""How far the spot's rim moves from one ratio to the next."""
+"""Step of the spot's rim from one ratio to the next."""
 TURN_STEP = np.radians(4.0)
 MOST_SHAPES = 500
-"""Of the mesh, that the basis is taken from: its cost grows with their square."""
+"""Number of mesh shapes for the basis; the cost grows with its square."""
 NO_RANGE = 1e-12
 NO_BEND = 1e-4
 """Half a range of widths, over a flat's, and of how askew contacts are, below which their middle is taken for all."""
@@ -349,7 +349,7 @@ class Family:
     """(n, k) nm/s: the window of block i is about ``sum_k coefficients[i, k] kernels[k]``."""
 
     def part(self, which: Indices) -> Family:
-        """Of some of the blocks."""
+        """Return the family for some of the blocks."""
         return Family(self.kernels, self.coefficients[which])
 
 

@@ -1,4 +1,4 @@
-"""What the spot cannot correct: its transfer function, its cut-off, and what of a surface has shorter periods."""
+"""Limits of correction by the spot: its transfer function, its cut-off, and the surface at shorter periods."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class CorrectablePeriods:
 
     transfer: SpotTransferFunction
     rms_nm: float
-    """Of the surface inside the mask, mean removed."""
+    """RMS of the surface inside the mask, mean removed."""
     within_reach_rms_nm: float
-    """Of the periods above the cut-off."""
+    """RMS of the periods above the cut-off."""
     beyond_reach_rms_nm: float
-    """Of those below it: what no dwell with this spot removes."""
+    """RMS of the periods below it, which no dwell with this spot removes."""
     resolved: bool
-    """Whether the map shows periods below the cut-off at all; where it does not, nothing is known of them."""
+    """The map resolves periods below the cut-off; where it does not, they are unknown."""
 
 
 def spot_transfer_function(

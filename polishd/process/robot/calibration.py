@@ -63,7 +63,7 @@ def require_tests(tests: LoadingTests, what: str) -> LoadingTests:
 
 
 def percent_errors(relative: FloatArray) -> PercentErrors:
-    """From what the model is off by, relative to each measured value, (n,), n above 0."""
+    """Statistics of the relative errors of the model, (n,), n above 0."""
     error = 100 * np.abs(relative)
     return PercentErrors(len(error), float(error.mean()), float(error.max()))
 
@@ -112,7 +112,7 @@ class Stiffness:
 
     @property
     def note(self) -> str:
-        """What a user should know of it, if anything."""
+        """Note for the user, if any."""
         return "; ".join(filter(None, (self._held, self._range)))
 
     @property
@@ -141,15 +141,15 @@ class StiffnessFit(Generic[Elastic]):
     robot: Elastic
     stiffnesses: tuple[Stiffness, ...]
     fitted: PercentErrors
-    """Of the fitted robot on the tests that it was fitted to."""
+    """Errors of the fitted robot on the tests of the fit."""
     cross_validated: PercentErrors | None
-    """Of each test as predicted from the other folds; None with too few tests for that."""
+    """Errors on each test, predicted from the other folds; None with too few tests."""
     held_out: PercentErrors | None
     """On tests that the fit has not seen; None without any."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of the fit."""
+        """Notes for the user."""
         return tuple(stiffness.note for stiffness in self.stiffnesses if stiffness.note)
 
 
@@ -166,11 +166,11 @@ class _Found:
     chi2: float
     """Sum of the squared relative residuals."""
     variance: float
-    """Of a relative residual."""
+    """Scale of a relative residual."""
 
 
 Relative = Callable[[FloatArray], FloatArray]
-"""From stiffnesses (p,), as logarithms over the given ones, to those of model over measured compliance, (n,)."""
+"""Function of log stiffness ratios (p,) to log ratios of model over measured compliance, (n,)."""
 
 
 def fit_stiffness(
@@ -413,7 +413,7 @@ def fit_doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
 
 
 def one_number(tests: LoadingTests) -> PercentErrors:
-    """Of each test as predicted by the geometric mean of the others: what can be said without a robot."""
+    """Predict each test by the geometric mean of the others, as the baseline without a robot model."""
     log = np.log(tests.compliance_um_per_n)
     others = (log.sum() - log) / (len(log) - 1)
     return percent_errors(np.expm1(others - log))
@@ -445,7 +445,7 @@ class ExponentFit:
     scale: float
     """Volume, or rate, at gamma = 1: that of a rigid robot; in the unit given."""
     errors: PercentErrors
-    """Of the fit on the spots."""
+    """Errors of the fit on the spots."""
 
 
 def fit_exponent(gamma: FloatArray, volume: FloatArray) -> ExponentFit:

@@ -37,7 +37,7 @@ FLAT_MM = 1.0
 
 _SAME_MM = 1e-6
 _RIM = 1e-9
-"""How far beyond its simplex, in parts of it, a point still belongs to it."""
+"""Tolerance of a simplex, relative, for a point to belong to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ JUMP = 0.05
 CHUNK = 4096
 """Points worked on at a time: what they need stays in the processor's cache."""
 SEPARATE = 1e-3
-"""Where an eigenvalue lies nearer to another than this (relative), closed forms lose digits and LAPACK takes over."""
+"""Relative distance of two eigenvalues below which closed forms lose digits and LAPACK is used."""
 ROUNDING = 1e-9
 """Relative size up to which an asymmetry, or an imaginary part, is rounding."""
 EQUAL = 1e-6
@@ -354,7 +354,7 @@ def _projected(
 # The robot's compliance along a program's path, in the direction of the surface normal (paper eq. 34-44).
 
 DIP_TOLERANCE_DEG = 0.5
-"""How far the program's tool axis may be from the dip that the process states."""
+"""Largest deviation of the program's tool axis from the dip of the process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,7 +370,7 @@ class PathCompliance:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of it."""
+        """Notes for the user."""
         n = len(self.compliance_mm_per_n)
         found = []
         if self.jumps:
@@ -414,7 +414,7 @@ def compliance_at(
     options: ComplianceOptions = SHIPPED_OPTIONS,
     optic: Optic = FLAT,
 ) -> PathCompliance:
-    """The same at points along a path: (n, 3) tool tips, mm, and (n, 3) unit tool axes, both in the part's frame."""
+    """Compliance at points along a path: (n, 3) tool tips, mm, and (n, 3) unit tool axes, both in the part's frame."""
     tip = frames.points_to_base(placement, point_mm)
     base_axis = frames.directions_to_base(placement, require_unit_vectors("tool axis", axis))
     surface = frames.surface_normals(placement, point_mm, optic)
@@ -472,9 +472,9 @@ class ComplianceField:
     places: int
     """Samples within the workspace."""
     out_of_reach: int
-    """Those of them that the robot cannot reach: out of stroke or limits, singular."""
+    """Points that the robot cannot reach: out of stroke or limits, or singular."""
     undefined: int
-    """Those that it reaches, but at which eq. 41 as printed has complex eigenvalues."""
+    """Points that it reaches where eq. 41 as printed has complex eigenvalues."""
 
 
 def compliance_field(

@@ -30,7 +30,7 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What does not depend on the pose."""
+    """Geometry that does not depend on the pose."""
 
     base: FloatArray
     """(3, 3) mm, base end of limb i in row i: ``b_i`` of eq. 1."""
@@ -165,7 +165,7 @@ def _require_robot(robot: HybridRobot) -> None:
 
 
 class Beam(NamedTuple):
-    """What the UP limb's end gives way in the motions that it resists, ``C_c``, as multiples: see `BEAMS`."""
+    """Compliance of the UP limb's end in the motions that it resists, ``C_c``, as multiples: see `BEAMS`."""
 
     shear: float
     cross: float

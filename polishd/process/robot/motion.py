@@ -1,4 +1,4 @@
-"""What the machine makes of the time it is asked for: speeds, accelerations, corners, overhead of each block."""
+"""Motion times of the machine: speeds, accelerations, corners, overhead of each block."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from polishd.model.surface import BoolArray, FloatArray
 
 SAME_PLACE_MM = 1e-6
 MIN_LEARNED = 10
-"""Fewer blocks than this teach nothing."""
+"""Least number of blocks for an estimate of the overhead."""
 
 
 def least_time_s(program: Program, envelope: Envelope) -> FloatArray:

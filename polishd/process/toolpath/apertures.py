@@ -43,11 +43,11 @@ class Aperture:
         return float(self.reach_mm.max())
 
     def larger(self, by_mm: float) -> Aperture:
-        """The same with its rim moved outwards, corners rounded, and its hole made smaller."""
+        """Return the aperture with its rim moved outwards, corners rounded, and its hole made smaller."""
         return replace(self, reach_mm=self.reach_mm + by_mm, hole_mm=max(self.hole_mm - by_mm, 0.0))
 
     def turned(self, by_deg: float) -> Aperture:
-        """The same, turned counterclockwise about the centre."""
+        """Return the aperture turned counterclockwise about the center."""
         azimuth = AZIMUTH_RAD - np.radians(by_deg)
         return replace(self, reach_mm=np.interp(azimuth, AZIMUTH_RAD, self.reach_mm, period=2 * np.pi))
 
@@ -245,10 +245,10 @@ STEPS = 4
 
 @dataclass(frozen=True, slots=True)
 class PathCoverage:
-    """What a path covers of a part."""
+    """Coverage of a part by a path."""
 
     reach_mm: float
-    """From the part's centre to the farthest point of the path."""
+    """Distance from the part's center to the farthest point of the path."""
     outside: float
     """Share of the path farther beyond the part's rim than landing takes, by its length; of points, by number."""
     unreached: float
@@ -258,7 +258,7 @@ class PathCoverage:
 def coverage(
     start_mm: FloatArray, end_mm: FloatArray, *, spot_mm: float, outline: Outline, edge_mm: float, landing_mm: float
 ) -> PathCoverage:
-    """Of a path of blocks, (n, 3) mm in the part's frame.
+    """Return the coverage of a path of blocks, (n, 3) mm in the part's frame.
 
     Args:
         start_mm: (n, 3) where each begins.

@@ -118,7 +118,7 @@ def _lines(optic: Optic, across: FloatArray, pitch: float, reach: tuple[float, f
 
 
 def _lead(outside: Aperture, x: float, y: float, sign: int) -> float:
-    """Where a way along x ends that starts at (x, y) and leads out of this aperture; -1 is to the left."""
+    """Return the end of a line along x from (x, y) out of this aperture; -1 is to the left."""
     way, (lowest, highest) = LEAD_IN_MM, outside.heights_mm
     if lowest <= y <= highest:
         left, right = (float(end[0]) for end in outside.spans_mm(np.array([y])))
@@ -295,7 +295,7 @@ class Joined:
 
 
 def join_tracks(optic: Optic, tracks: Sequence[Track], landing_mm: float, step_mm: float) -> Joined:
-    """From a landing point so far from the part's centre over all tracks to another; moves of ``step_mm`` at most."""
+    """Return a path from a landing point at this distance over all tracks to another; moves of at most ``step_mm``."""
     places, turns, owners = _corners(tracks, landing_mm)
     plane, turn, track = [places[:1]], [turns[:1]], []
     for k, owner in enumerate(owners):
