@@ -52,7 +52,7 @@ class ForceSample:
     setpoint_n: float
     """Set point of the force; 0 after retraction."""
     in_contact: bool
-    """The tool is on the part, also where no force is asked for."""
+    """The tool is on the part, also with a set point of 0."""
     retracted: bool
     """The tool is off the part, at rest."""
     fault: int = 0

@@ -29,7 +29,7 @@ class OptimalityCertificate:
     predicted_pv_nm: float
     dwell_total_s: float
     piston_nm: float
-    """Mean removal asked for in the clear aperture."""
+    """Requested mean removal in the clear aperture."""
     at_lower: int
     at_upper: int
     iterations: int
@@ -38,7 +38,7 @@ class OptimalityCertificate:
     stopped: str
     """Why the solver stopped: ``converged``, ``deadline``, ``iterations``; what was used may follow."""
     cross_check: str | None = None
-    """Name of an independent solver that was asked too, or None."""
+    """Name of an independent solver that solved it too, or None."""
     cross_check_gap: float | None = None
     """(our objective - its objective) / its objective; at most a small positive number."""
     notes: tuple[str, ...] = ()
@@ -47,7 +47,7 @@ class OptimalityCertificate:
     gap_nm: float | None = None
     """Gap of the objective's root: the RMS of the solved area, where price and regularization are small."""
     predicted_band_rms_nm: float | None = None
-    """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
+    """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: not requested."""
     cutoff_period_mm: float | None = None
     """Shorter periods no dwell with this spot removes; None: not known, or finer than the process grid shows."""
 

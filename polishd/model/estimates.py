@@ -89,7 +89,7 @@ class PassEvidence:
     most_miss_mm: float = 0.5
     """So far off where it should the spot may have acted: what is further stops for a person."""
     must_tell: bool = False
-    """The pass was made to teach: where it does not, that stops for a person, too."""
+    """The pass measures the machine; without a result the cell stops for the operator."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -142,7 +142,7 @@ class QueueStopped(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellOpened(Event):
-    """All devices of the cell answered and said who they are."""
+    """All devices of the cell answered with their identity."""
 
     name: ClassVar[str] = "opened"
     devices: Annotated[Mapping[str, DeviceIdentity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
@@ -268,7 +268,7 @@ class MapRepeated(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemovalCheckFailed(Event):
-    """The gate stopped a map: another lay explains it better than the last pass."""
+    """The removal check stopped the cell: another orientation explains the map better than the last pass."""
 
     name: ClassVar[str] = "gate_stopped"
     stop: Annotated[str, "why"]
@@ -365,7 +365,7 @@ class PlanAwaitingApproval(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanApproved(Event):
-    """A person has said that the plan that waited may run."""
+    """The operator approved the waiting plan."""
 
     name: ClassVar[str] = "approved"
     program_sha256: Annotated[str, "hash of its program"]

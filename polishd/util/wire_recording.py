@@ -160,7 +160,7 @@ def passed_line(one: WireMessage, began_s: float) -> bytes:
 
 
 def read_recording(path: Path) -> Recording:
-    """ConfigError names file and line. What a power cut left of a file is read up to there, and said in the notes."""
+    """ConfigError names file and line. A file truncated by a power cut is read as far as it is valid, with a note."""
     notes: list[str] = []
     passed: list[WireMessage] = []
     lines: list[int] = []

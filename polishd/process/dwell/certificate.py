@@ -26,7 +26,7 @@ def certify_dwell(
 ) -> DwellSolution:
     """A dwell with its certificate and the surface that it predicts.
 
-    Nothing that the solver believes enters: objective, gradient and bound violations are those of ``time_s`` on the
+    No result of the solver enters: objective, gradient and bound violations are those of ``time_s`` on the
     problem as given. ``residual_nm`` is target less removal, less its mean in the clear aperture.
 
     Args:

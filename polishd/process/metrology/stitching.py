@@ -289,7 +289,7 @@ def _fit(laid: Sequence[PlacedMap], *, power: bool, slope: tuple[FloatArray, Flo
     # interpolation takes noise off single samples, not off the long waves that the unknowns are
     freedom = sum(one.gain * float((use * (1 - share[one.window])).sum()) for one, use in zip(laid, used, strict=True))
     if freedom <= free:
-        raise MapError("the overlaps hold too few samples for what is asked; take sub-apertures that overlap more")
+        raise MapError("the overlaps hold too few samples for these terms. Measure sub-apertures that overlap more")
     noise = np.sqrt(sum(float((one**2).sum()) for one in off) / (freedom - free))
     return _Fit(laid, bases, values, inverse, float(noise), surface)
 

@@ -90,7 +90,7 @@ def convolution_effect(
 ) -> ConvolutionEffect:
     """The effect of dwells at rest on nodes of the grid, or of its lattice beyond its edge.
 
-    ``depth_ratio`` and ``factor`` (n,) as of `corrected_spot`. Raises ComputeError for a point that moves or lies off
+    ``depth_ratio`` and ``factor`` (n,) as of `tif_at_point`. Raises ComputeError for a point that moves or lies off
     the nodes; use `effect_matrix` there.
     """
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")

@@ -223,7 +223,7 @@ def effect_matrix(
 ) -> scipy.sparse.csr_array:
     """(ny * nx, n) removal rate of each timed point averaged over each sample's cell, nm/s (eq. 47).
 
-    ``depth_ratio`` and ``factor``, (n,), as of `corrected_spot`; ``wider`` as of `Lie`, ``correlation`` (n,) as of
+    ``depth_ratio`` and ``factor``, (n,), as of `tif_at_point`; ``wider`` as of `Lie`, ``correlation`` (n,) as of
     `spot.askew`. A block that moves spreads its removal evenly from start to end. What falls beyond the grid is lost; a
     spot that does not touch it leaves an empty column.
     A column's sum is exact; the paper's Hertz spot, at rest or in motion, is right in each cell of 0.5 mm within 1.2 %

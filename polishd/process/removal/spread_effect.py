@@ -196,7 +196,7 @@ def spread_effect(
         grid: the process grid.
         spot: the spot as depth and azimuth change it.
         program: n timed points, the axes as seen where the surface lies level.
-        depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
+        depth_ratio: (n,) as of `tif_at_point`, sunk where the bonnet hangs over the rim: nothing else is done there.
         factor: (n,) on the removal.
         tolerance: largest ``error``.
         bent: (n, 3) how much wider along x and y, and how askew the contacts are on a curved part, as of `Curved`;
@@ -225,7 +225,7 @@ def spread_effect(
             return replace(whole, error=error, entry_error=entry, coarse=_coarse(whole, spot, blocks, depth_ratio))
     raise ComputeError(
         f"without a matrix the removal is off by {error:.1e} of its peak on a grid {FINER[-1]} times as fine, "
-        f"{tolerance:.1e} is asked for: use the matrix, or a tolerance above it"
+        f"{tolerance:.1e} is wanted. Use the matrix, or a larger tolerance"
     )
 
 

@@ -38,7 +38,7 @@ class PathBlocks:
     azimuth_rad: FloatArray
     """(n,) where the spindle leans."""
     depth_ratio: FloatArray
-    """(n,) as of `corrected_spot`, sunk at the rim."""
+    """(n,) as of `tif_at_point`, sunk at the rim."""
     factor: FloatArray
     """(n,) on the removal."""
     bent: FloatArray | None = None
@@ -85,7 +85,7 @@ class PathBlocks:
 def blocks_of(
     program: Program, depth_ratio: FloatArray, factor: FloatArray, bent: FloatArray | None = None
 ) -> PathBlocks:
-    """The blocks of a program; depth ratios and factors (n,) as of `corrected_spot`. ComputeError: they cannot be."""
+    """The blocks of a program; depth ratios and factors (n,) as of `tif_at_point`. ComputeError: they cannot be."""
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
     impossible = ~((depth_ratio > 0) & np.isfinite(depth_ratio))
     refuse_where(impossible, depth_ratio, "the depth ratio gamma", "", "it must be above 0")

@@ -389,7 +389,7 @@ INFORMATIVE = 0.9
 
 
 def fit_doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
-    """Why a fit should not be believed; empty where it may be.
+    """Return the reasons to doubt a fit; empty where it is good.
 
     It is judged by what it predicts of tests that it has not seen, or, where they are too few for that, by its own
     error with as much added as so many stiffnesses can hide.
@@ -403,7 +403,7 @@ def fit_doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
         if not percent <= MOST_PERCENT:
             found.append(
                 f"{what} {percent:.1f} % in the mean, and loading tests of a robot like this by 3 to 5 (at most "
-                f"{MOST_PERCENT:g} is believed): wrong poses, directions or units, another robot, or noise"
+                f"{MOST_PERCENT:g} is allowed): wrong poses, directions or units, another robot, or noise"
             )
     if own > NOISE_PERCENT and own > INFORMATIVE * one:
         found.append(

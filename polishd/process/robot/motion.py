@@ -33,16 +33,16 @@ def most_time_s(program: Program, envelope: Envelope) -> FloatArray:
 
 
 def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -> FloatArray:
-    """Time that the machine takes for each timed point when asked for ``time_s``.
+    """Return the time that the machine takes for each timed point of ``time_s``.
 
-    Each block is run at the feed asked for (at most ``max_feed_mm_s``) with a trapezoidal speed profile; the speed at
+    Each block runs at the requested feed (at most ``max_feed_mm_s``) with a trapezoidal speed profile; the speed at
     a junction is at most either block's and what acceleration can reach from both sides; the machine stops at the
     path's ends, at gaps, and where the direction changes by more than ``corner_deg``. A dwell is run after its move
     from rest to rest at the largest feed. Each point takes ``block_overhead_s`` besides.
 
     Args:
         program: the path.
-        time_s: (n,) time asked of each point, s; 0 asks for the largest feed.
+        time_s: (n,) requested time of each point, s; 0 requests the largest feed.
         envelope: what the machine can do.
 
     Returns:
@@ -71,9 +71,9 @@ def learn_overhead_s(program: Program, asked_s: FloatArray, executed_s: FloatArr
 
     Args:
         program: the path that was run.
-        asked_s: (n,) time that the program asked for.
+        asked_s: (n,) time that the program requested.
         executed_s: (n,) time that the blocks took, NaN where it is not known.
-        envelope: what was believed; its overhead is returned where fewer than ten blocks are known.
+        envelope: the present one; its overhead is returned with fewer than ten known blocks.
 
     Raises:
         ComputeError: shapes that do not fit.

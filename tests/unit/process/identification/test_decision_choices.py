@@ -245,14 +245,14 @@ def test_a_small_shift_is_corrected_and_a_large_one_stops() -> None:
     found = polished().identified({"offset_x": 1.2}, "offset")
     large = decide(found)
     said = re.match(
-        r"the spot acts (\S+) \+- (\S+) mm off where the plan had it, more than 0.5, by offset of 1.[12]",
+        r"the spot acts (\S+) \+- (\S+) mm off the planned position, more than 0.5, by offset of 1.[12]",
         large.stops[0],
     )
     assert said, large.stops[0]
     assert 0 < float(said[2]) < 0.01, "an error of 0.00 mm says nothing"
     assert abs(float(said[1]) - 1.2) < 4 * float(said[2])
     assert re.search(r"mm \(offset_x \+1.[12]\d* \+- \S+, offset_y ", large.stops[0]), large.stops[0]
-    assert "look at tool, seat and map" in large.stops[0]
+    assert "check tool, seat and map" in large.stops[0]
     assert decide(found, misses_mm=2.0).stops == ()
     counted = {"offset_x": 1.1}
     miss = displaced_mm(polished().blocks(), found.applied, counted)
