@@ -297,8 +297,8 @@ def _left_nm(model: ForwardModel, theta: FloatArray, measured: FloatArray) -> fl
 
 ROUNDS = 4
 HOME, SOME = 0.7, 0.01
-"""A fit is repeated with its residual where that is below a share of the assumed noise, or where less than this share of
-the outliers is left and they exceeded so many of the samples. It began too far off to estimate them."""
+"""A fit is repeated with its residual where that is below a share of the assumed noise, or where less than this share
+of the outliers is left and they exceeded so many of the samples. It began too far off to estimate them."""
 LAYING, HERTZ_LAYING = 1e-3, 2e-3
 """Error of spots of squares averaged over cells against exact sums, over the removal's standard deviation; the second
 for Hertz spots, whose rim is steep."""

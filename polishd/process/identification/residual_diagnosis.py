@@ -174,7 +174,9 @@ def diagnose_pass(
         return stopped
     bent = _bent(left, SHARE * removed_nm)
     if bent and again is None:
-        return tuple(_suspected(one) for one in bent)  # first: low orders appear as shift and rate, too
+        return tuple(
+            Diagnosis(one.cause, one.size, one.sigma, one.limit, one.unit, one.what, again=True) for one in bent
+        )  # first: low orders appear as shift and rate, too
     if stopped:
         return (*stopped, *(again or ()))  # its low orders have the same cause
     moves = {one.cause for one in again or ()}  # a change without a pass is not caused by a pass
@@ -238,10 +240,6 @@ def _rate(rate: Estimate) -> Diagnosis:
     sigma = float("inf") if rate.sigma is None else rate.sigma
     what = f"the measured removal is {with_error(rate.value, sigma)} times the predicted one"
     return Diagnosis("rate", abs(rate.value - 1), sigma, SIGMAS * (sigma**2 + KNOWN_RATE**2) ** 0.5, "1", what)
-
-
-def _suspected(one: Diagnosis) -> Diagnosis:
-    return Diagnosis(one.cause, one.size, one.sigma, one.limit, one.unit, one.what, again=True)
 
 
 def _of_process(one: Diagnosis) -> Diagnosis:

@@ -104,7 +104,7 @@ def solve_noise(
     found = max(float(found), least)
     own = pose_error_covariance(design, exact.part_nm, place)
     if not own.any():
-        return _scaled(exact, found), found
+        return replace(exact, covariance=exact.covariance * found**2, chi2=exact.chi2 / found**2), found
 
     def excess(noise: float) -> float:
         return solve(design, seen_nm, noise**2 * per_noise + own).chi2 - design.freedom
@@ -149,11 +149,6 @@ def _gauge(design: Design) -> FloatArray:
     found = np.eye(2 * size)
     found[:, size:] -= design.null @ away
     return found
-
-
-def _scaled(found: TermSolution, noise_nm: float) -> TermSolution:
-    """Rescale the solution to a noise other than 1 nm a sample."""
-    return replace(found, covariance=found.covariance * noise_nm**2, chi2=found.chi2 / noise_nm**2)
 
 
 # What Zernike terms leave of the maps, sample by sample: the instrument's in the map's frame, the part's in its own.

@@ -73,7 +73,16 @@ def spot_transfer_function(
         raise ComputeError("the spot removes nothing: it has no transfer function")
     side = 2 * float(spot.half_width_mm(ratio)[0]) / len(patch)
     frequency = np.linspace(0.0, 1 / (SQUARES_A_PERIOD * side), FREQUENCIES)
-    modulus = np.mean([_modulus(patch, side, frequency, angle) for angle in _angles()], axis=0) / total
+    modulus = (
+        np.mean(
+            [
+                _modulus(patch, side, frequency, angle)
+                for angle in np.asarray((np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS, dtype=np.float64)
+            ],
+            axis=0,
+        )
+        / total
+    )
     null = _null_period_mm(frequency, modulus)
     cutoff = null if null is not None and modulus.min() > share else _cutoff_period_mm(frequency, modulus, share)
     return SpotTransferFunction(frequency, modulus, share, max(cutoff, null or 0.0), null)
@@ -101,10 +110,6 @@ def correctable_surface(
         beyond_reach_rms_nm=float(below[mask].std()),
         resolved=of.cutoff_period_mm > 2 * pitch_mm,
     )
-
-
-def _angles() -> FloatArray:
-    return np.asarray((np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS, dtype=np.float64)
 
 
 def _modulus(patch: FloatArray, side: float, frequency: FloatArray, angle: float) -> FloatArray:
