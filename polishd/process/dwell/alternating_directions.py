@@ -66,7 +66,7 @@ LEAST_REGULARISATION = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class StepMetric:
-    """About the objective's curvature and so much more, inverted; made by `metric`."""
+    """About the objective's curvature and so much more, inverted; made by `step_metric`."""
 
     effect: SpreadEffect
     """Effect in float32."""
@@ -120,7 +120,7 @@ class AlternatingStep:
     steps: int = 0
     _apart: float = np.inf
 
-    def seen(self, gradient: FloatArray) -> None:
+    def correct_slope(self, gradient: FloatArray) -> None:
         """Correct the slope by the exact gradient of the objective at ``bounded``."""
         # float32 products of the small difference: their rounding error is relative to it
         self.slope = gradient + self.f.rough_curvature(self.free - self.bounded)
@@ -465,7 +465,7 @@ def _minimise(
             next_look = steps + LOOK_EVERY
             if len(history) > LOOKS and least > STALLED * min(history[:-LOOKS]):
                 return best, steps, "stalled"
-            way.seen(gradient)
+            way.correct_slope(gradient)
         way.step()
     return best, MAX_STEPS, "iterations"
 

@@ -36,7 +36,7 @@ from polishd.process.fft.transforms import (
 )
 from polishd.process.removal.convolution import ConvolutionEffect
 
-# How an iteration of `splitting` is computed: what is common to its two ways, and the one that needs no compiler.
+# How an iteration of `start_splitting` is computed: what is common to its two ways, and the one that needs no compiler.
 
 RELAXATION = 1.9
 
@@ -172,7 +172,7 @@ def firmness(work: SplitProblem) -> Array:
     return np.asarray(1 / np.where(square > 0, 2 * work.regularisation + work.mu * square, np.inf))
 
 
-# The iteration of `splitting` in compiled code, in a quarter of the time.
+# The iteration of `start_splitting` in compiled code, in a quarter of the time.
 
 Floats = NDArray[np.float32]
 
@@ -362,7 +362,7 @@ ADAPT_POWER = 0.25
 
 @dataclass(slots=True)
 class SplittingState:
-    """The iteration's state, and what it is to know beside it; made by `splitting`."""
+    """The iteration's state, and what it is to know beside it; made by `start_splitting`."""
 
     effect: ConvolutionEffect
     iteration: Iteration

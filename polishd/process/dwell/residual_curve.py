@@ -247,7 +247,7 @@ class ResidualGoal:
 def solve_to_target(
     problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE
 ) -> CurvePoint:
-    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``; see `to_goal`."""
+    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``; see `solve_to_goal`."""
     return solve_to_goal(problem, ResidualGoal(rms_nm), solve, tolerance)
 
 
@@ -256,7 +256,7 @@ def solve_to_goal(
 ) -> CurvePoint:
     """The least total time whose residual reaches the goal.
 
-    As `within_budget`: the highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
+    As `solve_within_budget`: the highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
     of the objective: of the dwells that are shortest for their residual the shortest is found whose slope is met.
 
     Raises:

@@ -192,7 +192,7 @@ def fit(
         terms: how many, from piston on. 36 and 37 differ by a spherical term: say which.
         ordering: "noll" and "fringe" count from 1, "ansi" from 0.
         norm: None for the usual one of the ordering: "edge" for fringe, else "rms".
-        circle_px: (row, column, radius) of the unit circle; None for the least that ``enclosing`` finds.
+        circle_px: (row, column, radius) of the unit circle; None for the least that ``enclosing_circle`` finds.
 
     Raises:
         BadMap: the surface is not finite inside the mask, there are fewer samples than terms, or the mask's shape does

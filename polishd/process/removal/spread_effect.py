@@ -274,7 +274,7 @@ def to_fast_float32(effect: SpreadEffect) -> Effect:
 
 @dataclass(frozen=True, slots=True)
 class CombinedEffect:
-    """The sum of effects on the same samples (paper eq. 47 with ``R = [R_1, R_2, ...]``); made by `together`."""
+    """The sum of effects on the same samples (paper eq. 47 with ``R = [R_1, R_2, ...]``); made by `combine_effects`."""
 
     parts: tuple[Effect, ...]
 

@@ -335,7 +335,7 @@ class Number(NamedTuple):
 
 
 def elastic_numbers(robot: HybridRobot | SerialRobot) -> tuple[Number, ...]:
-    """The numbers that a fit may change, in the order that `with_elastic` takes them."""
+    """The numbers that a fit may change, in the order that `replace_elastic_numbers` takes them."""
     if isinstance(robot, SerialRobot):
         stiffness = robot.joint_stiffness_n_mm_per_rad
         return tuple(Number(f"stiffness of joint {j}", "N mm/rad", float(k)) for j, k in enumerate(stiffness, 1))

@@ -169,7 +169,7 @@ def resample_evenly(curve: Curve, knots: FloatArray, corners: IntArray, step_mm:
 
 
 def along_polyline(optic: Optic, corners_mm: FloatArray, step_mm: float) -> FloatArray:
-    """(m, 3) points of the optic over a polyline through (n, 2) corners, which become points, as `evenly`."""
+    """(m, 3) points of the optic over a polyline through (n, 2) corners, which become points, as `resample_evenly`."""
     length = np.linalg.norm(np.diff(corners_mm, axis=0), axis=1)
     require_points(float(length.sum() / step_mm))
     cells = np.maximum(np.ceil(2 * length / step_mm).astype(np.int64), 2)
