@@ -256,7 +256,7 @@ def solve_to_goal(
 ) -> CurvePoint:
     """The least total time whose residual reaches the goal.
 
-    As `solve_within_budget`: the highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
+    The highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
     of the objective: of the dwells that are shortest for their residual the shortest is found whose slope is met.
 
     Raises:

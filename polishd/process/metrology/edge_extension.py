@@ -61,7 +61,7 @@ def extend_surface(
         reach_mm: how far from the nearest datum: the spot's radius is enough. The array is not enlarged.
         method: ``nearest``: value of the nearest datum. ``c1``: least bending, value and slope go on; exact on planes.
             ``gerchberg_papoulis``: no periods below ``cutoff_period_mm``; a polynomial of degree 2 is taken off before.
-        cutoff_period_mm: the shortest period that the spot can make (`correctable_surface`), for ``gerchberg_papoulis``.
+        cutoff_period_mm: shortest period of the spot (`correctable_surface`), for ``gerchberg_papoulis``.
 
     Raises:
         ComputeError: an empty mask, data that are not finite, a reach below a sample, or a cut-off that is missing or

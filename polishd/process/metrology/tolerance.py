@@ -90,7 +90,7 @@ def unreachable_lines(
 ) -> tuple[LineResult, ...]:
     """The lines that a spot cannot make hold: they do not of what is left where all periods above its cut-off are gone.
 
-    Arguments as for `judge_lines`. On a grid that averages over the map's pixels less is left than on the map: a line that is
+    Arguments: `judge_lines`. On a grid that averages over the map's pixels less is left than on the map: a line that is
     named here is out of reach, one that is not may be. Those that the grid cannot show are left out.
     """
     if cutoff_period_mm <= 2 * pitch_mm:

@@ -188,7 +188,7 @@ def equivalent_compliance(
     ``matrix`` (n, 3, 3) mm/N, ``axis`` and ``normal`` (n, 3) unit, all in one frame. X_1 and X_2 are the eigenvectors
     other than the one nearest the tool axis. "linear" sums ``lambda_k |<X_k, b>|`` (eq. 43, with the eigenvectors' sign
     made harmless), "quadratic" sums ``lambda_k <X_k, b>^2``, "normal" is ``b' C b``, what a static loading test along b
-    measures. Where lambda_1 and lambda_2 are close "linear" depends on the eigenvectors' rotation: see `compliance_jumps`.
+    measures. Where lambda_1 and lambda_2 are close "linear" depends on their rotation: see `compliance_jumps`.
 
     A matrix that is not symmetric (eq. 41 as printed) may have complex eigenvalues: ComputeError names the first such
     point, and says how many there are; `complex_eigenvalues` finds them.
