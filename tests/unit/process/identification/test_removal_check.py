@@ -1,4 +1,4 @@
-"""The gate goes on after good passes, stops on mistakes, and says what it could not have seen."""
+"""The removal check accepts good passes, stops on mistakes, and lists the mistakes that a pass cannot show."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_symmetric_removal_shows_no_turn() -> None:
     bowl = 20 * np.exp(-(X**2 + Y**2) / 400)
     verdict = check_removal(bowl, bowl + noise(7), MASK, GRID.pitch_mm)
     assert set(verdict.undecidable) == {way.name for way in ORIENTATIONS[1:]}
-    assert "could not show it" in verdict.notes[-1]
+    assert "cannot show" in verdict.notes[-1]
     assert "negated" in check_removal(bowl, -bowl + noise(7), MASK, GRID.pitch_mm).stop
 
 
@@ -223,7 +223,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
 
 @pytest.mark.parametrize("seed", [28, 55, 156, 199])
-def test_a_small_part_does_not_stop_for_a_rate_that_only_a_shift_nobody_sees_makes_low(seed: int) -> None:
+def test_an_undetermined_shift_does_not_bias_the_rate_of_a_small_part(seed: int) -> None:
     """Removal that rises to the rim is also its own slope: fitted with a shift of 1.6 +- 2.5 mm the rate was 0.17."""
     grid = Grid(34, 34, 0.5)
     radius, rng = grid.radius_mm(), np.random.default_rng(seed)
