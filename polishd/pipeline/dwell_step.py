@@ -32,8 +32,8 @@ from polishd.process.dwell.time_limit import TimeLimit
 from polishd.process.metrology.edge_extension import extend_surface
 from polishd.process.metrology.spectra import band_rms
 from polishd.process.metrology.tolerance import unreachable_lines
+from polishd.process.removal.combined_effect import combine_effects, split_by_tool
 from polishd.process.removal.effect import Effect
-from polishd.process.removal.spread_effect import combine_effects, split_by_tool
 from polishd.process.removal.transfer_function import correctable_surface
 from polishd.process.robot import motion
 

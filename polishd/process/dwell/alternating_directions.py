@@ -37,7 +37,7 @@ from polishd.process.fft.transforms import (
     rows_back,
     rows_forth,
 )
-from polishd.process.removal import spread_effect, spread_effect_compiled
+from polishd.process.removal import combined_effect, spread_effect_compiled
 from polishd.process.removal.spread_effect import SpreadEffect
 from polishd.process.removal.spread_effect_compiled import (
     BlockWeights,
@@ -479,7 +479,7 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
     lower, upper = problem.lower_s, problem.upper_s
     held_back = ((start <= lower) & (gradient > 0)) | ((start >= upper) & (gradient < 0))
     multiplier = -np.where(held_back, gradient, 0.0) / near.pull
-    compiled = effect.n >= spread_effect.COMPILED_BLOCKS and effect.finer == 1
+    compiled = effect.n >= combined_effect.COMPILED_BLOCKS and effect.finer == 1
     kind = CompiledAlternatingStep if compiled else AlternatingStep
     none, same = np.zeros_like(start), start.copy
     return kind(problem, quadratic(problem), near, same(), same(), same(), multiplier, none, none.copy())

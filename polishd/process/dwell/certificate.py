@@ -10,7 +10,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import QuadraticObjective, conditioning_note, projected_gradient, quadratic
 from polishd.process.metrology.spectra import band_rms
-from polishd.process.removal.spread_effect import effect_error, effect_note
+from polishd.process.removal.combined_effect import effect_error, effect_note
 
 
 def certify_dwell(

@@ -31,9 +31,9 @@ from polishd.process.dwell.residual_curve import (
     solve_to_target,
     solve_within_budget,
 )
+from polishd.process.removal.combined_effect import combine_effects, split_by_tool
 from polishd.process.removal.convolution import ConvolutionEffect, sum_of_convolutions
 from polishd.process.removal.effect import Effect, SparseEffect
-from polishd.process.removal.spread_effect import combine_effects, split_by_tool
 
 # The effect of dwells at arbitrary points from samples of a TIF, on a map given by its axes.
 

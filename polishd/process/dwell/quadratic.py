@@ -12,8 +12,9 @@ from scipy import sparse
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.removal.combined_effect import to_float32
 from polishd.process.removal.effect import Effect, SparseEffect
-from polishd.process.removal.spread_effect import SpreadEffect, to_float32
+from polishd.process.removal.spread_effect import SpreadEffect
 
 Product = Callable[[FloatArray], FloatArray]
 GRAM_SHARE = 0.4

@@ -16,7 +16,7 @@ from polishd.process.dwell import alternating_directions, automatic, newton_cg
 from polishd.process.dwell.lower_bound import prove_lower_bound
 from polishd.process.dwell.problem import DwellProblem, negligible_share, without_traces
 from polishd.process.dwell.quadratic import quadratic, regularisation_from_rho
-from polishd.process.removal import spread_effect
+from polishd.process.removal import combined_effect
 from polishd.process.removal.effect import SparseEffect
 from polishd.process.removal.spread_effect import SpreadEffect
 from tests.unit.process.moves import inward_program
@@ -219,7 +219,7 @@ def test_compiled_steps_come_to_the_same_dwell(monkeypatch: pytest.MonkeyPatch) 
     some = float(np.quantile(alternating_directions.solve(asked, 120.0).time_s, 0.9))
     weighed = replace(asked, weight=np.where(GRID.radius_mm() < 9, 2.0, 1.0), upper_s=np.full(asked.upper_s.size, some))
     plain = alternating_directions.solve(weighed, 120.0, 1e-7, 0.0)
-    monkeypatch.setattr(spread_effect, "COMPILED_BLOCKS", 0)
+    monkeypatch.setattr(combined_effect, "COMPILED_BLOCKS", 0)
     found = alternating_directions.solve(weighed, 120.0, 1e-7, 0.0)
     assert found.certificate.kkt_residual <= 1e-7
     assert found.certificate.iterations == pytest.approx(plain.certificate.iterations, rel=0.2)

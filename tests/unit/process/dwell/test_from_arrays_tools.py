@@ -22,7 +22,7 @@ from polishd.process.dwell.from_arrays import (
 from polishd.process.dwell.interior_point import solve as interior_point
 from polishd.process.dwell.newton_cg import solve as newton_cg
 from polishd.process.metrology.statistics import slope
-from polishd.process.removal.spread_effect import CombinedEffect, combine_effects
+from polishd.process.removal.combined_effect import CombinedEffect, combine_effects
 
 X = np.arange(-20, 20.1, 1.0)
 MASK = np.hypot(X, X[:, None]) < 18
