@@ -228,7 +228,7 @@ class MapRefused(Event):
     waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
 
     def concern(self) -> OperatorNotice:
-        """Return a warning: the operator must measure again."""
+        """Warning: the operator must measure again."""
         since = f", refused {self.waited_s / 60:.0f} min ago" if self.waited_s else ""
         waits = "the cell measures: it waits for another map; nothing moves"
         return OperatorNotice(
@@ -298,7 +298,7 @@ class SignalOutOfRange(Event):
     leads_to: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
 
     def concern(self) -> OperatorNotice | None:
-        """Return a warning where the reaction is only a notification; other reactions raise their events."""
+        """Warning where the reaction is only a notification; other reactions raise their events."""
         if self.leads_to != "notify":
             return None
         return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
