@@ -37,7 +37,7 @@ from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.identification import removal_fit
-from polishd.process.metrology.conditioning import is_plausible
+from polishd.process.metrology.conditioning import drop_implausible
 from polishd.process.removal.effect import Effect
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
@@ -156,7 +156,7 @@ class SurfaceReader:
                 f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
             ) from error
         if isinstance(surface, SurfaceMap):
-            return is_plausible(surface, datetime.now(UTC), _written(path))
+            return drop_implausible(surface, datetime.now(UTC), _written(path))
         raise MapError(
             f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin"
         )
@@ -258,7 +258,7 @@ class Learner:
     beliefs: Estimates
     """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn
-    later: Later = removal_fit.later
+    later: Later = removal_fit.rate_for_next_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +270,7 @@ class RemovalModel:
     beliefs: Estimates = UNTAUGHT
     """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn = learn_rate
-    later: Later = removal_fit.later
+    later: Later = removal_fit.rate_for_next_part
     learners: Mapping[str, Learner] = field(default_factory=dict)
     """Other ways, by the name that ``process.estimates`` gives them; ``effect`` knows the beliefs of each."""
 

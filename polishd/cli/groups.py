@@ -11,7 +11,7 @@ from typer import Argument, Option
 from polishd.cli.calibrate import app as calibrations
 from polishd.commissioning.calibration.options import InstrumentOptions
 from polishd.reports.certificate.options import CertificateOptions
-from polishd.util.command_line import Cell, Json, spread
+from polishd.util.command_line import Cell, Json, spread_options
 
 jobs = typer.Typer(help="The queue of a cell: parts, one after another.")
 services = typer.Typer(help="Run a cell as a service of systemd.")
@@ -81,7 +81,7 @@ def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = F
 
 
 @calibrations.command("instrument")
-@spread
+@spread_options
 def calibrate_instrument(
     cell: Annotated[Path, Argument(metavar="CELL.toml", help="The cell whose instrument it is.")],
     maps: Annotated[
@@ -124,7 +124,7 @@ def record_show(
 
 
 @reports.command("certificate")
-@spread
+@spread_options
 def report_certificate(
     run: Annotated[
         Path, Argument(metavar="RUN|CELL.toml", help="A run folder, or a cell: its last job.", show_default=False)

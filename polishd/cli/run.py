@@ -17,7 +17,7 @@ from polishd.daemon.app import CellRun, run_cells
 from polishd.daemon.runtime.exit_record import for_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
-from polishd.model.tolerance import judged_of, worst
+from polishd.model.tolerance import line_results, worst_line
 from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import emit, key_table, outcome_tables, say, stderr
 from polishd.util.threads import run_loop
@@ -89,10 +89,10 @@ class _Line:
         band = data["band_rms_nm"]
         beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
         self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
-        judged = judged_of(data)
+        judged = line_results(data)
         if len(judged) > 1 or any(one.bound is not None for one in judged):
             held = sum(one.holds for one in judged)
-            self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst(judged)}")
+            self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst_line(judged)}")
 
     def _state(self, data: Mapping[str, Any]) -> None:
         match data["state"]:

@@ -32,7 +32,16 @@ from polishd.daemon.socket.server import Handler
 from polishd.model import events
 from polishd.model.devices import SignalLimits
 from polishd.model.errors import DeviceFault, DeviceRefused, HostFault, PolishdError, SafetyStop, SignalFault
-from polishd.model.states import EXIT_CODES, ORDERS, CellSafety, DaemonState, Outcome, StateEvent, following, obeyed
+from polishd.model.states import (
+    EXIT_CODES,
+    ORDERS,
+    CellSafety,
+    DaemonState,
+    Outcome,
+    StateEvent,
+    accepting_states,
+    next_state,
+)
 from polishd.pipeline.run_folder import RunFolder
 
 # What a person wants: orders that were given and are not taken yet, and work that they end.
@@ -211,7 +220,7 @@ class Daemon:
                 turn = await self._does[self.state]()
             except Exception as error:  # noqa: BLE001 - it is raised below, or a person is asked to mend it
                 turn = self._failed(error)
-            state = following(self.state, turn.trigger, unattended=not self._holds)
+            state = next_state(self.state, turn.trigger, unattended=not self._holds)
             if state is DaemonState.FINISHED:
                 if turn.error is not None:
                     raise turn.error
@@ -278,7 +287,7 @@ class Daemon:
         return StateResult(StateEvent.INTERRUPTED, BEGUN) if self.job.journal.resumed else StateResult(StateEvent.READY)
 
     async def _busy(self, what: str) -> None:
-        await self.become(following(self.state, StateEvent.BUSY), what)
+        await self.become(next_state(self.state, StateEvent.BUSY), what)
 
     async def _polish(self) -> StateResult:
         self._cell.emergency, self._unfit = False, None
@@ -392,7 +401,7 @@ class Daemon:
         with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
             self.bus.publish(events.CommandReceived(order=verb, reason=order.reason, by=by))
         async with self._changed:
-            await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
+            await self._changed.wait_for(lambda: order.refused or order.taken or self.state in accepting_states(verb))
         if order.refused and self.state is DaemonState.HELD:
             raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
         return {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self._of_queue)}

@@ -27,11 +27,15 @@ from polishd.maps.options import AbsoluteOptions
 from polishd.maps.stitch import one_pitch, require_listed
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.metrology.absolute_poses import PartPose, families, reference_for, term_name
-from polishd.process.metrology.absolute_test import AbsoluteSolution, PlaceError, separate
+from polishd.process.metrology.absolute_poses import PartPose, family_names, reference_for, term_name
+from polishd.process.metrology.absolute_test import (
+    AbsoluteSolution,
+    AbsoluteTestResult,
+    PlaceError,
+    separate_instrument,
+)
 from polishd.process.metrology.instrument import same_system
 from polishd.process.metrology.statistics import pv_rms
-from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.rendering.terminal import emit, figure_table
 
 LISTED = 4
@@ -88,7 +92,7 @@ def tell_apart(
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
     pitch = one_pitch(surfaces)
     _require_one_instrument(surfaces)
-    found = separate(
+    found = separate_instrument(
         [one.height_nm for one in surfaces],
         poses,
         pitch,
@@ -177,8 +181,8 @@ def _answer(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> d
         ],
         "order": design.degree,
         "terms": terms,
-        "unknown": families(share),
-        "demanded": {families([term])[0]: reference_for(*term, angles) for term in share},
+        "unknown": family_names(share),
+        "demanded": {family_names([term])[0]: reference_for(*term, angles) for term in share},
         "noise_nm": found.noise_nm,
         "rest_noise_nm": found.rest_noise_nm,
         "hidden_share": found.hidden_share,
@@ -226,7 +230,7 @@ def _made(
     """Instrument and part with what is known of the first map, as new as the newest."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
     whole = replace(surfaces[0], taken_at=max(times, default=None), date_from="header", fiducials_px=(), masks=())
-    unknown = families((one.n, one.m) for one in found.design.unknown)
+    unknown = family_names((one.n, one.m) for one in found.design.unknown)
     said: dict[str, Any] = {
         "poses": [f"{name} {pose}" for name, pose in zip(names, found.design.poses, strict=True)],
         "order": found.design.degree,

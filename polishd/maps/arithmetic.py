@@ -31,9 +31,9 @@ from polishd.maps.map_files import (
 from polishd.maps.options import BANDS, AverageOptions, NewMapOptions
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.metrology.averaging import AverageResult, average
+from polishd.process.metrology.averaging import AverageResult, average_maps
 from polishd.process.metrology.instrument import same_system
-from polishd.process.metrology.statistics import pv_rms, without
+from polishd.process.metrology.statistics import pv_rms, remove_terms
 from polishd.rendering.terminal import emit, figure_table, record_table
 
 # ``polishd map subtract``: one map less another: a reference, a system error, the wavefront of a test stand.
@@ -94,7 +94,7 @@ def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: b
     found = less(*maps)
     mask = found.pair.mask
     heights = (*found.pair.heights_nm, found.surface.height_nm)
-    figures = [heights_nm(height, without(height, mask, "tilt"), mask) for height in heights]
+    figures = [heights_nm(height, remove_terms(height, mask, "tilt"), mask) for height in heights]
     answer: dict[str, Any] = {
         side: {
             "path": str(surface.path),
@@ -173,7 +173,7 @@ def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool)
     _require_one_part(read)
     error = None if system is None else source.read(system)
     surfaces, notes = (read, []) if error is None else _without_system(read, error, mixed=mixed)
-    found = average(surfaces, mixed=mixed)
+    found = average_maps(surfaces, mixed=mixed)
     own_nm = float(np.median(found.uncertainty_nm[found.mask]))
     system_nm = None if error is None else uncertainty_nm(error)
     known_nm = own_nm if error is None else None if system_nm is None else math.hypot(own_nm, system_nm)
@@ -240,7 +240,7 @@ def _system_record(error: SurfaceMap, own_nm: float | None, known_nm: float | No
         "path": str(error.path),
         "sha256": error.sha256,
         "warnings": list(error.warnings),
-        "rms_nm": pv_rms(without(error.height_nm, error.valid, "tilt"), error.valid)[1],
+        "rms_nm": pv_rms(remove_terms(error.height_nm, error.valid, "tilt"), error.valid)[1],
         "sample_uncertainty_nm": own_nm,
         "with_mean_nm": known_nm,
     }

@@ -14,7 +14,8 @@ from polishd.maps.map_files import MapSource, mask_lines, mask_records, printabl
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.instrument import CommissioningRecord
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.commissioning import ProfileProof, artefact_heights, prove
+from polishd.process.metrology.commissioning import ProfileProof, artefact_heights
+from polishd.process.metrology.commissioning import prove_profile as prove
 from polishd.rendering.terminal import emit, key_table
 
 

@@ -26,8 +26,8 @@ from polishd.maps.options import FigureOptions
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrology.conditioning import SAME_PITCH
-from polishd.process.metrology.spectra import RadialPsd, compare
-from polishd.process.metrology.statistics import pv_rms, trimmed, without
+from polishd.process.metrology.spectra import RadialPsd, compare_maps
+from polishd.process.metrology.statistics import pv_rms, remove_terms, trim_mask
 from polishd.rendering.terminal import emit, figure_table
 
 LEAST_COMMON = 0.5
@@ -57,7 +57,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     maps = [source.read(path) for path in (before, after)]
     pair = paired(*maps, trim=asked.trim)
     pitch, mask = pair.pitch_mm, pair.mask
-    found = None if pitch is None else compare(*pair.heights_nm, mask, pitch, edges)
+    found = None if pitch is None else compare_maps(*pair.heights_nm, mask, pitch, edges)
     answer: dict[str, Any] = {}
     for side, surface, height in zip(SIDES, maps, pair.heights_nm, strict=True):
         answer[side] = {
@@ -65,7 +65,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
             "sha256": surface.sha256,
             "warnings": list(surface.warnings),
             "masks": mask_records(surface),
-            **heights_nm(height, without(height, mask, "tilt"), mask),
+            **heights_nm(height, remove_terms(height, mask, "tilt"), mask),
             "bands": None if pitch is None else band_records(getattr(found, side).band_rms_nm, mask, pitch, edges),
         }
     lines = _lines(answer)
@@ -123,7 +123,7 @@ def _common_mask(before: SurfaceMap, after: SurfaceMap, heights: tuple[FloatArra
     if np.count_nonzero(both) < max(1.0, LEAST_COMMON * min(np.count_nonzero(one) for one in valid)):
         raise MapError(f"{after.path}: shares only {np.count_nonzero(both)} samples with {before.path}: another part, "
                      "or another place on it")  # fmt: skip
-    mask = trimmed(both, trim)
+    mask = trim_mask(both, trim)
     if not mask.any():
         raise MapError(f"{after.path}: nothing is left of what it shares with {before.path}; --trim less")
     return mask

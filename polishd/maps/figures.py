@@ -14,7 +14,7 @@ from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology import iso10110
 from polishd.process.metrology.spectra import split_bands
-from polishd.process.metrology.statistics import Removal, pv_rms, trimmed, without
+from polishd.process.metrology.statistics import Removal, pv_rms, remove_terms, trim_mask
 from polishd.process.metrology.statistics import slope as metrics_slope
 from polishd.process.metrology.zernike import pvr as metrics_pvr
 
@@ -54,10 +54,10 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         BadMap: no sample is left.
     """
     height, pitch = surface.height_nm, surface.pitch_mm
-    mask = trimmed(surface.valid, trim)
+    mask = trim_mask(surface.valid, trim)
     if not mask.any():
         raise MapError(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
-    level = without(height, mask, alignment)
+    level = remove_terms(height, mask, alignment)
     bands = () if pitch is None else split_bands(level, mask, pitch, edges)
     answer = {
         "path": str(surface.path),

@@ -26,7 +26,7 @@ from polishd.rendering.terminal import stdout
 
 if TYPE_CHECKING:
     from polishd.config.cell import CellConfig
-    from polishd.process.metrology.system_map import SystemMap
+    from polishd.process.metrology.absolute_test import SystemMap
 
 
 # ``--mask`` of the map verbs: which samples count, by shapes, by corners in a file, or by what another map has.
@@ -290,9 +290,9 @@ class MapSource:
         if self.partly and step is not None and step.profiled:
             surface = replace(surface, warnings=(*surface.warnings, PROFILED))
         else:
-            from polishd.process.metrology.instrument import as_profiled
+            from polishd.process.metrology.instrument import apply_profile
 
-            surface = as_profiled(surface, instrument, partly=self.partly)
+            surface = apply_profile(surface, instrument, partly=self.partly)
         if self.system is None or (step is not None and step.less_system):
             return surface
         factors = {**surface.factors, "system": self.system.surface.sha256}

@@ -13,7 +13,7 @@ from polishd.maps.figures import MapFigures
 from polishd.maps.map_files import distinguish_names, printable
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology.spectra import RadialPsd, radial_psd
-from polishd.process.metrology.statistics import without
+from polishd.process.metrology.statistics import remove_terms
 from polishd.rendering.plots import (
     BLUE,
     DIVERGING,
@@ -123,7 +123,7 @@ def compared_picture(
 def stitched_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
     """PNG: a stitched map, (ny, nx) nm, without its tilt; its uncertainty; how many maps have each sample."""
     there = np.isfinite(height_nm)
-    level = np.where(there, without(height_nm, there, "tilt"), np.nan)
+    level = np.where(there, remove_terms(height_nm, there, "tilt"), np.nan)
     with polishd_style():
         page = figure(PANEL_IN * 4.2, PANEL_IN * 1.2)
         axes = page.subplots(1, 3)
@@ -155,7 +155,7 @@ def artefact_picture(artefact_nm: FloatArray, seen: SurfaceMap, title: str) -> b
         page = figure(8.4, 3.8)
         axes = page.subplots(1, 2)
         for ax, height, words in zip(axes, (artefact_nm, seen.height_nm), ("The artefact", title), strict=True):
-            levelled = without(height, seen.valid, "tilt")
+            levelled = remove_terms(height, seen.valid, "tilt")
             levelled -= np.median(levelled[seen.valid])
             ax.set_facecolor(NO_DATA)
             ax.imshow(levelled, cmap=DIVERGING, vmin=-limit, vmax=limit, extent=(-half_x, half_x, -half_y, half_y))

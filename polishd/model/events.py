@@ -1,4 +1,4 @@
-"""What an event is; its kinds are in ``events``."""
+"""Base of the daemon's events and all kinds of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from polishd.model.surface import SurfaceStats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that happened. Each kind is a class of its own, known by ``name``."""
+    """An event of the daemon. Each kind is one class, identified by ``name``."""
 
     name: ClassVar[str]
     cycle: Annotated[int | None, "the cycle in which it happened; None outside of all"] = None
@@ -34,7 +34,7 @@ class Event:
         return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
 
     def concern(self) -> OperatorNotice | None:
-        """Nobody's."""
+        """Return None: the event needs no operator."""
         return None
 
 
@@ -49,7 +49,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShopRateReceived(Event):
-    """The shop tells what another cell has learned of a recipe; a job begins with it where this cell has no lesson."""
+    """The shop sends another cell's estimates of a recipe; a job begins with them where this cell has none."""
 
     name: ClassVar[str] = "rate_offered"
     recipe: Annotated[str, "of process and tool, a hash"]
@@ -142,7 +142,7 @@ class QueueStopped(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellOpened(Event):
-    """All devices of the cell answered and said who they are."""
+    """All devices of the cell answered with their identity."""
 
     name: ClassVar[str] = "opened"
     devices: Annotated[Mapping[str, DeviceIdentity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
@@ -228,7 +228,7 @@ class MapRefused(Event):
     waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
 
     def concern(self) -> OperatorNotice:
-        """Warning: no map comes by itself."""
+        """Warning: the operator must measure again."""
         since = f", refused {self.waited_s / 60:.0f} min ago" if self.waited_s else ""
         waits = "the cell measures: it waits for another map; nothing moves"
         return OperatorNotice(
@@ -268,7 +268,7 @@ class MapRepeated(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemovalCheckFailed(Event):
-    """The gate stopped a map: another lay explains it better than the last pass."""
+    """The removal check stopped the cell: another orientation explains the map better than the last pass."""
 
     name: ClassVar[str] = "gate_stopped"
     stop: Annotated[str, "why"]
@@ -298,7 +298,7 @@ class SignalOutOfRange(Event):
     action: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
 
     def concern(self) -> OperatorNotice | None:
-        """Warning where nothing but this follows; what else follows tells of itself."""
+        """Warning where the reaction is only a notification; other reactions raise their events."""
         if self.action != "notify":
             return None
         return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
@@ -365,7 +365,7 @@ class PlanAwaitingApproval(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanApproved(Event):
-    """A person has said that the plan that waited may run."""
+    """The operator approved the waiting plan."""
 
     name: ClassVar[str] = "approved"
     program_sha256: Annotated[str, "hash of its program"]
@@ -426,7 +426,7 @@ class RunFolderCompleted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotificationFailed(Event):
-    """Nobody was reached through a notifier. Told once until it has sent all that waits, and when some is given up."""
+    """A notifier failed. Raised once until it has sent all that waits, and when the sender gives up some."""
 
     name: ClassVar[str] = "notification_failed"
     notifier: Annotated[str, "its name: `mail` of `[notify.mail]`"]

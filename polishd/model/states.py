@@ -24,7 +24,7 @@ class CyclePhase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a job ended."""
+    """Outcome of a job."""
 
     IN_TOLERANCE = "in_tolerance"
     CYCLES_USED = "cycles_used"
@@ -55,12 +55,12 @@ AT_THE_MACHINE: Mapping[str, str] = {  # by port
 
 
 class Severity(StrEnum):
-    """How soon a person is wanted."""
+    """Urgency for the operator."""
 
     INFO = "info"
-    """Nobody: it is good to know."""
+    """Information only; no action is needed."""
     WARNING = "warning"
-    """The cell is safe, and waits for somebody."""
+    """The cell is safe and waits for the operator."""
     ALARM = "alarm"
     """Now: the daemon is gone, or a device did not confirm that it is safe."""
 
@@ -72,33 +72,33 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OperatorNotice:
-    """An event in the words of whoever is called at night; commands in it name ``CELL.toml``."""
+    """Message of an event for the operator on call; commands in it name ``CELL.toml``."""
 
     severity: Severity
     what: str
-    """What happened."""
+    """The event."""
     now: str
-    """What the cell does now."""
+    """The cell's reaction."""
     todo: str
-    """What a person may do."""
+    """Actions for the operator."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellSafety:
-    """How a cell stands, as its devices confirmed it, and what to do."""
+    """Safety of a cell as its devices confirmed it, and the next action."""
 
     tool_off: str
     """``yes``, ``not confirmed`` or ``not asked``."""
     robot_at_rest: str
-    """The same."""
+    """As ``tool_off``, for the robot."""
     unsafe: Sequence[str]
     """Each device that did not confirm being safe: ``name: why``."""
     next: str
-    """What a person may do."""
+    """Actions for the operator."""
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> Self:
-        """From facts of an event, a summary or what ``status`` found, by the names of the fields."""
+        """Return the safety from a record with these field names."""
         return cls(**{item.name: facts[item.name] for item in fields(cls)})
 
     def rows(self) -> list[tuple[str, str]]:
@@ -111,7 +111,7 @@ class CellSafety:
         return rows
 
     def concern(self, severity: Severity, what: str, does: str) -> OperatorNotice:
-        """What happened to a cell that stands so; an alarm where a device did not confirm."""
+        """Return the operator's notice; an alarm where a device did not confirm."""
         now = [does, *(f"{name}: {text}" for name, text in self.rows())]
         return OperatorNotice(Severity.ALARM if self.unsafe else severity, what, "; ".join(now), self.next)
 
@@ -124,7 +124,7 @@ NOT_ASKED = CellSafety(tool_off="not asked", robot_at_rest="not asked", unsafe=(
 
 
 class DaemonState(StrEnum):
-    """What a daemon is doing."""
+    """Activity of a daemon."""
 
     STARTING = "starting"
     IDLE = "idle"
@@ -142,11 +142,11 @@ DOES: Mapping[DaemonState, str] = {
     DaemonState.HELD: "safe; a person has the word",
     DaemonState.FINISHED: "safe, and all devices are closed",
 }
-"""What happens in each state."""
+"""Meaning of each state."""
 
 
 class StateEvent(StrEnum):
-    """What ends a state's work; orders have the names of their verbs."""
+    """Trigger of a transition; commands have the names of their verbs."""
 
     HOLD = "hold"
     RESUME = "resume"
@@ -181,7 +181,7 @@ class StateTransition:
     target: DaemonState
     note: str
     unattended: DaemonState | None = None
-    """Where ``--no-hold`` leads instead; None: to the same."""
+    """Target state with ``--no-hold``; None: the same."""
 
 
 _START, _POLISH, _HELD, _END = DaemonState.STARTING, DaemonState.POLISHING, DaemonState.HELD, DaemonState.FINISHED
@@ -231,7 +231,9 @@ TRANSITIONS: tuple[StateTransition, ...] = (
     StateTransition(_HELD, StateEvent.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
     StateTransition(_HELD, StateEvent.UNFIT, _HELD, "the same", _END),
     StateTransition(_HELD, StateEvent.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
-    StateTransition(_HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
+    StateTransition(
+        _HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: the interruption is reported before it goes on", _END
+    ),
     StateTransition(_HELD, StateEvent.HOLD, _HELD, "its reason is added"),
     StateTransition(_HELD, StateEvent.ESTOP, _HELD, "its reason is added"),
     StateTransition(_HELD, StateEvent.STOP, _END, "over an error, the daemon ends with that error"),
@@ -241,7 +243,7 @@ TRANSITIONS: tuple[StateTransition, ...] = (
 _TABLE = {(row.source, row.trigger): row for row in TRANSITIONS}
 
 
-def following(state: DaemonState, trigger: StateEvent, *, unattended: bool = False) -> DaemonState:
+def next_state(state: DaemonState, trigger: StateEvent, *, unattended: bool = False) -> DaemonState:
     """The next state. RuntimeError where the table has no such way: a fault of polishd."""
     row = _TABLE.get((state, trigger))
     if row is None:
@@ -249,7 +251,7 @@ def following(state: DaemonState, trigger: StateEvent, *, unattended: bool = Fal
     return row.unattended if unattended and row.unattended is not None else row.target
 
 
-def obeyed(order: StateEvent) -> frozenset[DaemonState]:
+def accepting_states(order: StateEvent) -> frozenset[DaemonState]:
     """The states in which an order is obeyed: those to which it leads, and the end."""
     between = {row.target for row in TRANSITIONS if order is StateEvent.RESUME and row.trigger is StateEvent.BETWEEN}
     return frozenset({row.target for row in TRANSITIONS if row.trigger is order} | between | {DaemonState.FINISHED})

@@ -19,7 +19,7 @@ from asyncua.common.instantiate_util import instantiate
 from polishd.daemon.journal.history import read_only
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.model.states import Outcome
-from polishd.model.tolerance import judged_of
+from polishd.model.tolerance import line_results
 
 # What a variable is told: a value with its status, or a status alone.
 
@@ -143,7 +143,7 @@ def _measured(journal: sqlite3.Connection, job: int) -> tuple[tuple[OpcUaResultV
     named = (("RMS", "rms_nm"), ("PV", "pv_nm"))
     figures = [OpcUaResultValue("Passes", passes)]
     figures += [OpcUaResultValue(name, float(stats[key]), "nm") for name, key in named if stats.get(key) is not None]
-    lines = judged_of(stats)
+    lines = line_results(stats)
     for line in lines:
         figures += [OpcUaResultValue(f"{line.what}, counted", line.counted, line.unit)]
         figures += [OpcUaResultValue(f"{line.what}, limit", line.limit, line.unit)]

@@ -17,7 +17,7 @@ from polishd.pipeline.part_handling import between_of, touch_off_of
 from polishd.pipeline.recipe import Recipe, ToolStep
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import Hooks
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap
 
 OWN = "rate"
 """What a removal model learns that is asked for nothing else."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.estimates import Finding
 from polishd.model.states import Outcome
-from polishd.model.tolerance import holds
+from polishd.model.tolerance import part_holds
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.process.identification.findings import Forecast, gain_too_small, has_diverged
@@ -91,7 +91,7 @@ def decide(
         passes_left: that the job may still make.
     """
     teaches = not corrects(recipe)
-    if not teaches and holds(surface.judged):
+    if not teaches and part_holds(surface.judged):
         return Accept()
     if not teaches and has_diverged(history, surface.figure_nm):
         return Diverge()

@@ -22,19 +22,19 @@ from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.recipe import CpuLimit, Recipe
 from polishd.pipeline.records import EstimatesInUse, MeasureResult, SolveResult
 from polishd.pipeline.steps import effect_of, envelope_of, initial_estimates
-from polishd.process.dwell.certificate import certified
-from polishd.process.dwell.lower_bound import proved
-from polishd.process.dwell.problem import DwellProblem, negligible
+from polishd.process.dwell.certificate import certify_dwell
+from polishd.process.dwell.lower_bound import prove_lower_bound
+from polishd.process.dwell.problem import DwellProblem, negligible_share
 from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.residual_curve import CurvePoint as Chosen
-from polishd.process.dwell.residual_curve import Row, Solve, price_curve, to_target, within_budget
+from polishd.process.dwell.residual_curve import Row, Solve, price_curve, solve_to_target, solve_within_budget
 from polishd.process.dwell.time_limit import TimeLimit
-from polishd.process.metrology.edge_extension import extend
+from polishd.process.metrology.edge_extension import extend_surface
 from polishd.process.metrology.spectra import band_rms
-from polishd.process.metrology.tolerance import out_of_reach
+from polishd.process.metrology.tolerance import unreachable_lines
+from polishd.process.removal.combined_effect import combine_effects, split_by_tool
 from polishd.process.removal.effect import Effect
-from polishd.process.removal.multi_tool_effect import split, together
-from polishd.process.removal.transfer_function import correctable
+from polishd.process.removal.transfer_function import correctable_surface
 from polishd.process.robot import motion
 
 # The part's rim where nothing was measured: heights that stand for it, so that the dwell there is somebody's.
@@ -65,7 +65,7 @@ def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> 
     reach = max(float(scipy.ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
     own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
     cutoff = max(own, LEAST_SAMPLES * pitch)
-    wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
+    wider = extend_surface(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
     whole = mask | (wider.mask & gap)
     return FilledSurface(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
 
@@ -250,7 +250,7 @@ def solve_turns(
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: MeasureResult) -> None:
     """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
     right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
-    none = negligible(answer.effect)
+    none = negligible_share(answer.effect)
     on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64)), none).mean())
     if on_part < LEAST_ON_PART:
         touch = f"only {on_part:.0%} of its timed points touch the part"
@@ -281,12 +281,12 @@ class _Step:
 
     def each(self, values: FloatArray) -> Iterator[tuple[ToolSubproblem, FloatArray]]:
         """Each tool, with its own of those."""
-        return zip(self.legs, split(values, [leg.program.n for leg in self.legs]), strict=True)
+        return zip(self.legs, split_by_tool(values, [leg.program.n for leg in self.legs]), strict=True)
 
     @cached_property
     def effect(self) -> Effect:
         """Of all tools."""
-        return together([leg.answer.effect for leg in self.legs])
+        return combine_effects([leg.answer.effect for leg in self.legs])
 
     @cached_property
     def divide_by(self) -> FloatArray | None:
@@ -327,7 +327,7 @@ class _Step:
         expected = motion.delivered_time_s(leg.program, asked, leg.envelope)
         problem = self.problem(DwellBounds(expected, expected), None)
         how: dict[str, Any] = {"solver": AS_PROGRAMMED, "iterations": 0, "stopped": "as programmed"}
-        dwell = certified(problem, expected, seconds=self.time_limit.cpu_s, **how)
+        dwell = certify_dwell(problem, expected, seconds=self.time_limit.cpu_s, **how)
         return SolveResult(dwell, self.staying(leg), asked, expected, leg.believed)
 
     def staying(self, leg: ToolSubproblem) -> RemovalAnswer:
@@ -387,11 +387,11 @@ class _Step:
             case "knee":
                 return price_curve(problem, solve).knee()
             case "target":
-                return to_target(problem, self.dwell.target_nm or 0.0, solve)
+                return solve_to_target(problem, self.dwell.target_nm or 0.0, solve)
             case _:
                 # "pointwise" takes so much longer than it solves
                 static = 1.0 if divide_by is None else float(divide_by.mean())
-                return within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
+                return solve_within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
 
     def searching(self, what: str) -> Solve:
         """The recipe's solver for what needs many solves. One that was cut short would mislead it: a ComputeError."""
@@ -441,7 +441,7 @@ class _Step:
         if enough == 0:  # it is asked whatever is proved
             return dwell
         static = dwell if self.divide_by is None else replace(dwell, time_s=dwell.time_s * self.divide_by)
-        found = proved(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
+        found = prove_lower_bound(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
         return with_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
 
     def noted(self, dwell: DwellSolution) -> DwellSolution:
@@ -449,14 +449,14 @@ class _Step:
         measured, spot = self.measured, self.finest.transfer
         if spot is None:
             return dwell
-        found = correctable(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, spot)
+        found = correctable_surface(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, spot)
         if not found.resolved:
             return dwell
         left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
         dwell = with_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
         dwell = with_note(dwell, f"{left}: no dwell with this spot removes it")
         on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
-        for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
+        for line in unreachable_lines(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
             dwell = with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
         return dwell
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.dwell.problem import negligible
+from polishd.process.dwell.problem import negligible_share
 from polishd.process.removal.effect import Effect
 
 
@@ -35,7 +35,7 @@ class CachedEffect:
     @property
     def negligible(self) -> float:
         """Share of the strongest removal up to which it is taken for none."""
-        return negligible(self._own())
+        return negligible_share(self._own())
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(n,) s -> (ny, nx) nm."""

@@ -19,7 +19,7 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.pipeline.steps import envelope_of
 from polishd.process.dwell.quadratic import choose_piston_nm
-from polishd.process.metrology.tolerance import only_beyond
+from polishd.process.metrology.tolerance import lines_below_cutoff
 from polishd.process.removal import contact
 from polishd.process.robot import motion
 from polishd.process.robot.compliance import path_compliance
@@ -86,7 +86,7 @@ def tolerance_words(recipe: Recipe, answer: RemovalAnswer) -> str:
         cutoff = answer.transfer.cutoff_period_mm
         said += [
             f"{line.what} can only be left as it is: this spot corrects no period below {cutoff:.2f} mm"
-            for line in only_beyond(recipe.lines, cutoff)
+            for line in lines_below_cutoff(recipe.lines, cutoff)
         ]
     return "; ".join(said)
 

@@ -16,7 +16,7 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.program import Envelope
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Accept, ToleranceLine
-from polishd.process.metrology.system_map import SystemMap
+from polishd.process.metrology.absolute_test import SystemMap
 
 DEFAULT = FindingLimits()
 

@@ -25,7 +25,7 @@ from polishd.model.estimates import UNTAUGHT, Diagnosis, Estimate, Estimates, Pa
 from polishd.model.program import IntArray, Plan, Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
 from polishd.model.text import printable
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.process.identification.findings import UNEXPLAINED, Forecast
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.metrology.conditioning import Masks
@@ -132,7 +132,7 @@ class MeasureResult:
     """Samples of the map that were taken for spikes, and out."""
     notes: tuple[str, ...] = ()
     """What a person should know of how it was levelled, and of figures that are near to their limits."""
-    judged: tuple[Judged, ...] = ()
+    judged: tuple[LineResult, ...] = ()
     """Each line of the tolerance."""
     map_grid: Grid | None = None
     """The map's own samples; None: of a job of an earlier polishd."""

@@ -20,22 +20,28 @@ from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import CENTRED, EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, SolveResult
 from polishd.pipeline.run_folder import read_program_bytes
-from polishd.process.dwell.problem import negligible, without_traces
+from polishd.process.dwell.problem import negligible_share, without_traces
 from polishd.process.identification import removal_check, residual_diagnosis
-from polishd.process.identification.findings import WearIndicators, half_width_mm, pooled, traces, unexplained
+from polishd.process.identification.findings import (
+    WearIndicators,
+    half_width_mm,
+    pool_unexplained,
+    traces,
+    unexplained_share,
+)
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.identification.removal_fit import MOST_DRIFT_NM
-from polishd.process.identification.residual_diagnosis import leftover
+from polishd.process.identification.residual_diagnosis import fit_residual
 from polishd.process.metrology import conditioning
-from polishd.process.metrology.conditioning import Masks, cleaned
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.absolute_test import SystemMap
+from polishd.process.metrology.conditioning import Masks, clean_map
+from polishd.process.metrology.instrument import apply_profile
 from polishd.process.metrology.registration import register
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import surface_stats
-from polishd.process.metrology.statistics import Removal, without
-from polishd.process.metrology.system_map import SystemMap
-from polishd.process.metrology.tolerance import alignment_notes, judge, less_nominal, notes_of
-from polishd.process.removal.transfer_function import SpotTransferFunction, correctable
+from polishd.process.metrology.statistics import Removal, remove_terms
+from polishd.process.metrology.tolerance import alignment_notes, judge_lines, subtract_nominal, tolerance_notes
+from polishd.process.removal.transfer_function import SpotTransferFunction, correctable_surface
 from polishd.process.robot import motion
 from polishd.process.toolpath.apertures import tool_axes
 
@@ -47,7 +53,7 @@ ROUNDING = 1e-3
 
 def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
     """The map as it lies on the part, less the instrument's own error where that was told; BadMap as `as_profiled`."""
-    lying = as_profiled(surface, instrument)
+    lying = apply_profile(surface, instrument)
     return lying if system is None else system.off(lying)
 
 
@@ -55,8 +61,8 @@ def of_part(
     lying: SurfaceMap, spike_threshold_mad: float, nominal: SurfaceMap | None, lies: Registration
 ) -> tuple[SurfaceMap, int]:
     """That map without spikes and less the form wanted, and how many samples were taken for spikes."""
-    clean, spikes = cleaned(lying, spike_threshold_mad)
-    return (clean if nominal is None else less_nominal(clean, nominal, lies)), spikes
+    clean, spikes = clean_map(lying, spike_threshold_mad)
+    return (clean if nominal is None else subtract_nominal(clean, nominal, lies)), spikes
 
 
 def figure_of(
@@ -76,7 +82,7 @@ def figure_of(
         aperture there.
     """
     clear = on_map(clean, grid, metric_mask, lies)
-    return without(clean.height_nm, clear, alignment), clear
+    return remove_terms(clean.height_nm, clear, alignment), clear
 
 
 def on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:
@@ -135,7 +141,7 @@ def _within_reach_nm(
 ) -> float | None:
     if spot is None:
         return None
-    found = correctable(after.height_nm, mask, grid.pitch_mm, spot)
+    found = correctable_surface(after.height_nm, mask, grid.pitch_mm, spot)
     return found.within_reach_rms_nm if found.resolved else found.rms_nm
 
 
@@ -190,10 +196,10 @@ def condition(
     )
     height = np.where(part.solve_mask, part.height_nm, 0.0)
     repeats = None if recipe.instrument is None else recipe.instrument.repeatability_nm
-    judged = judge(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
+    judged = judge_lines(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
     judged = acceptance.bounded(recipe, judged, figure, clear, clean.grid.pitch_mm)
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
-    notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
+    notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *tolerance_notes(judged))
     return MeasureResult(
         part.grid,
         height,
@@ -225,7 +231,7 @@ def expected_removal(recipe: Recipe, before: MeasureResult, residual_nm: FloatAr
 
 def map_change_nm(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> float:
     """RMS in the clear aperture of what changed from one measurement to the next, without its alignment."""
-    changed = without(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
+    changed = remove_terms(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
     return float(np.sqrt(np.mean(changed[before.metric_mask] ** 2)))
 
 
@@ -233,13 +239,13 @@ def map_changes(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> 
     """What a measurement and a later one name, with no pass between."""
     grid, mask = before.grid, before.metric_mask
     lost_nm = before.height_nm - after.height_nm
-    return residual_diagnosis.diagnose_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
+    return residual_diagnosis.diagnose_change(fit_residual(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
 
 
 def harmful_changes(recipe: Recipe, moves: tuple[Diagnosis, ...]) -> tuple[Diagnosis, ...]:
     """Of what goes on changing from map to map that which the tolerance does not bear."""
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=MOST_DRIFT_NM)
-    return residual_diagnosis.harmful(moves, wanted)
+    return residual_diagnosis.limiting_change(moves, wanted)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
@@ -310,10 +316,10 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
     allowed = (low / believed.rate, high / believed.rate)
     miss = TOUCH_MISS_MM if recipe.dwell.objective == AS_PROGRAMMED else removal_check.MAX_SHIFT_MM
     unknown = _unknown(recipe)
-    verdict = removal_check.judge(
+    verdict = removal_check.check_removal(
         predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown, most_shift_mm=miss
     )
-    left = leftover(measured, mask, grid.pitch_mm, predicted, removal=unknown)
+    left = fit_residual(measured, mask, grid.pitch_mm, predicted, removal=unknown)
     removed_nm = float(np.sqrt(np.mean(predicted[mask] ** 2)))
     named = residual_diagnosis.diagnose_pass(verdict, left, removed_nm, done.again, miss)
     taught = LearnResult(believed, verdict, grid, named=named)
@@ -343,9 +349,9 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
     shown = pass_indicators(done, answer, predicted, verdict, believed.rate)
     rest, ripple = None, believed.ripple
     if recipe.dwell.objective != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
-        rest = unexplained(predicted, measured, mask, acceptance.noise_nm(recipe, done.after))
+        rest = unexplained_share(predicted, measured, mask, acceptance.noise_nm(recipe, done.after))
         ripple = acceptance.ripple(recipe, done.before, done.after, removed_nm)
-    learned = EstimatesInUse(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)
+    learned = EstimatesInUse(lesson.beliefs, overhead, pool_unexplained(believed.unexplained, rest), ripple)
     notes = (*(one.words for one in taught.named), *lesson.notes)
     return replace(taught, believed=learned, found=lesson.found, notes=notes, shown=shown)
 
@@ -383,7 +389,7 @@ def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) ->
     if isinstance(answer.effect, CachedEffect) and not answer.effect.here:  # the worker that solved is no more
         answer = effect_of(recipe, program, answer.effect.grid, solved.believed)
     effect = answer.effect
-    share = effect.negligible if isinstance(effect, CachedEffect) else negligible(effect)
+    share = effect.negligible if isinstance(effect, CachedEffect) else negligible_share(effect)
     return Plan(
         program=rewritten,
         approach_blocks=int(rewritten.block[0]),

@@ -29,7 +29,7 @@ from polishd.api import (
 )
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import automatic, douglas_rachford, interior_point, lucy_richardson, newton_cg
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import check
 from polishd.process.dwell.time_limit import SLOWEST, TimeLimit
 
@@ -109,7 +109,7 @@ def solve_qp(problem: DwellProblem, within_s: float, backend: str | None = None)
         if dwell is None:
             continue
         answers.append(
-            certified(
+            certify_dwell(
                 problem, dwell, solver=f"{QP_NAME}:{name}", iterations=0, seconds=limit.cpu_s, stopped="converged"
             )
         )

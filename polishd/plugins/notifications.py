@@ -29,9 +29,9 @@ from polishd.api import (
     NotifierType,
     SecretPlace,
     Severity,
-    hide,
     hookimpl,
     read_secret,
+    redact_secrets,
 )
 from polishd.config.fields import ConfigSection
 
@@ -209,7 +209,7 @@ class Mail:
         except UnicodeEncodeError:
             raise LinkError("smtplib logs in with ASCII only; choose another password") from None
         except smtplib.SMTPResponseException as error:  # some servers repeat what they were told
-            said = hide(_answer(error.smtp_code, error.smtp_error), password)
+            said = redact_secrets(_answer(error.smtp_code, error.smtp_error), password)
             raise LinkError(f"{self._options.host}:{self._port}: login as {user!r} refused: {said}") from None
 
     def _mail(self, notification: Notification) -> EmailMessage:
@@ -296,7 +296,7 @@ class Webhook:
             self._post(parts, path, headers, body)
         except (OSError, HTTPException, ValueError) as error:
             secrets = (token, *(part for part in (parts.path, parts.query) if len(part) > 1))
-            raise LinkError(hide(f"{parts.scheme}://{parts.netloc}: {error}", *secrets)) from None
+            raise LinkError(redact_secrets(f"{parts.scheme}://{parts.netloc}: {error}", *secrets)) from None
 
     def _address(self) -> SplitResult:
         """ConfigError, which quotes the key's value where that is a place."""

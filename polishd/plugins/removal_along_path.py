@@ -10,12 +10,12 @@ from polishd.api import ComputeError, Effect, Grid, MachineEstimates, Program, R
 from polishd.model.surface import FloatArray
 from polishd.process.checks import require_number
 from polishd.process.identification.forward_model import ParameterAction
-from polishd.process.removal.contact import contact_radius_mm, hertz_depth_mm, on_curved
-from polishd.process.removal.convolution import on_nodes
+from polishd.process.removal.contact import contact_on_curved_part, contact_radius_mm, hertz_depth_mm
+from polishd.process.removal.convolution import are_on_nodes
 from polishd.process.removal.dynamic_tif import CorrectedSpot, lean_azimuth_rad, tif_at_point
 from polishd.process.removal.path_tif import SpotPath, levelled_axes
 from polishd.process.removal.tif import HertzSpot, Spot
-from polishd.process.removal.transfer_function import transfer
+from polishd.process.removal.transfer_function import spot_transfer_function
 from polishd.process.robot.compliance import depth_ratio, path_compliance
 
 NEWTON_S = 7e-9
@@ -61,7 +61,7 @@ def path_of(request: RemovalRequest, spot: Spot, reference: float) -> ProgramPat
     process, program = request.process, request.program
     depth = hertz_depth_mm(process)
     middle = (program.start_mm + program.end_mm)[:, :2] / 2
-    curved = on_curved(process, request.optic, middle, contact=isinstance(spot, HertzSpot))
+    curved = contact_on_curved_part(process, request.optic, middle, contact=isinstance(spot, HertzSpot))
     at = (request.robot, request.placement)
     path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
     gamma = depth_ratio(path.compliance_mm_per_n, process, depth if curved is None else depth * curved.deeper)
@@ -98,7 +98,7 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
         gamma=path.gamma,
         divide_by=spots.divide_by,
         notes=(*path.notes, *how),
-        transfer=transfer(spot, float(path.gamma.mean())) if path.gamma.size else None,
+        transfer=spot_transfer_function(spot, float(path.gamma.mean())) if path.gamma.size else None,
     )
 
 
@@ -135,7 +135,7 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
     near enough it is a matrix, while that fits a computer's memory; beyond, one that is less near, whose certificate
     says how far off it is. ComputeError where that is too far.
     """
-    if on_nodes(grid, along.program):
+    if are_on_nodes(grid, along.program):
         found = along.convolutions(grid, spots)
         if found.rank <= MOST_CONVOLUTIONS:
             note = (

@@ -27,10 +27,16 @@ from polishd.api import (
 )
 from polishd.model.surface import FloatArray
 from polishd.plugins.removal_along_path import ProgramPath, effect_along_path, path_of
-from polishd.process.identification.decision import LOOK, beliefs_of, decide, knowledge_of, on_the_next_part
+from polishd.process.identification.decision import (
+    LOOK,
+    decide,
+    estimates_after_pass,
+    estimates_for_next_part,
+    knowledge_from_estimates,
+)
 from polishd.process.identification.identify import IdentificationResult, identify
 from polishd.process.identification.parameters import ExecutedBlocks, MapPixelData, RemovalMap, RemovalNoise
-from polishd.process.metrology.resampling import Registration, averaging
+from polishd.process.metrology.resampling import Registration, averaging_matrix
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.tif import HertzSpot, Spot, hertz_spot, measured_spot
 
@@ -64,7 +70,7 @@ def learn_machine(
     decision = decide(found, misses_mm=evidence.most_miss_mm)
     taken = [one.name for one in decision.corrected if one.name != "rate"]
     contact_h = float(evidence.executed_s.sum()) / 3600
-    after = beliefs_of(found.learned, taken, contact_h, evidence.rates, found.volume)
+    after = estimates_after_pass(found.learned, taken, contact_h, evidence.rates, found.volume)
     how = {**rate_alone.found, "rate": after.rate.value / beliefs.rate.value, "parameters": _table(found)}
     said = tuple(f"{one.words}: corrected" for one in decision.corrected if one.name != "rate")
     said += tuple(f"{one.words}: found, and not certain" for one in decision.left if one.name != "rate")
@@ -75,7 +81,7 @@ def machine_on_the_next_part(beliefs: Estimates, days: float) -> MachineEstimate
     """What a job on another part begins with. ComputeError where another polishd kept other parameters."""
     if not isinstance(beliefs, MachineEstimates):
         raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
-    return on_the_next_part(beliefs, days)
+    return estimates_for_next_part(beliefs, days)
 
 
 def _identified(
@@ -88,7 +94,7 @@ def _identified(
     removed = RemovalMap(request.grid, measured, evidence.mask, noise, _pixels(evidence.pixels, request.grid))
     step = float(np.median(spot.step_mm(path.spots.depth_ratio)))
     odd = max(int(FINE * step / request.grid.pitch_mm) - 1, 0) // 2 * 2 + 1
-    prior = knowledge_of(beliefs, turns=not isinstance(spot, HertzSpot))
+    prior = knowledge_from_estimates(beliefs, turns=not isinstance(spot, HertzSpot))
     return identify(
         removed.coarser(odd),
         blocks,
@@ -117,7 +123,7 @@ def _pixels(at: MapPixels | None, grid: Grid) -> MapPixelData | None:
     """Left out where they are so fine that their mean is that over the cell: of 0.4 of the pitch it is not yet."""
     if at is None or at.grid.pitch_mm < COARSE * grid.pitch_mm:
         return None
-    return MapPixelData(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
+    return MapPixelData(at, averaging_matrix(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
 
 
 def _table(found: IdentificationResult) -> dict[str, dict[str, float | str | bool]]:
@@ -127,8 +133,8 @@ def _table(found: IdentificationResult) -> dict[str, dict[str, float | str | boo
             "value": one.value,
             "sigma": one.sigma,
             "unit": one.parameter.unit,
-            "decided": one.told.decided,
-            "confounded_with": ", ".join(one.told.confounded_with),
+            "decided": one.confounding.decided,
+            "confounded_with": ", ".join(one.confounding.confounded_with),
             "detection_limit": one.detection_limit,
             "probability": one.probability,
             "said": one.sentence,

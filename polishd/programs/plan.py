@@ -27,8 +27,8 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult, PlanResult, SolveResult, figures
 from polishd.pipeline.run_folder import RunFolder, read_map
 from polishd.plugin_loader import Hooks
-from polishd.process.metrology.instrument import as_profiled
-from polishd.util.files import require_new, require_writable, unwritable
+from polishd.process.metrology.instrument import apply_profile
+from polishd.util.files import require_new, require_writable, unwritable_message
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []
-    notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes]
+    notes += [*apply_profile(surface, recipe.instrument).warnings, *measured.notes]
     notes += [note for one in passes for note in one.notes(config.program.coverage)]
     blocks = max(len(one.plan.segments) for one in passes)
     run_dir = config.run_dir or config.state_dir
@@ -135,7 +135,7 @@ def _appearing(out: Path) -> Iterator[RunFolder]:
                 out.rmdir()
             shutil.move(str(folder.path), out)
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_message(out, error) from error
 
 
 def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from polishd.model.text import printable
-from polishd.model.tolerance import Judged, judged_of
+from polishd.model.tolerance import LineResult, line_results
 from polishd.util.serialization import plain
 
 # What reaches a terminal: text from outside has its control characters escaped here, and nowhere else.
@@ -106,7 +106,7 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
 
 def outcome_tables(summary: Mapping[str, Any]) -> RenderableType:
     """The measurements, and below them the drawing's lines: not of a short tolerance that is judged as measured."""
-    judged = [one for cycle in summary["cycles"] for one in judged_of(cycle)]
+    judged = [one for cycle in summary["cycles"] for one in line_results(cycle)]
     if not judged or (summary.get("tolerance_nm") is not None and all(one.bound is None for one in judged)):
         return cycle_table(summary)
     return Group(cycle_table(summary), tolerance_table(summary))
@@ -114,7 +114,7 @@ def outcome_tables(summary: Mapping[str, Any]) -> RenderableType:
 
 def tolerance_table(summary: Mapping[str, Any]) -> Table:
     """One row a line of the tolerance: what each measurement had, the worst line of the last one first."""
-    judged = [judged_of(cycle) for cycle in summary["cycles"]]
+    judged = [line_results(cycle) for cycle in summary["cycles"]]
     by_line = [{one.what: one for one in measured} for measured in judged]
     table = Table(title=f"{summary['job']}: tolerance", title_justify="left")
     for name in ("line", "limit", *map(str, range(len(judged)))):
@@ -126,7 +126,7 @@ def tolerance_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def _holding(line: Judged) -> str:
+def _holding(line: LineResult) -> str:
     word = "yes" if line.holds else f"no, {line.excess:.3g} times the limit"
     if line.bound is not None:
         return f"{word}; {line.bound_words}"

@@ -13,11 +13,11 @@ from polishd import __version__
 from polishd.maps.figures import ISO_KEYS, MapFigures
 from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import FloatArray, Grid
-from polishd.model.tolerance import Judged, ToleranceLine, holds
+from polishd.model.tolerance import LineResult, ToleranceLine, part_holds
 from polishd.process.metrology import iso10110, zernike
 from polishd.process.metrology.spectra import radial_psd
-from polishd.process.metrology.statistics import Removal, slope, slope_map, without
-from polishd.process.metrology.tolerance import judge
+from polishd.process.metrology.statistics import Removal, remove_terms, slope, slope_map
+from polishd.process.metrology.tolerance import judge_lines
 from polishd.process.metrology.zernike import FIRST, Ordering, primary
 
 T = TypeVar("T")
@@ -134,7 +134,7 @@ def reported(found: MapFigures, asked: MapReportOptions) -> MapReportData:
         },
         "zernike": None if fitted is None else _zernike(finder, fitted),
         "tolerance": [one.facts() for one in judged],
-        "within": holds(judged) if judged else None,
+        "within": part_holds(judged) if judged else None,
         "judged_by": asked.judged_by if judged else None,
         "alignment": asked.alignment if judged else None,
         "left_out": finder.left_out,
@@ -149,7 +149,7 @@ def reported(found: MapFigures, asked: MapReportOptions) -> MapReportData:
     return MapReportData(found, grid, answer["place_unit"], slope_urad, asked.lines, answer)
 
 
-def _judged(found: MapFigures, asked: MapReportOptions) -> Sequence[Judged]:
+def _judged(found: MapFigures, asked: MapReportOptions) -> Sequence[LineResult]:
     if not asked.lines:
         return ()
     pitch = found.surface.pitch_mm
@@ -159,9 +159,9 @@ def _judged(found: MapFigures, asked: MapReportOptions) -> Sequence[Judged]:
         )
     figure = found.level_nm
     if asked.alignment != "tilt":
-        figure = without(found.surface.height_nm, found.mask, asked.alignment)
+        figure = remove_terms(found.surface.height_nm, found.mask, asked.alignment)
     try:
-        return judge(asked.lines, figure, found.mask, pitch, asked.repeatability_nm)
+        return judge_lines(asked.lines, figure, found.mask, pitch, asked.repeatability_nm)
     except MapError as error:
         raise MapError(f"{found.surface.path}: {error}") from error
 

@@ -35,7 +35,7 @@ from polishd.model.events import PassProgressed, ShopRateReceived
 from polishd.plugin_loader import Hooks
 from polishd.shop.database import CellReport
 from polishd.util.files import make_folder, write_atomic
-from polishd.util.secret_files import hide, read_secret
+from polishd.util.secret_files import read_secret, redact_secrets
 
 # Requests of a cell to its shop: HTTP by its token, over TLS, or on this computer.
 
@@ -93,7 +93,7 @@ class ShopClient:
         except ssl.SSLCertVerificationError as error:
             raise LinkError(f"{self._section.url}: {self._distrust(error)}") from None
         except (OSError, HTTPException, ValueError) as error:
-            raise LinkError(hide(f"{self._section.url}: {type(error).__name__}: {error}", token)) from None
+            raise LinkError(redact_secrets(f"{self._section.url}: {type(error).__name__}: {error}", token)) from None
         if status == 200:
             return content
         if status == 401:

@@ -1,4 +1,4 @@
-"""What several verbs of the command line take, said once; and commands whose options are the fields of a record."""
+"""Shared options of the command line, and commands whose options are the fields of a record."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Json = Annotated[bool, Option("--json", help="One JSON object on stdout, for pro
 Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, too.")]
 
 
-def spread(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the fields of its parameter that is a dataclass as options: typer sees each field by itself.
+def spread_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Expand a command's dataclass parameter into options, one for each field.
 
     So an option's name, unit, default and help stand in one place, and what the command does is handed one record.
     """
@@ -42,10 +42,10 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
     return with_record
 
 
-# Who sits at the terminal: for the journal, which names whoever gives an order.
+# The user at the terminal, whom the journal names with each command.
 
 
-def account(number: int) -> str:
+def account_name(number: int) -> str:
     """The name of an account; its number where it has none here."""
     try:
         return pwd.getpwuid(number).pw_name
@@ -53,6 +53,6 @@ def account(number: int) -> str:
         return str(number)
 
 
-def at_the_terminal() -> str:
+def terminal_user() -> str:
     """The present account, and that it spoke at a terminal."""
-    return f"{account(os.getuid())} (command line)"
+    return f"{account_name(os.getuid())} (command line)"

@@ -24,7 +24,7 @@ from polishd.config.cell import CellConfig
 from polishd.daemon.journal.history import naming_damage
 from polishd.model.errors import PolishdError
 from polishd.model.states import CyclePhase, Outcome
-from polishd.model.tolerance import judged_of
+from polishd.model.tolerance import line_results
 from polishd.web.api import Api
 from polishd.web.http.users import HttpSession
 from polishd.web.run_data import RunData
@@ -179,7 +179,7 @@ def _journal(tally: Mapping[str, Any], alarms: Iterable[Mapping[str, Any]]) -> I
     if (measured := tally["measured"]) is None:
         return
     yield _one("polishd_surface_rms_meters", "RMS of the last map of the last job.", measured["rms_nm"] * M_PER_NM)
-    lines = judged_of(measured)
+    lines = line_results(measured)
     heights = {one.what: one for one in lines if one.unit == "nm"}
     counted = {what: one.counted * M_PER_NM for what, one in heights.items()}
     limits = {what: one.limit * M_PER_NM for what, one in heights.items()}

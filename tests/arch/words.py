@@ -1,6 +1,6 @@
-"""Words of private speech that source, messages and documentation avoid: `python -m tests.arch.words`, part of `make check`.
+"""Private phrases that source, messages and documentation avoid: `python -m tests.arch.words`, in `make check`.
 
-A name for the actor takes their place: the daemon, the driver, the solver, the operator, you. A technical use that has no
+The actor's name takes their place: the daemon, the driver, the solver, the operator, you. A technical use that has no
 better word is listed in ALLOWED with its reason.
 """
 
@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.arch.repository_rules import tracked
+from tests.arch.repository_rules import tracked_files
 
 FORBIDDEN = re.compile(
     r"\b(nobody|somebody|whoever|everybody|told|tells|thereafter|of its own|by itself|stands for|is said)\b",
@@ -26,7 +26,7 @@ ALLOWED: tuple[tuple[str, str, str], ...] = ()
 def found_words(root: Path) -> Iterator[str]:
     """Yield ``FILE:LINE: phrase: the line`` for each forbidden phrase that is not allowed there."""
     allowed = {(file, phrase) for file, phrase, _ in ALLOWED}
-    for path in tracked(root):
+    for path in tracked_files(root):
         name = path.relative_to(root).as_posix()
         if not name.startswith(FOLDERS) or path.suffix not in SUFFIXES:
             continue

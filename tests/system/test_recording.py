@@ -153,7 +153,7 @@ async def test_a_mutilated_file_is_named_with_its_line(probed: tuple[Path, dict[
     odd = b'{"t_s":0,"role":"robot","link":"x","way":"in","hex":"0"}\n'
     assert refused(lambda lines: [lines[0], odd]).startswith(f"{changed}:2: non-hexadecimal")
     assert refused(lambda lines: [lines[0], b'{"t_s":0}\n']).startswith(f"{changed}:2: has no 'way'")
-    with pytest.raises(ConfigError, match=r"nothing of 'loader' is recorded; it has actuator, robot, spindle"):
+    with pytest.raises(ConfigError, match=r"'loader' is recorded; the file holds actuator, robot, spindle"):
         async with replayed(probed[0], "loader"):
             pass
     with pytest.raises(ConfigError, match=r"No such file"):

@@ -26,10 +26,15 @@ from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import path_program, read
 from polishd.process.frames import directions_to_base, points_to_base
-from polishd.process.identification.experiment_design import FIELD_WANTED, WANTED, after, design
-from polishd.process.identification.forward_model import ForwardModel, forward
-from polishd.process.identification.identify import confounding_of, in_the_middle
-from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge, unlearned, usual_parameters
+from polishd.process.identification.experiment_design import (
+    FIELD_WANTED,
+    WANTED,
+    design_track_times,
+    knowledge_after_pass,
+)
+from polishd.process.identification.forward_model import ForwardModel, build_forward_model
+from polishd.process.identification.identify import confounding_of, covariance_at_mid_pass
+from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge, initial_knowledge, usual_parameters
 from polishd.process.metrology.conditioning import process_grid
 from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot import motion
@@ -39,7 +44,7 @@ from polishd.process.toolpath.paths import BETWEEN, Joined, Track, join_tracks
 from polishd.programs.make import contact_radius_mm, dialect_of, in_program_frame
 from polishd.programs.show import program_picture
 from polishd.rendering.terminal import emit, record_table, stderr
-from polishd.util.files import require_new, unwritable, write_atomic
+from polishd.util.files import require_new, unwritable_message, write_atomic
 
 # A first touch: tracks all over a witness part, with their times and their program.
 
@@ -136,7 +141,7 @@ class _Cell:
         request = steps.request_of(recipe, program, grid, steps.initial_estimates(recipe))
         spot, reference = SPOTS[recipe.model.name](request)
         path = path_of(request, spot, reference)
-        return forward(
+        return build_forward_model(
             blocks_along(path, seconds),
             grid,
             mask,
@@ -164,8 +169,8 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     deepest = np.array([_deepest(model, owner == c) for c in range(len(pool))])
     most_nm = min(MOST_NM, config.limits.max_removal_nm / 2)
     longest = np.array([track.length_mm for track in pool]) / slow
-    known = unlearned(model.parameters)
-    lasts_s = design(
+    known = initial_knowledge(model.parameters)
+    lasts_s = design_track_times(
         model,
         owner,
         _without_wear(known),
@@ -192,7 +197,7 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
             f"the touch takes {whole:.1f} min, {between:.1f} of them from track to track, and {within_s / 60:.1f} are "
             "allowed; allow more (--minutes), or want less (--want)"
         )
-    learned = after(cell.forward(program, lasts), known, cell.noise_nm)
+    learned = knowledge_after_pass(cell.forward(program, lasts), known, cell.noise_nm)
     return FirstTouchPlan(text, program, known, learned, float(lasts.sum()), len(order))
 
 
@@ -327,7 +332,7 @@ def _wanted(own: Mapping[str, float]) -> dict[str, float]:
 
 def _rows(touch: FirstTouchPlan, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
     parameters = touch.before.parameters
-    prior, learned = (in_the_middle(known, touch.seconds / 7200) for known in (touch.before, touch.after))
+    prior, learned = (covariance_at_mid_pass(known, touch.seconds / 7200) for known in (touch.before, touch.after))
     said = confounding_of(parameters, prior, learned)
     errors = zip(parameters, np.sqrt(np.diag(prior)), np.sqrt(np.diag(learned)), strict=True)
     return [
@@ -388,4 +393,4 @@ def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping
         for name, content in made.items():
             write_atomic(out / name, content)
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_message(out, error) from error

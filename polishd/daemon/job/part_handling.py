@@ -166,7 +166,7 @@ class PartHandling:
             if restless := steps.harmful_changes(job.recipe, moves):
                 settling = all(one.cause == "settling" for one in restless)
                 raise (PartNotSettled if settling else RemovalCheckStop)("; ".join(one.words for one in restless))
-        return surface, residual_diagnosis.persistent(seen)
+        return surface, residual_diagnosis.largest_of_each_cause(seen)
 
     async def ready(self, cycle: int) -> None:
         """Tool, pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""

@@ -14,7 +14,7 @@ from urllib.parse import quote
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.daemon.journal.store import EVENTS_RENAMED, SCHEMA_VERSION, require_sound
 from polishd.model.errors import ConfigError, JournalDamage, ToolStop
-from polishd.model.tolerance import Judged, judged_of, worst
+from polishd.model.tolerance import LineResult, line_results, worst_line
 
 FAULTS = ("held", "failed", "found")
 """Events that somebody had to see to."""
@@ -29,7 +29,7 @@ class HistoryMeasurement:
     at_s: float
     """Unix time."""
     rms_nm: float
-    judged: tuple[Judged, ...]
+    judged: tuple[LineResult, ...]
     rate: float | None
     """Removal rate that the pass before it showed, relative to the model's own; None: it showed none."""
     rate_sigma: float | None
@@ -72,9 +72,9 @@ class JobHistory:
         return next((one.rate for one in reversed(self.measured) if one.rate is not None), None)
 
     @property
-    def worst(self) -> Judged | None:
+    def worst(self) -> LineResult | None:
         """The line of the tolerance that the last measurement keeps worst."""
-        return worst(self.measured[-1].judged) if self.measured else None
+        return worst_line(self.measured[-1].judged) if self.measured else None
 
 
 def read_history(state_dir: Path) -> list[JobHistory]:
@@ -149,7 +149,7 @@ def _opened(path: Path) -> sqlite3.Connection:
     try:
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if 0 < version < SCHEMA_VERSION:
-            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")
+            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")  # noqa: S608 - our own names
     except BaseException:
         connection.close()
         raise
@@ -190,7 +190,7 @@ def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -
 
 def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any]) -> HistoryMeasurement:
     rate = (before.get("shown") or {}).get("rate") or {}
-    judged = judged_of(stats)
+    judged = line_results(stats)
     predicted = before.get("predicted_rms_nm")
     rms, rates = stats["rms_nm"], (rate.get("value"), rate.get("sigma"))
     return HistoryMeasurement(at_s, rms, judged, *rates, predicted, _as_forecast(before.get("shown") or {}))

@@ -14,7 +14,7 @@ import numpy as np
 
 from polishd import __version__
 from polishd.config.instrument_profile import InstrumentProfile
-from polishd.model.tolerance import Judged, holds, judged_of, worst
+from polishd.model.tolerance import LineResult, line_results, part_holds, worst_line
 from polishd.reports import wording
 from polishd.reports.certificate import model
 from polishd.reports.certificate.model import (
@@ -198,10 +198,10 @@ def _of_passes(run: CertificateRun) -> Iterator[Anomaly]:
 
 def verdict_of(run: CertificateRun) -> CertificateVerdict:
     """By the lines of the last map. Where a pass touched the part since, nobody knows."""
-    judged, outcome = judged_of(run.rows.maps[-1]["stats"]), wording.text(run.folder.summary.get("outcome"))
+    judged, outcome = line_results(run.rows.maps[-1]["stats"]), wording.text(run.folder.summary.get("outcome"))
     since = [done for done in run.rows.passes if done["cycle"] >= run.rows.maps[-1]["cycle"]]
-    state: State = "not known" if since or not judged else "in tolerance" if holds(judged) else "not in tolerance"
-    farthest = worst(judged)
+    state: State = "not known" if since or not judged else "in tolerance" if part_holds(judged) else "not in tolerance"
+    farthest = worst_line(judged)
     ended = VERDICTS[outcome].words if outcome in VERDICTS else outcome.replace("_", " ")
     if since:
         said = "Not known: the part was polished after its last map"
@@ -228,13 +228,13 @@ def verdict_of(run: CertificateRun) -> CertificateVerdict:
 def uncertainty_of(run: CertificateRun, profile: InstrumentProfile | None) -> Uncertainty:
     """What is known of the error of the figures that decide, in sentences."""
     accepted = wording.text(run.folder.summary.get("accept")) or "figure"
-    judged = judged_of(run.rows.maps[-1]["stats"])
+    judged = line_results(run.rows.maps[-1]["stats"])
     return Uncertainty.model_validate(
         {"accepted": accepted, "statements": [*_of_lines(judged), *_of_instrument(run, profile)]}
     )
 
 
-def _of_lines(judged: tuple[Judged, ...]) -> Iterator[str]:
+def _of_lines(judged: tuple[LineResult, ...]) -> Iterator[str]:
     """What the table of the lines does not say by itself."""
     for one in judged:
         if one.bound is not None:

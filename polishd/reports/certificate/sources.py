@@ -24,9 +24,9 @@ from polishd.pipeline import steps
 from polishd.pipeline.records import record_of
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import load_plugins
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import split_bands
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
 from polishd.reports.map_figures import MapReportData, MapReportOptions, reported
 from polishd.reports.run_reader import ReportSurface, RunFolderReader, read_folder
 

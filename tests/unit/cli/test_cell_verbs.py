@@ -25,7 +25,7 @@ from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.programs import plan as planning
-from polishd.util.command_line import at_the_terminal
+from polishd.util.command_line import terminal_user
 from tests.unit.maps.maps import dat, surface
 from tests.unit.said import Polishd, Said
 
@@ -309,7 +309,7 @@ def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pyte
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd(verb, files.cell, "--json").out) == {"ok": True, "state": "held"}
     polishd(verb, files.cell, "--reason", "a scratch")
-    by = {"by": at_the_terminal()}
+    by = {"by": terminal_user()}
     assert asked == [(files.state_dir, verb, args) for args in (by, {"reason": "a scratch", **by})]
 
 

@@ -35,7 +35,7 @@ from polishd.pipeline.records import EstimatesInUse
 from polishd.pipeline.run_folder import RunFolder
 from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.dwell import newton_cg
-from polishd.process.metrology.statistics import fitted
+from polishd.process.metrology.statistics import fit_terms
 from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import raster
 from tests.fakes.devices import FakeCell
@@ -128,7 +128,7 @@ def small_map(rms_nm: float = 20.0, seed: int = 0, part_id: str = "P-1") -> Surf
     grid = Grid(n, n, 0.5)
     height = rough(grid, rms_nm, seed)
     part = grid.radius_mm() <= APERTURE_MM / 2 + 0.5
-    height -= fitted(height, part, "tilt")
+    height -= fit_terms(height, part, "tilt")
     return as_map(np.where(part, height * rms_nm / height[part].std(), np.nan), part_id)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon.socket.client import VERBS
-from polishd.model.states import DOES, ORDERS, TRANSITIONS, DaemonState, StateEvent, following, obeyed
+from polishd.model.states import DOES, ORDERS, TRANSITIONS, DaemonState, StateEvent, accepting_states, next_state
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
 
@@ -41,27 +41,27 @@ def test_no_way_stands_in_it_twice_and_none_leads_out_of_the_end() -> None:
 def test_every_state_is_come_to_and_can_be_ended() -> None:
     assert {row.target for row in TRANSITIONS} | {DaemonState.STARTING} == set(DaemonState)
     for state in set(DaemonState) - {DaemonState.FINISHED}:
-        assert following(state, StateEvent.STOP) is DaemonState.FINISHED
-        assert following(state, StateEvent.ERROR) is DaemonState.FINISHED
+        assert next_state(state, StateEvent.STOP) is DaemonState.FINISHED
+        assert next_state(state, StateEvent.ERROR) is DaemonState.FINISHED
 
 
 def test_what_is_not_in_the_table_raises() -> None:
     known = {(row.source, row.trigger) for row in TRANSITIONS}
     for state, trigger in set(product(DaemonState, StateEvent)) - known:
         with pytest.raises(RuntimeError, match="a fault of polishd"):
-            following(state, trigger)
+            next_state(state, trigger)
 
 
 def test_without_a_person_nothing_is_held_but_by_order() -> None:
     held = {
-        row.trigger for row in TRANSITIONS if following(row.source, row.trigger, unattended=True) is DaemonState.HELD
+        row.trigger for row in TRANSITIONS if next_state(row.source, row.trigger, unattended=True) is DaemonState.HELD
     }
     assert held == {StateEvent.HOLD, StateEvent.ESTOP}
 
 
 def test_an_order_is_obeyed_where_it_leads() -> None:
     assert set(ORDERS) == {verb.name for verb in VERBS.values() if verb.changes == "an order"}
-    assert {order: obeyed(order) for order in ORDERS} == {
+    assert {order: accepting_states(order) for order in ORDERS} == {
         StateEvent.HOLD: {DaemonState.HELD, DaemonState.FINISHED},
         StateEvent.RESUME: {DaemonState.IDLE, DaemonState.POLISHING, DaemonState.FINISHED},
         StateEvent.STOP: {DaemonState.FINISHED},

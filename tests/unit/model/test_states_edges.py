@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.model.states import TRANSITIONS, StateTransition, following
+from polishd.model.states import TRANSITIONS, StateTransition, next_state
 
 
 @pytest.mark.parametrize("row", TRANSITIONS)
 def test_each_way_leads_where_it_says(row: StateTransition) -> None:
-    assert following(row.source, row.trigger) is row.target, "a person is there, where nobody says otherwise"
-    assert following(row.source, row.trigger, unattended=True) is (row.unattended or row.target)
+    assert next_state(row.source, row.trigger) is row.target, "the default is an attended cell"
+    assert next_state(row.source, row.trigger, unattended=True) is (row.unattended or row.target)

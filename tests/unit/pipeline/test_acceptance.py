@@ -11,11 +11,11 @@ import pytest
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.instrument import Instrument, UnmeasuredTerms
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.pipeline import acceptance, steps
 from polishd.pipeline.recipe import Recipe
 from polishd.process.metrology.absolute_poses import LEVEL, terms
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap
 from tests.unit.daemon.small import small_map, small_recipe
 
 KNOWN = UnmeasuredTerms(0.1, 0.1, 0.1, 0.1, 0.1, 0.1)
@@ -34,7 +34,7 @@ def of(**changes: Any) -> Recipe:
     return small_recipe(**changes)
 
 
-def judged(recipe: Recipe, surface: SurfaceMap) -> Judged:
+def judged(recipe: Recipe, surface: SurfaceMap) -> LineResult:
     (one,) = steps.condition(recipe, surface).judged
     return one
 
@@ -77,14 +77,14 @@ def test_the_bound_has_what_is_unseen_in_squares(surface: SurfaceMap) -> None:
 
 
 def test_by_the_bound_a_line_holds_or_not() -> None:
-    beyond = Judged("RMS", 1.0, 2.0, "nm", 0.3, bound=2.5)
+    beyond = LineResult("RMS", 1.0, 2.0, "nm", 0.3, bound=2.5)
     assert not beyond.holds
     assert not beyond.unsure
     assert beyond.excess == pytest.approx(1.25)
-    assert Judged.of(beyond.facts()) == beyond
+    assert LineResult.of(beyond.facts()) == beyond
     assert beyond.facts()["guard"] == pytest.approx(1.5)
     old = {key: value for key, value in beyond.facts().items() if key not in {"bound", "removed", "guard"}}
-    assert Judged.of(old).holds, "an earlier polishd had none"
+    assert LineResult.of(old).holds, "an earlier polishd had none"
 
 
 def test_the_system_map_is_off_and_recorded(surface: SurfaceMap) -> None:

@@ -13,7 +13,7 @@ from polishd.daemon.job.job import watch
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.estimates import Estimate, Finding, PassIndicators, PassSeries
 from polishd.model.states import Outcome
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.pipeline import steps
 from polishd.pipeline.decisions import Accept, AnotherPass, Decision, Diverge, PassesUsed, Stalled, ToolWorn, decide
 from polishd.pipeline.recipe import Recipe
@@ -39,7 +39,7 @@ def measured(recipe: Recipe) -> MeasureResult:
 
 def at(measured: MeasureResult, rms_nm: float) -> MeasureResult:
     """The same surface at another RMS, and whether that is in tolerance."""
-    judged = (Judged("RMS", rms_nm, TOLERANCE_NM, "nm"),)
+    judged = (LineResult("RMS", rms_nm, TOLERANCE_NM, "nm"),)
     return replace(measured, stats=replace(measured.stats, rms_nm=rms_nm), judged=judged)
 
 

@@ -23,7 +23,7 @@ from polishd.plugins import dwell_solvers
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
-from polishd.process.metrology.statistics import fitted, without
+from polishd.process.metrology.statistics import fit_terms, remove_terms
 from polishd.process.robot import motion
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
@@ -458,7 +458,7 @@ def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
     """A ripple between tracks: the map's own samples show it, the process grid does not."""
     recipe, removal = small_recipe(), removed(program, measured, solved, 1.0)
     flat = polished(measured, removal)
-    grid_nm = float(without(flat.height_nm, flat.metric_mask, "tilt")[flat.metric_mask].std())
+    grid_nm = float(remove_terms(flat.height_nm, flat.metric_mask, "tilt")[flat.metric_mask].std())
     plan = steps.rewrite(recipe, program, solved, "again")
     rippled, smooth = (replace(flat, stats=replace(flat.stats, rms_nm=float(np.hypot(grid_nm, f)))) for f in (1.5, 0.0))
     told = []
@@ -507,7 +507,7 @@ def test_nothing_is_learned_from_what_the_gate_cannot_tell(
     recipe = small_recipe(alignment=alignment)
     time_s = 0.5 + 0.4 * program.end_mm[:, 0] / APERTURE_MM
     wedge = steps.effect_of(recipe, program, measured.grid).effect.removal_nm(time_s)
-    plane = fitted(wedge, measured.metric_mask, "tilt")
+    plane = fit_terms(wedge, measured.metric_mask, "tilt")
     after = polished(measured, true * plane + wedge - plane)
     taught = steps.learn(recipe, program, ExecutedPass(measured, after, time_s, time_s + 0.007), at_rate(0.9))
     assert "scaled" in taught.verdict.undecidable
@@ -531,7 +531,7 @@ def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_take
         "learning by itself would have believed it"
     )
     assert taught.believed.rate == 1.0
-    assert "could not show a wrong one: the rate stays" in taught.notes[0]
+    assert "cannot show a wrong rate" in taught.notes[0]
 
 
 def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
@@ -543,7 +543,7 @@ def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
     taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, EstimatesInUse())
     assert taught.verdict.stop == ""
     assert taught.believed.rate == 1.2
-    assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.notes[-1]
+    assert "limited to 1.200 by limits.max_rate_change" in taught.notes[-1]
 
 
 # registration

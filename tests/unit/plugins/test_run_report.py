@@ -18,7 +18,7 @@ from matplotlib.image import imread
 
 from polishd.api import PolishdError, SurfaceStats
 from polishd.model.events import MapMeasured, PlanWritten, RemovalCheckFailed, RunFolderCompleted
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.plugins import run_report
 from polishd.rendering.document import Picture
 from polishd.reports import run_pictures
@@ -300,7 +300,7 @@ def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) 
 
 def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) -> None:
     def judged(rms_nm: float, pv_nm: float) -> list[dict[str, Any]]:
-        return [Judged("RMS", rms_nm, 2.0, "nm", 0.2).facts(), Judged("3/B", pv_nm, 20.0, "nm").facts()]
+        return [LineResult("RMS", rms_nm, 2.0, "nm", 0.2).facts(), LineResult("3/B", pv_nm, 20.0, "nm").facts()]
 
     rows = [{"rms_nm": 9.0, "judged": judged(9.0, 55.0)}, {"rms_nm": 1.8, "judged": judged(1.8, 22.0)}]
     write_summary(run_dir, rows, tolerance_nm=None)
@@ -312,14 +312,14 @@ def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) 
 
 
 def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
-    line = Judged("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
+    line = LineResult("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
     rows = [{"rms_nm": 0.5, "judged": [line.facts()], "system": "c" * 64}]
     write_summary(run_dir, rows, accept="bound_without_power")
     page = words_of(run_dir)
     bound = "by the 95 % bound of the true RMS, as its mount holds it, power removed"
     assert f"<dt>accepted</dt><dd>{bound}; the instrument&#39;s system map cccccccccccc is off</dd>" in page
     assert "yes (at most 1.25 nm truly, 95 %; guard band 0.75 nm, power removed)" in page
-    write_summary(run_dir, [{"rms_nm": 0.5, "judged": [Judged("RMS", 0.5, 2.0, "nm").facts()]}], accept="figure")
+    write_summary(run_dir, [{"rms_nm": 0.5, "judged": [LineResult("RMS", 0.5, 2.0, "nm").facts()]}], accept="figure")
     assert "<dt>accepted</dt><dd>as measured</dd>" in words_of(run_dir)
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from polishd.cli.run import progress
 from polishd.daemon.runtime.events import safety_of
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.rendering.terminal import (
     Terminal,
     cycle_table,
@@ -74,7 +74,7 @@ def test_the_tolerances_band_has_its_column() -> None:
 
 
 def judged(pv_nm: float) -> list[dict[str, Any]]:
-    lines = [Judged("RMS", pv_nm / 10, 2.0, "nm", 0.3), Judged("PV", pv_nm, 12.0, "nm")]
+    lines = [LineResult("RMS", pv_nm / 10, 2.0, "nm", 0.3), LineResult("PV", pv_nm, 12.0, "nm")]
     return [line.facts() for line in lines]
 
 
@@ -92,7 +92,7 @@ def test_the_drawings_lines_stand_below_the_worst_first() -> None:
 
 
 def test_a_bound_stands_beside_what_it_judges_even_of_a_short_tolerance() -> None:
-    line = Judged("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
+    line = LineResult("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
     summary = {"job": "j", "outcome": "x", "tolerance_nm": 2.0, "cycles": [{**CYCLES[0], "judged": [line.facts()]}]}
     assert isinstance(outcome_tables(summary), Group)
     *_, row, _ = shown(tolerance_table(summary))

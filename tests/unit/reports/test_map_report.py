@@ -19,7 +19,7 @@ from polishd import __version__
 from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.config.tolerance import notation
 from polishd.model.tolerance import ToleranceLine
-from polishd.process.metrology.tolerance import judge
+from polishd.process.metrology.tolerance import judge_lines
 from tests import patience
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.said import Polishd
@@ -199,7 +199,7 @@ def test_the_surface_keeps_the_indication_and_no_tighter_one(polishd: Polishd, t
     height = surface()
     mask = np.isfinite(height)
     lines = [ToleranceLine(figure, limit) for figure, limit in limits.items()]
-    assert all(0.99 < one.excess <= 1 + 1e-4 for one in judge(lines, height, mask, PITCH_MM))
+    assert all(0.99 < one.excess <= 1 + 1e-4 for one in judge_lines(lines, height, mask, PITCH_MM))
     assert said["iso10110_14"].startswith("13/")
     twice = notation(said["iso10110_14"].removeprefix("1"))
     assert all(limit == pytest.approx(2 * limits[figure], rel=0.01) for figure, limit in twice.items())

@@ -1,4 +1,4 @@
-"""Several tools over the same part as one effect: the points of one follow those of the other."""
+"""Several tools over the same part as one effect, and the fastest float32 products for its size."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.removal.effect import Effect, SparseEffect
 from polishd.process.removal.spread_effect import SpreadEffect
 
-# An effect's products to float32, by what is the quickest for its size.
-
 COMPILED_BLOCKS = 10_000
-"""From which on compiled code, loaded in half a second, is the quicker way."""
+"""Blocks from which compiled code, loaded in half a second, is faster."""
 
 
-def quick(effect: SpreadEffect) -> Effect:
-    """The same, right to about 1e-6 of the peak."""
+def to_fast_float32(effect: SpreadEffect) -> Effect:
+    """Return the effect with float32 products, accurate to about 1e-6 of the peak."""
     if effect.n < COMPILED_BLOCKS:
         return effect.single()
     from polishd.process.removal.spread_effect_compiled import compiled_spread
@@ -29,8 +27,8 @@ def quick(effect: SpreadEffect) -> Effect:
 
 
 @dataclass(frozen=True, slots=True)
-class SeveralEffects:
-    """The sum of effects on the same samples (paper eq. 47 with ``R = [R_1, R_2, ...]``); made by `together`."""
+class CombinedEffect:
+    """The sum of effects on the same samples (paper eq. 47 with ``R = [R_1, R_2, ...]``); made by `combine_effects`."""
 
     parts: tuple[Effect, ...]
 
@@ -46,7 +44,7 @@ class SeveralEffects:
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """(n,) s -> (ny, nx) nm."""
-        own = zip(self.parts, split(time_s, [part.n for part in self.parts]), strict=True)
+        own = zip(self.parts, split_by_tool(time_s, [part.n for part in self.parts]), strict=True)
         return np.asarray(sum(part.removal_nm(times) for part, times in own), dtype=np.float64)
 
     def adjoint(self, weight: FloatArray) -> FloatArray:
@@ -54,8 +52,8 @@ class SeveralEffects:
         return np.concatenate([part.adjoint(weight) for part in self.parts])
 
 
-def together(effects: Sequence[Effect]) -> Effect:
-    """One effect of all; a matrix where each has one.
+def combine_effects(effects: Sequence[Effect]) -> Effect:
+    """Combine effects into one; a matrix where each has one.
 
     Raises:
         ComputeError: there is none, or they are not on the same samples.
@@ -71,30 +69,30 @@ def together(effects: Sequence[Effect]) -> Effect:
     matrices = [effect.matrix for effect in effects if isinstance(effect, SparseEffect)]
     if len(matrices) == len(effects):
         return SparseEffect(first.grid, sparse.csr_array(sparse.hstack(matrices, format="csr")))
-    return SeveralEffects(tuple(effects))
+    return CombinedEffect(tuple(effects))
 
 
-def split(values: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
-    """Of (n,) values of all points those of each tool, whose points are so many."""
+def split_by_tool(values: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
+    """Split (n,) values of all points by tool; ``lengths`` are the numbers of points."""
     return np.split(values, np.cumsum(lengths)[:-1])
 
 
-def single(effect: Effect) -> Effect:
-    """The same with products to float32 where those are quicker, else itself."""
-    if isinstance(effect, SeveralEffects):
-        return SeveralEffects(tuple(single(part) for part in effect.parts))
-    return quick(effect) if isinstance(effect, SpreadEffect) else effect
+def to_float32(effect: Effect) -> Effect:
+    """Return the effect with float32 products where those are faster, else the effect itself."""
+    if isinstance(effect, CombinedEffect):
+        return CombinedEffect(tuple(to_float32(part) for part in effect.parts))
+    return to_fast_float32(effect) if isinstance(effect, SpreadEffect) else effect
 
 
-def note(effect: Effect) -> str | None:
-    """What a certificate has to say of an effect that is not quite what it stands for; None of a matrix."""
-    if isinstance(effect, SeveralEffects):
-        return "; ".join(told for part in effect.parts if (told := note(part)) is not None) or None
+def effect_note(effect: Effect) -> str | None:
+    """Return the certificate's note on the error of an effect without a matrix; None of a matrix."""
+    if isinstance(effect, CombinedEffect):
+        return "; ".join(note for part in effect.parts if (note := effect_note(part)) is not None) or None
     return effect.note if isinstance(effect, SpreadEffect) else None
 
 
-def off(effect: Effect) -> float:
-    """By which share of its peak the removal is off at most, at samples, of an effect without a matrix; 0 of one."""
-    if isinstance(effect, SeveralEffects):
-        return max(off(part) for part in effect.parts)
+def effect_error(effect: Effect) -> float:
+    """Return the largest error of the removal over its peak, at samples, without a matrix; 0 of a matrix."""
+    if isinstance(effect, CombinedEffect):
+        return max(effect_error(part) for part in effect.parts)
     return effect.error if isinstance(effect, SpreadEffect) else 0.0
