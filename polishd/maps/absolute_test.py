@@ -35,9 +35,9 @@ from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.rendering.terminal import emit, figure_table
 
 LISTED = 4
-"""Radial order up to which each term has a line of its own for people."""
+"""Radial order up to which the table lists each term."""
 OFF_PX = 2.0
-"""By which the middle of a map's data may lie elsewhere than its pose says before it is noted."""
+"""Distance between the middle of a map's data and its pose above which a note is made."""
 WORSE = 5.0
 """Noise of the terms, of that of samples, from which on it is noted."""
 MOUNT = (
@@ -50,7 +50,7 @@ SENSELESS = "these maps fit angles of either sense: see on a mark that the part 
 
 @dataclass(frozen=True, slots=True)
 class AbsoluteTestOutput:
-    """Part and instrument, told apart."""
+    """Separated maps of part and instrument."""
 
     found: AbsoluteSolution
     instrument: SurfaceMap
@@ -115,9 +115,7 @@ def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapS
 def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
     """Of each file, from the options or from the list; where there are no files, as many as there are angles."""
     if (asked.angles is None) == (asked.at is None) or (asked.at is not None and asked.shifts is not None):
-        raise typer.BadParameter(
-            "how the part lies is said by --angles, with --shifts where it was shifted, or by --at"
-        )
+        raise typer.BadParameter("give the part's poses by --angles (with --shifts where it was shifted), or by --at")
     if asked.at is not None:
         from polishd.config.table_files import read_poses
 
@@ -155,7 +153,7 @@ def _require_one_instrument(surfaces: Sequence[SurfaceMap]) -> None:
     for one in surfaces:
         if one.instrument and first.instrument and not same_system(one.instrument, first.instrument):
             raise MapError(f"{one.path} is of the instrument {one.instrument!r}, {first.path} of {first.instrument!r}: "
-                         "each has an error of its own; name maps of one")  # fmt: skip
+                         "their errors differ; give maps of one instrument")  # fmt: skip
 
 
 def _answer(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> dict[str, Any]:
@@ -234,7 +232,7 @@ def _made(
     inputs = [("map", one) for one in surfaces]
     instrument = replace(whole, part_id="").with_height(found.instrument_nm)
     part = whole.with_height(found.part_nm)
-    own = {"result": "instrument", "without": unknown, "told": AbsoluteTestResult.of(found).facts()}
+    own = {"result": "instrument", "without": unknown, "terms": AbsoluteTestResult.of(found).facts()}
     return (
         history_step(instrument, "absolute", inputs, source, found.uncertainty_nm, **said, **own),
         history_step(part, "absolute", inputs, source, **said, result="part", holds_of_the_instrument=unknown),
@@ -246,8 +244,8 @@ def _table(answer: Mapping[str, Any]) -> Table:
     rows = [(one["name"], _nm(one["instrument_nm"]), _sure(one), _nm(one["part_nm"])) for one in low]
     above = [one for one in answer["terms"] if one["n"] > LISTED]
     if above:
-        told = (math.hypot(*(one[key] for one in above)) for key in ("instrument_nm", "sigma_nm", "part_nm"))
-        own, sigma, part = (f"{value:.4f}" for value in told)
+        sums = (math.hypot(*(one[key] for one in above)) for key in ("instrument_nm", "sigma_nm", "part_nm"))
+        own, sigma, part = (f"{value:.4f}" for value in sums)
         rows.append((f"orders {LISTED + 1} to {answer['order']}, RMS", own, sigma, part))
     return figure_table("absolute", ("term, nm RMS", "instrument", "sigma", "part"), rows)
 
@@ -280,7 +278,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         f"a sample of the instrument's map is known to {answer['sample_uncertainty_nm']:.4f} nm, less what is unknown",
         f"unknown, and left in the part: {unknown}",
         f"and of waves above order {answer['order']} {answer['hidden_share']:.0%} in square, {rest:.3f} nm RMS",
-        *(f"to be told by {what}: {', '.join(names)}" for what, names in wanted.items()),
+        *(f"needs {what}: {', '.join(names)}" for what, names in wanted.items()),
         *(f"note: {printable(note)}" for note in answer["notes"]),
     ]
     stored = [line for what in ("instrument", "part") if "out" in answer[what] for line in stored_lines(answer[what])]

@@ -77,7 +77,7 @@ class Mask:
         return cls(text, _shape(text, kind, rest), inverted, in_px)
 
     def holds(self, surface: SurfaceMap) -> BoolArray:
-        """(ny, nx) samples of a map that lie in it. BadMap where nobody can say."""
+        """(ny, nx) samples of a map inside the mask. BadMap where that is unknown."""
         if isinstance(self.what, SurfaceMap):
             found = _valid_on(surface, self.what)
         elif self.in_px:
@@ -255,11 +255,11 @@ class MapSource:
 
     @property
     def options(self) -> dict[str, Any]:
-        """How maps are read, for a history: values of JSON."""
-        told: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
-        told |= {"profile": self.instrument.name} if self.instrument is not None else {}
-        told |= {"units": [one for one in self.units if one]} if self.units is not None else {}
-        return told | ({"system": self.system.surface.sha256} if self.system is not None else {})
+        """Options for reading maps, as JSON values for a history."""
+        found: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
+        found |= {"profile": self.instrument.name} if self.instrument is not None else {}
+        found |= {"units": [one for one in self.units if one]} if self.units is not None else {}
+        return found | ({"system": self.system.surface.sha256} if self.system is not None else {})
 
     @property
     def read_by(self) -> str:
@@ -382,7 +382,7 @@ def edges_mm(text: str) -> tuple[float, ...]:
 
 
 def require_picture(out: Path | None) -> None:
-    """ConfigError where ``--out`` is not called ``.png``: it could be somebody's map."""
+    """ConfigError where ``--out`` does not end in ``.png``: it could be a map."""
     if out is not None and out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a picture is a PNG file; name it *.png")
 
@@ -472,7 +472,7 @@ def uncertainty_nm(surface: SurfaceMap) -> float | None:
 def known_lines(known_nm: float | None) -> list[str]:
     """The same for people, of what was made of several maps."""
     if known_nm is None:
-        return ["how sure a sample is nobody knows: not each map says it of itself, as means of repeats do"]
+        return ["the uncertainty of a sample is unknown: not every map states its own, as means of repeats do"]
     return [f"a sample is known to {known_nm:.4f} nm (one standard deviation), if the maps' errors are independent"]
 
 

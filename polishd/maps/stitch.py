@@ -78,11 +78,11 @@ def _require_targets(files: Sequence[Path], asked: StitchOptions, source: MapSou
 
 
 def require_listed(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:
-    """ConfigError where a list does not have a line for each map, told by its file's name."""
+    """ConfigError where a list does not have a line for each map, identified by its file's name."""
     names = [path.name for path in files]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ConfigError(f"{', '.join(twice)}: named twice; {at} tells maps by their file names alone")
+        raise ConfigError(f"{', '.join(twice)}: named twice; {at} identifies maps by their file names")
     missing = [name for name in names if name not in listed]
     if missing:
         raise ConfigError(f"{at}: does not say where {', '.join(missing)} lies; add a line {line} for each map")
@@ -93,7 +93,7 @@ def one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
     pitches: list[float] = []
     for one in surfaces:
         if one.pitch_mm is None:
-            raise MapError(f"{one.path}: has no lateral scale, so nobody knows where its samples lie; give the "
+            raise MapError(f"{one.path}: has no lateral scale, so the positions of its samples are unknown; give the "
                          "instrument's --profile")  # fmt: skip
         pitches.append(one.pitch_mm)
         if abs(one.pitch_mm - pitches[0]) > SAME_PITCH * pitches[0]:
@@ -145,7 +145,9 @@ def _power_notes(found: StitchResult, free: Sequence[str]) -> list[str]:
     )
     notes = [shared]
     if "power" in free:
-        notes.append(f"freed power cannot be told from the part's: the result's is that of {found.placed[0].name}")
+        notes.append(
+            f"freed power cannot be separated from the part's: the result has the power of {found.placed[0].name}"
+        )
     return notes
 
 

@@ -1,6 +1,6 @@
-"""Jobs of OPC 40001-3 and results of OPC 40001-101: what a cell has to do and has done, which nobody can change there.
+"""Jobs of OPC 40001-3 and results of OPC 40001-101: the cell's queue and history, read only.
 
-A job is added and begun by people at the cell, with polishd's own orders: methods that would do it are not there.
+People add and start jobs at the cell, with polishd's own orders; the server has no methods for it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.model.states import Outcome
 from polishd.model.tolerance import judged_of
 
-# What a variable is told: a value with its status, or a status alone.
+# Values of variables: a value with its status, or a status alone.
 
 Status = ua.StatusCodes
 
@@ -39,10 +39,10 @@ def nothing(status: int) -> ua.DataValue:
 # asyncua's types ask for its own kinds of numbers and times, and it takes Python's.
 
 
-def stated(value: ua.Variant, status: Any, told: Any) -> ua.DataValue:
-    """With that status, and the time at which it was told."""
+def stated(value: ua.Variant, status: Any, source_time: Any) -> ua.DataValue:
+    """The value with that status and its source time."""
     now: Any = datetime.now(UTC)
-    return ua.DataValue(value, ua.StatusCode(status), told, now)
+    return ua.DataValue(value, ua.StatusCode(status), source_time, now)
 
 
 def node_id(identifier: Any, namespace: Any) -> ua.NodeId:
@@ -53,9 +53,9 @@ def node_id(identifier: Any, namespace: Any) -> ua.NodeId:
 # What a cell has to do and has done, for the plant: read from its journal, beside a daemon that may be running.
 
 MOST_ENDED = 20
-"""Jobs that ended, of which is told: what is older is in ``polishd history``."""
+"""Number of ended jobs that are shown; ``polishd history`` has the older ones."""
 TO_ITS_END = {"accepted", "rejected", *(Outcome)} - {Outcome.STOPPED}
-"""How a job ends that was worked until its part was judged; any other end cut it off."""
+"""Ends of a job whose part was judged; any other end interrupted the job."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ class OpcUaJobs:
     def __init__(self, server: Server, control: Node, responses: Node, results: Node) -> None:
         self._server, self._control, self._responses, self._results = server, control, responses, results
         self._isa95 = 0
-        self._told: tuple[OpcUaJob, ...] | None = None
+        self._shown: tuple[OpcUaJob, ...] | None = None
         self._going: bool | None = None
         self._places: list[tuple[Node, Node, Node]] = []
 
@@ -213,15 +213,15 @@ class OpcUaJobs:
         server.link_method(by_state, found._by_state)
         return found
 
-    async def told(self, orders: Sequence[OpcUaJob] | None, going: bool | None) -> None:
-        """As the journal has them; None: it cannot be read.
+    async def update(self, orders: Sequence[OpcUaJob] | None, going: bool | None) -> None:
+        """Show the jobs of the journal; None: it cannot be read.
 
-        ``going``: whether the one under way goes on; None: nobody knows what became of it since.
+        ``going``: the job under way continues; None: its state is unknown.
         """
         now = None if orders is None else tuple(orders)
-        if (now, going) == (self._told, self._going) and now is not None:
+        if (now, going) == (self._shown, self._going) and now is not None:
             return
-        self._told, self._going = now, going
+        self._shown, self._going = now, going
         current = await self._control.get_child("0:CurrentState")
         number = await current.get_child("0:Id")
         orders_list = await self._control.get_child(ua.QualifiedName("JobOrderList", self._isa95))
@@ -276,7 +276,7 @@ class OpcUaJobs:
             await self._server.write_attribute_value(node.nodeid, value)
 
     def _said(self, order: OpcUaJob) -> str:
-        """Its state: one under way that nobody works on now is interrupted."""
+        """State of the job; a job under way counts as interrupted while no daemon works on it."""
         return "Interrupted" if order.state == "Running" and not self._going else order.state
 
     def _states(self, order: OpcUaJob) -> list[Any]:
@@ -323,9 +323,9 @@ class OpcUaJobs:
 
     def _known(self) -> list[OpcUaJob] | None:
         """Those that have a response."""
-        if self._told is None or self._going is None:
+        if self._shown is None or self._going is None:
             return None
-        return [one for one in self._told if one.number is not None]
+        return [one for one in self._shown if one.number is not None]
 
 
 def _result(order: OpcUaJob) -> Any:

@@ -1,7 +1,6 @@
-"""A cell in an OPC UA server's address space: a machine of OPC 40001-1, and what polishd knows beside that.
+"""A cell in an OPC UA server's address space: a machine of OPC 40001-1, and polishd's own values.
 
-Every value has a status. One that was not told now is Bad and has no value, or Uncertain where it is old: it never
-stands there as if it were live.
+Every value has a status. A missing value is Bad and an old one is Uncertain, so that neither looks live.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ DEFAULTS = re.compile(
     r"<Value>.*?</Value>",
     re.DOTALL,
 )
-"""Empty values of types' structures, which asyncua cannot read; nobody reads a type's value."""
+"""Empty values of types' structures, which asyncua cannot read; a type's value is never used."""
 MACHINES, ITEM_STATE, IDENTIFICATION, OPERATION_MODE = 1001, 1002, 1012, 1008
 """Nodes of Machinery: the folder of machines, and types."""
 OLD_S = 2.0
@@ -98,7 +97,7 @@ TEXT, NUMBER, WHOLE, BOOLEAN = (
     ua.VariantType.String, ua.VariantType.Double, ua.VariantType.Int64, ua.VariantType.Boolean,
 )  # fmt: skip
 EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, WHOLE: 0, BOOLEAN: False}
-"""What a variable is made with; nobody sees it, as it is told to be unknown before anybody can ask."""
+"""Initial values of variables; they are set to unknown before a client can connect."""
 
 
 class OpcUaSnapshot(NamedTuple):
@@ -119,14 +118,14 @@ SHOWN = (
     OpcUaSnapshot("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
     OpcUaSnapshot("Phase", ("phase",), TEXT, "Of the cycle."),
     OpcUaSnapshot("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
-    OpcUaSnapshot("Force_N", ("told", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
-    OpcUaSnapshot("SensedForce_N", ("told", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
-    OpcUaSnapshot("SpindleSpeed_rpm", ("told", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
+    OpcUaSnapshot("Force_N", ("readings", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
+    OpcUaSnapshot("SensedForce_N", ("readings", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
+    OpcUaSnapshot("SpindleSpeed_rpm", ("readings", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
 )
 
 
 class OpcUaMachine:
-    """One cell's node, and how its values are told; made by ``added``."""
+    """One cell's node and the updates of its values; made by ``added``."""
 
     def __init__(
         self,
@@ -183,24 +182,24 @@ class OpcUaMachine:
         await found.silent(None)
         return found
 
-    async def told(self, live: Mapping[str, Any], orders: Sequence[OpcUaJob] | None) -> None:
-        """What the daemon has just answered to ``live``; orders: of the journal, None: it cannot be read."""
+    async def update(self, live: Mapping[str, Any], orders: Sequence[OpcUaJob] | None) -> None:
+        """Show the daemon's answer to ``live``, and the jobs of the journal (None: it cannot be read)."""
         now = datetime.now(UTC)
         await self._said(STATES[live["state"]])
-        await self._jobs.told(orders, live["state"] in GOING)
+        await self._jobs.update(orders, live["state"] in GOING)
         for one, node in self._own.items():
             await self._server.write_attribute_value(node.nodeid, _of(live, one, now))
 
     async def no_daemon(self, orders: Sequence[OpcUaJob] | None) -> None:
-        """None runs: the machine is not available, and that is known; of all else but its journal nothing is."""
+        """Show that no daemon runs: the machine is not available, and only the journal is known."""
         await self._said(NO_DAEMON)
-        await self._jobs.told(orders, going=False)
+        await self._jobs.update(orders, going=False)
         await self._unknown(self._own.values(), Status.BadNoCommunication)
 
     async def silent(self, orders: Sequence[OpcUaJob] | None) -> None:
-        """It was not asked yet, or does not answer: nothing is known, but how earlier jobs ended."""
+        """Show a daemon that does not answer (yet): only the ends of earlier jobs are known."""
         nodes = [part for machine in (self._state, self._mode) for part in await _current(machine)]
-        await self._jobs.told(orders, going=None)
+        await self._jobs.update(orders, going=None)
         await self._unknown([*nodes, *self._own.values()], Status.BadNoCommunication)
 
     async def _said(self, said: MachineStates) -> None:
@@ -260,7 +259,7 @@ async def _identify(node: Node, name: str, section: OpcUaSection, spaces: tuple[
 
 
 def _of(live: Mapping[str, Any], one: OpcUaSnapshot, now: datetime) -> ua.DataValue:
-    """Bad where there is no such value; Uncertain, with the time at which it was told, where it is old."""
+    """Data value of one variable: Bad where it is missing, Uncertain with its source time where it is old."""
     found: Any = live
     age_s = 0.0
     for key in one.path:

@@ -1,4 +1,4 @@
-"""``polishd opcua``: asks the daemon once a second, and tells OPC UA clients, of which none can change anything."""
+"""``polishd opcua``: read the daemon once a second and publish its values to OPC UA clients, read only."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ADDRESS = "127.0.0.1"
 
 
 class OpcUaPolling(UserManager):
-    """Who may what: everybody on this computer may read, nobody may write."""
+    """Access rights: all users may read, none may write."""
 
     def get_user(self, iserver: Any, username: str | None = None, password: str | None = None,
                  certificate: Any = None) -> User:  # fmt: skip
@@ -41,7 +41,7 @@ class OpcUaPolling(UserManager):
 @asynccontextmanager
 async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIterator[str]:
     """Serve inside this block; the address. OSError where the port is taken."""
-    logging.getLogger("asyncua").setLevel(logging.ERROR)  # it warns of its own start
+    logging.getLogger("asyncua").setLevel(logging.ERROR)  # it logs a warning at each start
     server = Server(user_manager=OpcUaPolling())
     await server.init()
     server.set_server_name(f"polishd {name}")
@@ -66,7 +66,7 @@ async def serve(name: str, state_dir: Path, section: OpcUaSection) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     async with serving(name, state_dir, section) as address:
-        print(address, flush=True)  # noqa: T201 - whoever started it waits for this line
+        print(address, flush=True)  # noqa: T201 - the starting process waits for this line
         await stop.wait()
 
 
@@ -80,7 +80,7 @@ async def _ask_on(machine: OpcUaMachine, state_dir: Path) -> None:
         except PolishdError:
             await machine.silent(orders)
         else:
-            await (machine.told(live, orders) if live.get("state") in STATES else machine.silent(orders))
+            await (machine.update(live, orders) if live.get("state") in STATES else machine.silent(orders))
         await asyncio.sleep(LOOK_S)
 
 

@@ -70,9 +70,11 @@ def system_of_profile(
         problem = f"{record.map} says of itself no instrument's own error, read by a profile; {again}"
         raise profile.error("system.map", problem)
     try:
-        return SystemMap(surface, AbsoluteTestResult.load(step.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(step.options["terms"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise profile.error("system.map", f"{record.map} does not say how sure its terms are; {again}") from error
+        raise profile.error(
+            "system.map", f"{record.map} does not state the uncertainty of its terms; {again}"
+        ) from error
 
 
 def why_not_commissioned(config: CellConfig) -> str:

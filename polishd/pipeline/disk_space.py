@@ -87,7 +87,7 @@ def require_room(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -
 
 
 def disk_full_reason(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str:
-    """Which disk a pass of so many blocks would fill, and what to do; empty where there is room, or nobody can say."""
+    """Name the disk that a pass of so many blocks would fill, and advice; empty with enough or unknown room."""
     try:
         found = free_space(state_dir, run_dir, SpaceNeeded.of(blocks, before=before))
     except OSError:

@@ -37,7 +37,7 @@ from polishd.process.removal.multi_tool_effect import split, together
 from polishd.process.removal.transfer_function import correctable
 from polishd.process.robot import motion
 
-# The part's rim where nothing was measured: heights that stand for it, so that the dwell there is somebody's.
+# Extended heights at the unmeasured rim of the part, so that the dwell there is determined.
 
 EXTENDED_WEIGHT = 0.01
 """What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
@@ -46,7 +46,7 @@ LEAST_SAMPLES = 3.0
 
 
 class FilledSurface(NamedTuple):
-    """A surface to solve for: what was measured, and what stands for the part's rim where nothing was."""
+    """A surface to solve for: measured heights, and extended heights at the part's unmeasured rim."""
 
     height_nm: FloatArray
     mask: BoolArray
@@ -54,9 +54,9 @@ class FilledSurface(NamedTuple):
 
 
 def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
-    """The part's samples without data get extended heights at a small weight: else the dwell there is nobody's.
+    """Extend heights with a small weight to the part's samples without data: the dwell there is undetermined otherwise.
 
-    Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
+    Beyond the part no height is needed, and each would cost time.
     """
     mask, pitch = measured.solve_mask, measured.grid.pitch_mm
     gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
@@ -477,7 +477,7 @@ def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSoluti
 
 
 def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> None:
-    """ComputeError unless the dwell is optimal as far as asked, within its bounds, and nobody found a better one."""
+    """ComputeError unless the dwell is optimal within its tolerance and its bounds, and no better dwell is known."""
     wrong = []
     if not certificate.kkt_residual <= recipe.dwell.kkt_tolerance:
         wrong.append(f"KKT residual {certificate.kkt_residual:.2e} is above {recipe.dwell.kkt_tolerance:.2e}")

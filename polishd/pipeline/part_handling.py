@@ -29,7 +29,7 @@ from polishd.process.toolpath.apertures import tool_axes
 TRIED = 257
 """Points from the centre to the rim, among which one that is deep enough is found."""
 FLATTEST = 1e-3
-"""Below it, relative to the part's size, three places lie so nearly on a line that no tilt can be told."""
+"""Relative to the part's size: below it, three positions are so close to a line that the tilt is undetermined."""
 
 
 def rim_places_mm(outline: Outline, edge_mm: float) -> FloatArray:
@@ -57,12 +57,12 @@ def seat_of(asked: TouchOff, early_mm: FloatArray) -> PartSeat:
     A small move of a rigid body, by ``t`` along z and turned by ``w`` about x and y, lifts the surface at ``p`` along
     its normal ``n`` by ``n.(t + w x p) = n_z t + w.(p x n)``: three places give the three.
 
-    Raises ComputeError where they cannot be told apart: the places lie on a line.
+    Raises ComputeError where the positions lie on a line, so that the terms cannot be separated.
     """
     off_mm = early_mm * asked.lean
     matrix = _moves(asked)
     if not separate_seat_terms(asked):
-        raise ComputeError("the three places of the touch-off lie on a line: no tilt can be told; move one of them")
+        raise ComputeError("the three touch-off positions lie on a line, so the tilt is undetermined; move one of them")
     height_mm, about_x, about_y = np.linalg.solve(matrix, off_mm)
     rise = float(np.hypot(about_x, about_y)) * asked.rim_mm
     return PartSeat(
@@ -120,7 +120,7 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
         force_max_n=section.force_max_n,
     )
     if not separate_seat_terms(made):
-        raise config.error(key, "the three places lie on a line: no tilt can be told; move one of them")
+        raise config.error(key, "the three positions lie on a line, so the tilt is undetermined; move one of them")
     return made
 
 
@@ -133,7 +133,7 @@ def between_of(config: CellConfig, instrument: Instrument | None) -> BetweenPass
         if noise_nm is None:
             raise config.error(
                 "between.settle",
-                "nobody knows when two maps agree: write the instrument's repeatability into its profile, "
+                "needs the instrument's repeatability to compare two maps: write into its profile "
                 "[repeatability] rms_nm = ...",
             )
         settle = SettleRule(NOISE * noise_nm, section.settle.maps, section.settle.wait_s)

@@ -131,7 +131,7 @@ def _too_long(recipe: Recipe, what: str, seconds: float) -> str:
     )
 
 
-# Whether a program is this part's: one of another part would polish it all the same, with nobody there.
+# Does a program belong to this part? A program of another part would polish it without supervision.
 
 MOST_UNREACHED = 0.05
 """Of the clear aperture: one whose spots end at 97 % of a round one's radius misses more."""

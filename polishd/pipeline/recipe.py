@@ -64,14 +64,14 @@ class Recipe:
     tolerance: tuple[ToleranceLine, ...] = ()
     """The drawing's lines, where the job has no short form."""
     remembers: bool = False
-    """A job begins with what the last one of its series has taught."""
+    """A job begins with the estimates of the last job of its series."""
     touch_off: TouchOff | None = None
-    """How the part's seat is proved; None: nobody proves it."""
+    """Proof of the part's seat; None: no proof."""
     between: BetweenPasses = NOTHING
     turn: ToolStep | None = None
     """Of the tool that it is for; None where the cell has one tool."""
     system: SystemMap | None = None
-    """The instrument's own error, off each map; None: nobody has told it."""
+    """The instrument's own error, subtracted from each map; None: unknown."""
 
     @property
     def accept(self) -> Accept:

@@ -216,7 +216,7 @@ class EstimatesInUse:
         return self.removal.rate.value
 
     def facts(self) -> dict[str, Any]:
-        """The numbers that everybody asks for, and all that the model believes."""
+        """The common numbers and all estimates of the model."""
         numbers = {"rate": self.rate, "block_overhead_s": self.block_overhead_s, "unexplained": self.unexplained}
         numbers["ripple"] = self.ripple
         return {**numbers, "removal": asdict(self.removal)}
@@ -274,7 +274,7 @@ class LearnResult:
 
     @property
     def doubted(self) -> bool:
-        """Nothing is learned before another map, with no pass between, has told what is the pass's and what is not."""
+        """Estimates stay until a second map, without a pass in between, separates the effect of the pass."""
         return any(one.again for one in self.named)
 
     def files(self) -> dict[str, bytes]:
@@ -301,7 +301,7 @@ class SolveResult:
     answer: RemovalAnswer
     """Its effect stays in the process that solved (`staying.Staying`)."""
     asked_s: FloatArray
-    """(n,) time to write into the program: the dwell less what a block takes by itself."""
+    """(n,) time to write into the program: the dwell less the block overhead."""
     expected_s: FloatArray
     """(n,) time that the machine is expected to deliver."""
     believed: EstimatesInUse
@@ -390,7 +390,7 @@ class PlanResult:
         return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
 
     def start(self) -> Arrays:
-        """A store's file of its own: small beside the plan's."""
+        """A separate file of the store, small compared with the plan's."""
         return {"time_s": self.time_s, **self.state}
 
     def files(self) -> dict[str, bytes]:

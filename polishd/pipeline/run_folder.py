@@ -21,7 +21,7 @@ class RunFolder:
         self.path = path
 
     def create(self) -> None:
-        """Make the folder, with its parents; whoever writes does, for a person may have deleted it meanwhile."""
+        """Make the folder with its parents. Each writer calls this, since a person may have deleted the folder."""
         self.path.mkdir(parents=True, exist_ok=True)
 
     def cycle(self, cycle: int) -> RunFolder:

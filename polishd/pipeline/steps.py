@@ -46,7 +46,7 @@ ROUNDING = 1e-3
 
 
 def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
-    """The map as it lies on the part, less the instrument's own error where that was told; BadMap as `as_profiled`."""
+    """The map in the part's frame, less the instrument's own error where that is known; BadMap as `as_profiled`."""
     lying = as_profiled(surface, instrument)
     return lying if system is None else system.off(lying)
 
@@ -211,7 +211,7 @@ def condition(
 
 
 def expected_removal(recipe: Recipe, before: MeasureResult, residual_nm: FloatArray) -> MeasureResult:
-    """The measurement of a surface that a pass is expected to leave, (ny, nx) on the process grid: nobody's map."""
+    """Measurement of the surface expected after a pass, (ny, nx) on the process grid; it belongs to no map."""
     stats = surface_stats(
         residual_nm,
         before.metric_mask,

@@ -131,7 +131,7 @@ def _asked(problem: DwellProblem, name: str, with_hessian: bool, limit: TimeLimi
     """(n,) dwell within the bounds that the backend found, certain or not; and whether its time was over."""
     program, unit_s = _program(problem, with_hessian)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a backend's advice on matrix formats is nobody's business
+        warnings.simplefilter("ignore")  # advice of a backend on matrix formats
         try:
             solution, late = _in_time(program, name, limit)
         except (qpsolvers.QPError, ValueError) as error:

@@ -37,7 +37,7 @@ from polishd.process.removal.tif import HertzSpot, Spot, hertz_spot, measured_sp
 # The learner ``machine``: what a pass's removal says of rate, its field, wear, spot, compliance and seat.
 
 NOISE_NM = 0.2
-"""Of a change between maps where nobody says; what is left by the fit counts where it is more."""
+"""Noise of a difference of two maps where the profile states none; a larger fit residual replaces it."""
 FINE = 1.25
 """Samples are this much of the spot's step apart, at most, or as fine as they are."""
 COARSE = 0.25
@@ -49,18 +49,18 @@ BELIEVED = "believed"
 def learn_machine(
     request: RemovalRequest, evidence: PassEvidence, spot_of: Callable[[RemovalRequest], tuple[Spot, float]]
 ) -> EstimateUpdate:
-    """Identification (docs/identification.md) of a pass; the rate alone where that does not settle."""
+    """Identify the machine from a pass (docs/identification.md); only the rate where that does not converge."""
     beliefs = request.beliefs
     if not isinstance(beliefs, MachineEstimates):
-        raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
+        raise ComputeError(f"identification needs estimates of type MachineEstimates, not {type(beliefs).__name__}")
     rate_alone = learn_rate(request, evidence)
     try:
         found = _identified(request, evidence, beliefs, *spot_of(request))
     except ComputeError as error:
-        told = f"the machine was not identified: {error}"
+        reason = f"the machine was not identified: {error}"
         kept = replace(beliefs, rate=rate_alone.beliefs.rate)
-        stop = f"{told}; this pass was made to teach, and has not: {LOOK}" if evidence.must_tell else ""
-        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, told), stop=stop)
+        stop = f"{reason}; this pass was made for identification: {LOOK}" if evidence.must_tell else ""
+        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, reason), stop=stop)
     decision = decide(found, misses_mm=evidence.most_miss_mm)
     taken = [one.name for one in decision.corrected if one.name != "rate"]
     contact_h = float(evidence.executed_s.sum()) / 3600
@@ -72,9 +72,9 @@ def learn_machine(
 
 
 def machine_on_the_next_part(beliefs: Estimates, days: float) -> MachineEstimates:
-    """What a job on another part begins with. ComputeError where another polishd kept other parameters."""
+    """Return the initial estimates of a job on another part. ComputeError for estimates of another model."""
     if not isinstance(beliefs, MachineEstimates):
-        raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
+        raise ComputeError(f"identification needs estimates of type MachineEstimates, not {type(beliefs).__name__}")
     return on_the_next_part(beliefs, days)
 
 
@@ -114,7 +114,7 @@ def blocks_along(path: ProgramPath, executed_s: FloatArray, acted_s: FloatArray 
 
 
 def _pixels(at: MapPixels | None, grid: Grid) -> MapPixelData | None:
-    """Left out where they are so fine that their mean is that over the cell: of 0.4 of the pitch it is not yet."""
+    """The map's pixels; None where they are so fine that their mean equals the cell's (at 0.4 of the pitch not yet)."""
     if at is None or at.grid.pitch_mm < COARSE * grid.pitch_mm:
         return None
     return MapPixelData(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))

@@ -51,7 +51,7 @@ UNCHECKED = (
     "the machine's range and feeds",
     "whether the landing points lie beside the part",
 )
-"""What nobody can say of a program without the cell that it is for."""
+"""Checks of a program that need its cell."""
 UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
 
 
@@ -122,7 +122,7 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
 
 
 def dialect_of(config: CellConfig) -> str:
-    """The cell's: a shipped name, or the path of a profile of its own."""
+    """The cell's dialect: a shipped name, or the path of its profile."""
     own = {dialect_named(path).name: str(path) for path in config.dialect_paths}
     return own.get(config.program.format, config.program.format)
 

@@ -62,17 +62,17 @@ class _Pass:
 
 
 def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path | None, out: Path) -> dict[str, Any]:
-    """Map figures, corrected dwell, rewritten program, certificate and pictures in ``out``; the summary.
+    """Write map figures, corrected dwell, rewritten program, certificate and pictures to ``out``; return the summary.
 
-    Of several tools that for each, in a folder of its own. ``program_path``: another program than the cell's.
-    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
+    With several tools, each has a subfolder. ``program_path``: another program than the cell's.
+    ``out`` appears complete or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
     SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
     """
     require_new(out)
     require_writable(out.parent)
     recipes = make_recipes(config, hooks)
     if len(recipes) > 1 and program_path is not None:
-        raise config.error("tools", "each tool has a program of its own: leave the one out that was given")
+        raise config.error("tools", "each tool has its own program: remove the program from the command line")
     paths = [own.program_path if program_path is None else program_path for own in config.turns]
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)

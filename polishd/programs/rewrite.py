@@ -251,7 +251,7 @@ class _Marked:
 
 
 def _marked(text: bytes, mark: bytes) -> bytes:
-    """The text with the mark in a line of its own, behind tape marks and program number."""
+    """The text with the mark in a separate line, after tape marks and program number."""
     if not mark:
         return text
     found = _FIRST_LINES.match(text)

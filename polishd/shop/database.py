@@ -20,7 +20,7 @@ from polishd.util.files import make_folder
 DATABASE_NAME = "shop.sqlite"
 VERSION = 1
 WAIT_S = 30.0
-"""Server and command line take turns; whoever has to wait for longer says so."""
+"""Longest time that server and command line wait for each other."""
 
 SCHEMA = """
 CREATE TABLE part (
@@ -162,7 +162,7 @@ class DatabaseTransaction:
         return self._connection.execute(sql, values).rowcount
 
     def insert(self, how: str, values: Mapping[str, Any]) -> None:
-        """One row; ``how``: ``INSERT INTO table``, or what stands for it."""
+        """Insert one row; ``how``: ``INSERT INTO table``, or a variant of it."""
         marks = ", ".join("?" * len(values))
         self.run(f"{how} ({', '.join(values)}) VALUES ({marks})", *values.values())
 
@@ -184,7 +184,7 @@ EVENT = ("seq", "job", "at", "cycle", "name", "data")
 
 @dataclass(frozen=True, slots=True)
 class CellReport:
-    """What a cell tells at once: of events those with numbers ``first`` to ``last``, and rows as they are now."""
+    """One report of a cell: the events ``first`` to ``last``, and the rows in their present state."""
 
     journal: str
     """Which of the cell's journals: it may have begun another one."""

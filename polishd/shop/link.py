@@ -1,4 +1,4 @@
-"""``polishd shop link``: a cell's side of the shop, a process of its own beside the daemon.
+"""``polishd shop link``: a cell's side of the shop, a separate process beside the daemon.
 
 Its outbox is the cell's journal: what the shop has not taken yet is read from there, by the events' own numbers. What
 it wants of the daemon it asks over the daemon's socket, as the command line does.
@@ -46,14 +46,14 @@ STEP_S = 15.0
 MOST_BYTES = 32 << 20
 SERVER_ERRORS = 500
 WARN_S, AGAIN_S = 21 * 86400.0, 86400.0
-"""So long before the shop's certificate expires that is said, and after so long again."""
+"""Lead time of the warning before the shop's certificate expires, and time until its repetition."""
 NOT_YET_VALID, EXPIRED = 9, 10
 UNKNOWN_ISSUER, OTHER_NAME = (18, 19, 20, 21), (62, 64)
 """OpenSSL's numbers of why a certificate is not believed (X509_V_ERR_...)."""
 
 
 class ShopClient:
-    """One request after the other; each on a connection of its own. No proxy, no redirection."""
+    """Send one request after the other, each on a new connection. No proxy, no redirection."""
 
     def __init__(self, section: ShopLinkSection, base_dir: Path) -> None:
         """ConfigError where there is no token, or whom to trust cannot be read."""
@@ -167,14 +167,11 @@ class ShopClient:
             ),
             **dict.fromkeys(OTHER_NAME, "It is another host's. Write in shop.url the name that is in the certificate"),
         }.get(error.verify_code, "Look at cert in [web] of SHOP.toml, and at shop.ca_file")
-        return (
-            f"certificate verify failed: {error.verify_message}. {todo}. The link tries again by itself; nothing was "
-            "sent"
-        )
+        return f"certificate verify failed: {error.verify_message}. {todo}. The link tries again; nothing was sent"
 
     def _refusal(self, said: str) -> str:
         kind, _, name = self._section.token.partition(":")
-        where = f"write it into {self._base_dir / Path(name).expanduser()}; the link takes it up by itself"
+        where = f"write it into {self._base_dir / Path(name).expanduser()}; the link reads it without a restart"
         if kind == "env":
             where = f"put it into {name}, and start the link again"
         return (
@@ -209,10 +206,10 @@ _MAPS = "SELECT job, cycle, taken, stats FROM map WHERE job = ? ORDER BY id"
 def read_report(
     state_dir: Path, upto: int, now: dict[str, Any], also: Sequence[str], asking: str
 ) -> tuple[CellReport, bool] | None:
-    """What comes after that event, and whether that is not all; None where the journal is still empty.
+    """Report the events after ``upto``, and whether more follow; None where the journal is still empty.
 
-    ``also``: claims of which the shop wants to know though they may have ended; ``asking``: the request of which nobody
-    knows yet whether it is a claim. ConfigError where the journal cannot be read.
+    ``also``: claims of interest to the shop that may have ended. ``asking``: the request that may or may not be a claim
+    yet. ConfigError where the journal cannot be read.
     """
     with read_only(state_dir) as journal:
         first = journal.execute("SELECT id, job, at, cycle, name, data FROM event ORDER BY id LIMIT 1").fetchone()
@@ -243,7 +240,7 @@ def read_report(
 
 
 def facts(report: CellReport) -> dict[str, Any]:
-    """As it is sent."""
+    """The report as it is sent."""
     return asdict(report)
 
 
@@ -254,7 +251,7 @@ def has_claim(state_dir: Path, claim: str) -> bool:
 
 
 def wanted_rates(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Those of which this cell has no lesson of its own, and none that was offered lately."""
+    """Offers for which this cell has neither its own rate nor a recent offer."""
     with read_only(state_dir) as journal:
         return [offer for offer in offers if not _known(journal, offer)]
 
@@ -351,9 +348,9 @@ class ShopLink:
                     away = str(error)
 
     def turn(self) -> bool:
-        """Report, heed what the shop says, and ask it for a part where one is wanted; whether more is to be told.
+        """Report, apply the shop's answer, and request a part where one is needed; True where more must be reported.
 
-        LinkError where the shop is away, ConfigError where it refuses: nothing is lost by either.
+        LinkError where the shop is away, ConfigError where it refuses; neither loses anything.
         """
         status = self._status()
         if not (self._config.state_dir / JOURNAL_NAME).exists():
@@ -369,9 +366,9 @@ class ShopLink:
         return more or behind or self._wants(status)
 
     def _until_new_token(self, stop: threading.Event) -> float:
-        """Ask nothing until there is another token, or ``REFUSED_S`` are over; the pause before the next turn.
+        """Wait for another token, ``REFUSED_S`` at most; return the pause before the next turn.
 
-        The shop counts wrong tokens: with each one that a link brings, its address has fewer left.
+        The shop counts the wrong tokens of each address and locks it out.
         """
         end_s = time.monotonic() + REFUSED_S
         while not self._wire.has_new_token() and time.monotonic() < end_s:
@@ -379,7 +376,7 @@ class ShopLink:
                 break
         return 0.0
 
-    # what the shop says
+    # answers of the shop
 
     def _heed(self, answer: Mapping[str, Any], status: Mapping[str, Any]) -> None:
         word = {key: list(answer[key]) for key in ("stands", "back", "lost")}
@@ -389,7 +386,7 @@ class ShopLink:
             self._offer([one for one in answer["offers"] if tuple(one.values()) not in self._seen])
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
-        """What others have learned is told to the daemon where it is of use; each is looked at once."""
+        """Send the rates of other cells to the daemon where it needs them; consider each offer once."""
         if offers and (wanted := wanted_rates(self._config.state_dir, offers)):
             self._daemon("shop_offer", {"offers": wanted})
         self._seen |= {tuple(one.values()) for one in offers}
@@ -397,7 +394,7 @@ class ShopLink:
     # parts
 
     def _wants(self, status: Mapping[str, Any]) -> bool:
-        """Ask for a part where fewer wait than should; whether one came, of which the shop is to be told at once."""
+        """Request a part where too few wait; True where one came, which must be reported at once."""
         waiting = status.get("waiting")
         if waiting is None or waiting >= self._section.ahead or status.get("state") in NOT_NOW:
             return False
@@ -423,7 +420,7 @@ class ShopLink:
         return True
 
     def _add(self, request: str, path: Path, content: str) -> None:
-        """Into the cell's own queue, and journal. LinkError where nobody knows whether it is there."""
+        """Add the part to the cell's queue and journal. LinkError where the result is unknown."""
         job = {"path": str(path), "content": content}
         answer = self._daemon("job_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
         if not answer.get("ok"):
@@ -431,7 +428,7 @@ class ShopLink:
             raise (ConfigError if known else LinkError)(str(answer.get("error")))
 
     def _written(self, request: str, part: Mapping[str, Any]) -> Path:
-        """The job's file, with those that it names, in a folder of its own."""
+        """Write the job's file, and the files that it names, into a new folder."""
         folder = make_folder_of(self._folder / "jobs" / request)
         for name, digest in part["files"].items():
             write_atomic(folder / Path(name).name, self._wire.fetch("/api/cell/file", {"sha256": digest}))
@@ -439,7 +436,7 @@ class ShopLink:
         write_atomic(path, str(part["content"]).encode())
         return path.absolute()
 
-    # what was asked, and not answered yet: durable before it is asked
+    # the open request: durable before it is sent
 
     def _asking(self) -> str:
         with suppress(FileNotFoundError):
@@ -460,7 +457,7 @@ class ShopLink:
             return self._daemon("status")
         except NoDaemon:
             return {}
-        except LinkError as error:  # what the journal says can be told all the same
+        except LinkError as error:  # the journal can still be reported
             return {"state": "does not answer", "reason": str(error)}
 
     def _daemon(self, verb: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -468,13 +465,13 @@ class ShopLink:
 
 
 def make_folder_of(path: Path) -> Path:
-    """The same, made."""
+    """Make the folder and return its path."""
     make_folder(path, mode=0o700)
     return path
 
 
 def _now(status: Mapping[str, Any]) -> dict[str, Any]:
-    """What people want to know of a cell."""
+    """State of a cell for people."""
     if not status:
         return {"state": "no daemon"}
     return {key: status.get(key) for key in ("state", "reason", "job", "part", "waiting", "next_job", "cycle")}

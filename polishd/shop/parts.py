@@ -1,7 +1,7 @@
 """The shop's queue: parts, and which cell has which. Each function is one step of a transaction.
 
-A claim never ends by itself: the cell ends it (the part is done, was put aside, or is given back), or a person does,
-who says that the cell is gone.
+A claim does not expire: the cell ends it (the part is done, put aside, or given back), or a person does, when the cell
+is gone.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class NewPart:
 
 @dataclass(slots=True)
 class AssignmentAnswer:
-    """What a cell is told of its claims."""
+    """Answer to a cell about its claims."""
 
     stands: list[str] = field(default_factory=list)
     back: list[str] = field(default_factory=list)
@@ -57,9 +57,7 @@ def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Se
     """
     for part, digest in zip(parts, digests, strict=True):
         if (known := sql.row("SELECT state FROM part WHERE job = ?", part.job)) is not None:
-            raise ConfigError(
-                f"job.id: {part.job!r} is {known['state']} in this shop already; give it a name of its own"
-            )
+            raise ConfigError(f"job.id: {part.job!r} is {known['state']} in this shop already; choose another name")
         open_ = "SELECT job, state FROM part WHERE part_id = ? AND state NOT IN ('done', 'removed')"
         if (other := sql.row(open_, part.part_id)) is not None:
             raise ConfigError(
@@ -82,7 +80,7 @@ def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
     if found is not None and found["cell"] != cell:
         raise ConfigError("that request is another cell's")
     if found is not None and found["ended"] is None and found["back"] and found["state"] == "given":
-        _free(sql, request, "given back", cell)  # whoever asks again has not taken it
+        _free(sql, request, "given back", cell)  # a cell that asks again has not taken it
         found = {**found, "ended": time.time()}
     if found is not None:
         return {"part": None, "over": True} if found["ended"] else _given(sql, request, found["part"])
@@ -145,7 +143,7 @@ def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool
     if gone:
         sql.word(by, "cell is gone", job, cell, why)
         _free(sql, found["request"], "gone", by, why)
-        return f"{job} waits again; {cell} may not begin it any more, and is told so when it comes back"
+        return f"{job} waits again; {cell} must not begin it any more and gets this answer when it reconnects"
     if part["state"] == "begun":
         todo = "put it aside there (polishd hold, polishd job remove), or say that the cell is gone: --cell-is-gone"
         raise ConfigError(f"{job!r}: {cell} has begun it; {todo}")
@@ -187,7 +185,7 @@ def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str
 
 
 def _came_back(sql: DatabaseTransaction, cell: str, request: str, state: str) -> None:
-    """A claim that is over is still in its queue: it is said once, for whoever looks after it."""
+    """Report once that an ended claim is still in the cell's queue."""
     sql_job = (
         "SELECT part.job FROM claim JOIN part ON part.id = claim.part WHERE request = ? AND cell = ? AND how = 'gone'"
     )

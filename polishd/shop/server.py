@@ -8,6 +8,7 @@ import binascii
 import json
 import time
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import asdict
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from polishd.web.http.users import Role, SessionStore, UserFile, address_of, for
 # What a shop knows, for people and programs.
 
 UNHEARD_S = 60.0
-"""A cell that has said nothing for so long is told to be away."""
+"""Time without a report after which a cell counts as away."""
 
 
 def status_view(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
@@ -152,9 +153,9 @@ def application(shop: ShopFile, database: Database, certificate: Certificate | N
 
 
 def serve(shop: ShopFile) -> None:
-    """Until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer and nobody has a token."""
+    """Serve until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without any token."""
     if not shop.web.loopback and not (people_of(shop) or cells_of(shop)):
-        raise shop.error("web.address", "is beyond this computer, and nobody has a token; make one: polishd shop serve "
+        raise shop.error("web.address", "is beyond this computer, and there is no token; make one: polishd shop serve "
                          "SHOP.toml --add-cell NAME")  # fmt: skip
     certificate = Certificate.of(shop, shop.web)
     with Database.open(shop.state_dir) as database:
@@ -199,8 +200,7 @@ def _report(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
         word = shop_parts.report(sql, cell, report.journal, report.claims)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise ConfigError(f"that is no report of a cell: {type(error).__name__}; are both of one polishd?") from error
-    told = {"stands": word.stands, "back": word.back, "lost": word.lost}
-    return {"upto": upto, **told, "offers": feed.offers(sql, cell)}
+    return {"upto": upto, **asdict(word), "offers": feed.offers(sql, cell)}
 
 
 def _refuse(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:

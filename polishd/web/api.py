@@ -23,10 +23,10 @@ from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of
 from polishd.web.run_data import RunData
 from polishd.web.watcher import Watcher
 
-# Orders on their way to the daemon: each in a thread of its own, so that none waits for anything else that hangs.
+# Orders on their way to the daemon, each in a separate thread, so that none waits for another that hangs.
 
 TOLD_S = 5.0
-"""After so long whoever ordered is told that it is not obeyed yet; the order stands."""
+"""Time after which the answer is that the order is not obeyed yet; the order remains valid."""
 
 
 class CommandForwarder:
@@ -39,8 +39,8 @@ class CommandForwarder:
     async def give(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> dict[str, Any] | None:
         """The daemon's answer; None: it has not obeyed yet. PolishdError where there is no daemon.
 
-        ``joined``: where the same order of the same person is under way already, its answer: who presses twice needs no
-        second thread. Another person's is one of its own, with its own ``by`` in the journal.
+        ``joined``: return the answer of an identical order of the same person that is under way: a second press needs
+        no second thread. An order of another person is separate, with its own ``by`` in the journal.
         """
         under_way = self._under_way.get(_key(verb, args)) if joined else None
         if under_way is None:
@@ -54,7 +54,9 @@ class CommandForwarder:
     def _sent(self, verb: str, args: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
         loop, key = asyncio.get_running_loop(), _key(verb, args)
         answered: asyncio.Future[dict[str, Any]] = loop.create_future()
-        answered.add_done_callback(lambda one: one.cancelled() or one.exception())  # heard, should nobody wait any more
+        answered.add_done_callback(
+            lambda one: one.cancelled() or one.exception()
+        )  # retrieved, also when no request waits any more
 
         def settle(answer: dict[str, Any] | None, error: PolishdError | None) -> None:
             if self._under_way.get(key) is answered:
@@ -187,7 +189,7 @@ class Api:
         return {"events": await asyncio.to_thread(self._disk.events, None if before is None else int(before))}
 
     async def alarms(self, _request: Request, _session: HttpSession) -> Any:
-        """That nobody has acknowledged."""
+        """Alarms that are not acknowledged."""
         return {"alarms": await asyncio.to_thread(self._disk.alarms)}
 
     async def config(self, _request: Request, _session: HttpSession) -> Any:

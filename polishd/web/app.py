@@ -53,12 +53,10 @@ _REASON = (("reason?", "string"),)
 ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("GET", "/api/session", WATCH, "who is signed in, and the csrf token of the page", Api.who),
     ApiRoute("DELETE", "/api/session", WATCH, "sign out", Api.sign_out),
-    ApiRoute(
-        "GET", "/api/state", WATCH, "what the cell does, what its devices told last, and how old that is", Api.state
-    ),
+    ApiRoute("GET", "/api/state", WATCH, "state of the cell, last readings of its devices, and their ages", Api.state),
     ApiRoute("GET", "/api/health", WATCH, "link ages, disk, memory and loop", Api.health),
     ApiRoute("GET", "/api/events", WATCH, "what happens, as a stream (SSE): `state`, `happened`", Api.events),
-    ApiRoute("GET", "/api/alarms", WATCH, "alarms that nobody has acknowledged, the first one first", Api.alarms),
+    ApiRoute("GET", "/api/alarms", WATCH, "alarms that are not acknowledged, the oldest first", Api.alarms),
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
     ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
@@ -107,7 +105,7 @@ ROUTES: tuple[ApiRoute, ...] = (
         (("job", "string"), ("reason?", "string")),
     ),
 )
-"""Beside them: ``POST /api/session`` signs in; ``GET /api/openapi.json`` and the page's files are for everybody."""
+"""Beside them: ``POST /api/session`` signs in; ``GET /api/openapi.json`` and the page's files are public."""
 
 
 # The OpenAPI document, from the table of routes.
@@ -117,7 +115,7 @@ NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
 TYPES = {"string": {"type": "string"}, "array": {"type": "array", "items": NUMBER}}
 REFUSALS = {
     "400": "the request is wrong, and says how",
-    "401": "nobody is signed in",
+    "401": "not signed in",
     "403": "the role does not suffice, or the request is forged",
     "404": "there is none",
     "405": "that cannot be done there",

@@ -1,4 +1,4 @@
-"""What a cell has on disk, read beside its daemon: jobs, maps, plans, alarms. Nothing waits for whoever writes it."""
+"""A cell's data on disk, read beside its daemon: jobs, maps, plans, alarms. A read never waits for a writer."""
 
 from __future__ import annotations
 
@@ -114,9 +114,9 @@ class RunData:
         return read_events(self._state_dir, MOST_ROWS, before)[::-1]
 
     def alarms(self) -> list[dict[str, Any]]:
-        """Those that nobody has acknowledged, the first one first: it is often why the others came.
+        """Unacknowledged alarms of any age, the oldest first: it is often the cause of the others.
 
-        However long ago it was; at most ``MOST_ROWS`` of them, and the others once these were seen.
+        At most ``MOST_ROWS``; the others follow once these are acknowledged.
         """
         found: list[dict[str, Any]] = []
         before, full = None, True

@@ -1,6 +1,6 @@
-"""One watcher of the daemon for all who watch: it asks twice a second, hears events, and tells everybody.
+"""One watcher of the daemon for all pages: it polls twice a second, receives events, and publishes both.
 
-So a hundred pages cost the daemon as much as one. It lives in threads of its own, which nothing else can fill.
+A hundred pages cost the daemon as much as one. The watcher has separate threads, which no other work can fill.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Watcher:
                 log.debug("no events: %s", error)
             except Exception:  # whatever the daemon sent: this thread goes on
                 log.exception("listening to the daemon failed; the watcher listens again")
-            self._look.set()  # it has ended: that is told at once
+            self._look.set()  # report the end at once
             self._ended.wait(LOOK_S)
 
     def _told(self, daemon: str, answer: dict[str, Any] | None) -> None:

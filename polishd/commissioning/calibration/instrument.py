@@ -136,7 +136,7 @@ def _with_power(instrument: SurfaceMap, told: AbsoluteTestResult, power_nm: floa
     facts = told.with_reference(POWER, sigma_nm).facts()
     left = [name for name in step.options["without"] if name != name_of(*POWER)]
     reference = f"power {power_nm:g} nm, known to {sigma_nm:g} nm"
-    options = {**step.options, "told": facts, "without": left, "reference": reference}
+    options = {**step.options, "terms": facts, "without": left, "reference": reference}
     return replace(instrument, height_nm=height, history=replace(step, options=options))
 
 

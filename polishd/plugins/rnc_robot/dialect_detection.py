@@ -98,7 +98,7 @@ def detect(head: bytes, name: str) -> Detected:
             f"{name}:{line}: {', '.join(O_DIALECTS)} fit a program with an O number, and read the time of this dwell "
             f"in different units. To do: which controller is it for? Say {flags}."
         )
-    return Detected(DEFAULT, "G-code without a mark of its own: assumed")
+    return Detected(DEFAULT, "G-code without the mark of a dialect: assumed")
 
 
 def language(head: bytes, name: str) -> tuple[Language, int] | None:

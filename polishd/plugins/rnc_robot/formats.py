@@ -45,7 +45,7 @@ def path_program(
     """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
 
     Args:
-        points_mm: (n, 3) tool tip, mm, program frame; the first is where the tool lands, without a time of its own.
+        points_mm: (n, 3) tool tip, mm, program frame; the first is the landing point and has no time.
         axis: (n, 3) unit tool axis at each point, from the tip into the spindle.
         feed_mm_min: Feed of the block that ends at each point but the first: one value, or (n - 1,).
         name: Goes into the header's comment.

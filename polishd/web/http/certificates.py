@@ -21,11 +21,11 @@ from polishd.util.secret_files import require_private
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
-"""Between two looks at the files."""
+"""Interval between two checks of the files."""
 WARN_S = 21 * 86400.0
-"""So long before it expires that is said."""
+"""Lead time of the warning before the certificate expires."""
 EXPIRY_AGAIN_S = 86400.0
-"""After so long it is said again."""
+"""Time until the warning is repeated."""
 
 
 class Certificate:
@@ -147,14 +147,14 @@ class Certificate:
 
 
 class Watch:
-    """Looks at a certificate in a thread of its own, until it is ended: a disk that hangs holds up nothing else."""
+    """Check a certificate in a separate thread, so that a disk that hangs blocks nothing else."""
 
     def __init__(self, certificate: Certificate) -> None:
         self._certificate, self._ended = certificate, threading.Event()
         threading.Thread(target=self._look_on, name="certificate", daemon=True).start()
 
     def end(self) -> None:
-        """Idempotent; the thread ends by itself."""
+        """End the thread, without waiting for it. Idempotent."""
         self._ended.set()
 
     def _look_on(self) -> None:

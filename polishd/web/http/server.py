@@ -179,8 +179,8 @@ def host_name(value: str) -> str:
 
 
 async def _body(headers: Headers, receive: Receive, most_bytes: int) -> bytes:
-    told = headers.get("content-length", "0")
-    if not told.isdecimal() or int(told) > most_bytes:
+    length = headers.get("content-length", "0")
+    if not length.isdecimal() or int(length) > most_bytes:
         raise ValueError(f"the body is more than {most_bytes} bytes")
     body, more = b"", True
     async with asyncio.timeout(BODY_S):
@@ -209,7 +209,7 @@ def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> Non
         app,
         host=web.address,
         port=web.port,
-        access_log=False,  # of whoever watches; who ordered what is in a journal
+        access_log=False,  # orders are in a journal
         log_config=None,  # so that what it logs reaches the terminal as all else does
         log_level="warning",
         server_header=False,
@@ -240,7 +240,7 @@ class _Server(uvicorn.Server):
             for socket in server.sockets:
                 host, port = socket.getsockname()[:2]
                 name = f"[{host}]" if ":" in host else host
-                print(f"{scheme}://{name}:{port}/", flush=True)  # noqa: T201 - whoever started it waits for this line
+                print(f"{scheme}://{name}:{port}/", flush=True)  # noqa: T201 - the starting process waits for this line
 
 
 async def answered(work: Awaitable[Any]) -> Response:
@@ -264,13 +264,13 @@ async def _no_such(_request: Request, error: Exception) -> Response:
 
 
 async def _fault(request: Request, error: Exception) -> Response:
-    """It is in the log; nobody outside is told what the source looks like."""
+    """Log the fault; the answer reveals nothing about the source."""
     log.error("%s %s failed: %s", request.method, request.url.path, type(error).__name__)
     return refusal(500, "a fault of polishd; its log says more")
 
 
 HANDLERS: Mapping[Any, Any] = {HTTPException: _no_such, Exception: _fault}
-"""Of a Starlette application: how it answers what nobody foresaw."""
+"""Exception handlers of a Starlette application."""
 
 
 # How much one may ask, and how often be wrong.

@@ -1,4 +1,4 @@
-"""Who may watch and order: names, roles, and hashes of tokens. A token is told once, when it is made."""
+"""Users who may watch and give orders: names, roles, and hashes of tokens. A token is shown once, when it is made."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class User:
-    """Somebody who has a token."""
+    """A user with a token."""
 
     name: str
     role: Role
@@ -118,7 +118,7 @@ def named_by(token: str) -> str:
 
 
 def _digest(token: str) -> str:
-    """Of 256 random bits no slow hash is needed: nobody guesses them. Text that is no Unicode has a hash, too."""
+    """Hash of a token. 256 random bits cannot be guessed, so a fast hash is safe. Invalid Unicode has a hash, too."""
     return hashlib.sha256(token.encode(errors="surrogatepass")).hexdigest()
 
 
@@ -205,7 +205,7 @@ def forged(request: Request, session: HttpSession) -> str:
     if session.csrf and not hmac.compare_digest(
         request.headers.get("x-csrf-token", "").encode(), session.csrf.encode()
     ):
-        return "x-csrf-token is missing or wrong; GET /api/session tells it"
+        return "x-csrf-token is missing or wrong; get it from GET /api/session"
     return ""
 
 

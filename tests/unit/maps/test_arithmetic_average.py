@@ -65,7 +65,7 @@ def test_repeats_of_unknown_pitch_are_averaged_only_when_asked(
     bare = [dat(tmp_path / f"bare{number}.dat", surface(seed=number), pitch_mm=0.0) for number in range(3)]
     said = polishd("map", "average", *bare)
     assert said.code == 8
-    assert "bare0.dat, bare1.dat, bare2.dat: without a lateral scale nobody knows" in said.err
+    assert "bare0.dat, bare1.dat, bare2.dat: without a lateral scale" in said.err
     assert polishd("map", "average", *bare, "--mixed", "--json").answer["used"] == [path.name for path in bare]
     profile = tmp_path / "p.toml"
     profile.write_text(f'name = "x"\n[lateral]\npitch_mm = {PITCH_MM}\n')

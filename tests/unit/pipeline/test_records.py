@@ -129,7 +129,7 @@ UNWORN = Estimate(0.0, unit="1/h")
 
 @dataclass(frozen=True, slots=True)
 class Worn(Estimates):
-    """A model of somebody else, which believes in wear, too."""
+    """A third-party model, which also estimates wear."""
 
     wear: Estimate = UNWORN
 

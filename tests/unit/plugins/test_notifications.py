@@ -1,4 +1,4 @@
-"""E-mail, webhook and command against real servers and processes: what arrives, what is refused, what is never told."""
+"""E-mail, webhook and command with real servers and processes: arrivals, refusals, and secrets that stay secret."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_starttls_with_a_server_of_the_house(folder: Path, certificate: tuple[Pa
         assert (len(server.taken), server.logins) == (1, [f"\0cell\0{SECRET}"])
         with pytest.raises(LinkError, match="certificate verify failed"):
             mail_to(folder, server.port, **keys)(ALARM)
-        assert len(server.logins) == 1, "nobody logs in to whom they do not know"
+        assert len(server.logins) == 1, "no login to an unknown server"
 
 
 def test_a_server_without_starttls_is_not_told_the_password(folder: Path) -> None:
@@ -222,15 +222,15 @@ def script(folder: Path, text: str) -> list[str]:
 
 def test_a_command_reads_the_notification(folder: Path) -> None:
     argv = script(folder, "import sys; open(sys.argv[1], 'w').write(sys.stdin.read())")
-    notifier("command", folder, argv=[*argv, "told.json"])(ALARM)
-    assert json.loads((folder / "told.json").read_text()) == json.loads(json.dumps(ALARM.facts()))
+    notifier("command", folder, argv=[*argv, "given.json"])(ALARM)
+    assert json.loads((folder / "given.json").read_text()) == json.loads(json.dumps(ALARM.facts()))
 
 
 def test_a_command_beside_the_cells_file(folder: Path) -> None:
-    (folder / "tell").write_text("#!/bin/sh\ncat > told\n")
+    (folder / "tell").write_text("#!/bin/sh\ncat > given\n")
     (folder / "tell").chmod(0o700)
     notifier("command", folder, argv=["./tell"])(ALARM)
-    assert (folder / "told").stat().st_size > 0
+    assert (folder / "given").stat().st_size > 0
 
 
 def test_a_command_that_fails_tells_its_last_words(folder: Path) -> None:
@@ -241,7 +241,7 @@ def test_a_command_that_fails_tells_its_last_words(folder: Path) -> None:
 
 
 def test_a_command_that_hangs_is_killed_with_what_it_started(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which holds its output open, too: nobody waits for that. Time is up once it is there."""
+    """A child that holds its output open does not extend the wait. The time is over once the child exists."""
     wait = subprocess.Popen.wait
 
     def up(process: Any, timeout: float | None = None) -> int:

@@ -239,4 +239,4 @@ def test_a_file_that_is_read_is_known_under_every_name(tmp_path: Path) -> None:
     not_over(other, one)
     not_over(tmp_path / "new", one)
     not_over(one, tmp_path / "none")
-    not_over(tmp_path / ("x" * 300), one)  # whoever opens it says why not
+    not_over(tmp_path / ("x" * 300), one)  # opening the file reports the error

@@ -30,7 +30,7 @@ from polishd.plugins.interferometer.formats.points import ORIENTATION, gridded
 FORMAT = Format("x3p", 1)
 MOST_XML_BYTES = 2**26
 NO_DATE, NOT_KNOWN = datetime.fromtimestamp(0, UTC), "not known"
-"""What stands for them where the format needs something: others stumble over an empty field."""
+"""Placeholders for required fields: other readers fail on an empty field."""
 ROTATED = "its layer is rotated, which is not undone here: how the rows lie is left open"
 TURNED = "rows turned upside down: the standard's y grows with the row"
 

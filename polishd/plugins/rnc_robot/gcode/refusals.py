@@ -19,7 +19,7 @@ _CHARACTERS = {
     ")": ("a ) without its (", "mend the comment"),
     "/": ("block delete inside a block", "delete the block or its /"),
     "*": ("checksums are not read", "have it posted again without checksums"),
-    "%": ("% stands alone on its line or not at all", "put it on a line of its own"),
+    "%": ("% is not alone on its line", "put it on a separate line"),
     ":": ("labels (:) and sub-programs are not read", _WITHOUT),
     ",": ("a comma (,) is no decimal point", "write a point"),
 }
@@ -106,7 +106,7 @@ def _why_no_time(dialect: GcodeDialect, letter: str) -> tuple[str, str]:
     unit = dialect.dwell.words.get(letter)
     usable = unit is not None and (unit.whole, unit.decimal) != ("refuse", "refuse")
     if letter in dialect.dwell.refused and not usable:
-        return f"G4 with {letter}: {dialect.dwell.refused[letter]}", f"{advice}, in a block of its own"
+        return f"G4 with {letter}: {dialect.dwell.refused[letter]}", f"{advice}, in a separate block"
     if unit is not None and unit.whole == "refuse" and unit.decimal != "refuse":
         return f"{letter} without a decimal point: seconds or milliseconds, by machine parameter", "write a point"
     if unit is not None and unit.decimal == "refuse" and unit.whole != "refuse":

@@ -352,7 +352,7 @@ class PointReader:
             return np.asarray(np.sqrt(squares))
         for axis in range(3):
             lost = np.isnan(before[:, axis]) & ~np.isnan(after[:, axis])
-            reason = f"a feed move from nobody knows what {'XYZ'[axis]}"
+            reason = f"a feed move from an unknown {'XYZ'[axis]}"
             piece.refuse_first(self.name, moves, lost, reason, "go to its start with G0 first")
         return np.asarray(np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1))
 
@@ -368,5 +368,5 @@ def _mask(chosen: BoolArray) -> BoolArray | slice:
 
 
 def same_places(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Which coordinates are the same; two that nobody has said are."""
+    """Compare coordinates; two that are both unknown (NaN) count as equal."""
     return np.asarray((one == other) | (np.isnan(one) & np.isnan(other)))

@@ -258,7 +258,7 @@ def test_the_line_of_the_first_move_without_a_dwell(cut: Callable[[int], None]) 
 
 
 def test_a_time_that_stays_need_not_be_writable() -> None:
-    """Longer than any time that may be asked for: whoever asks for no change gets none."""
+    """Longer than any time that a caller may request: without a requested change there is none."""
     text = whole("G93\nG1 X1 F0.00000001\nX2 F60\n")
     found = nc.read(RS274, text, "t.nc")
     assert found.time_s[0] == pytest.approx(6e9)
