@@ -18,10 +18,9 @@ from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.program import Envelope, Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.pipeline import precheck
-from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.recipe import CpuLimit, Recipe
 from polishd.pipeline.records import EstimatesInUse, MeasureResult, SolveResult
-from polishd.pipeline.steps import effect_of, envelope_of, initial_estimates
+from polishd.pipeline.steps import CachedEffect, effect_of, envelope_of, initial_estimates
 from polishd.process.dwell.certificate import certified
 from polishd.process.dwell.lower_bound import proved
 from polishd.process.dwell.problem import DwellProblem, negligible

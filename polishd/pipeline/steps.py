@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -16,7 +18,6 @@ from polishd.model.instrument import Instrument
 from polishd.model.program import Envelope, Plan, Program, Segments
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.pipeline import acceptance
-from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import CENTRED, EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, SolveResult
 from polishd.pipeline.run_folder import read_program_bytes
@@ -35,9 +36,62 @@ from polishd.process.metrology.spectra import surface_stats
 from polishd.process.metrology.statistics import Removal, without
 from polishd.process.metrology.system_map import SystemMap
 from polishd.process.metrology.tolerance import alignment_notes, judge, less_nominal, notes_of
+from polishd.process.removal.effect import Effect
 from polishd.process.removal.transfer_function import SpotTransferFunction, correctable
 from polishd.process.robot import motion
 from polishd.process.toolpath.apertures import tool_axes
+
+# Large effects stay in the process that made them.
+
+
+class CachedEffect:
+    """An Effect that pickles as its name; the process that made it finds it again by that name, once."""
+
+    _left: ClassVar[dict[str, Effect]] = {}
+    """The last one whose name was sent: of the plan that is being made."""
+
+    def __init__(self, effect: Effect | None, grid: Grid, name: str = "") -> None:
+        self._effect = effect
+        self.grid = grid
+        self._name = name or uuid.uuid4().hex
+
+    @property
+    def here(self) -> bool:
+        """Whether this process has it."""
+        return self._effect is not None
+
+    @property
+    def n(self) -> int:
+        """Number of timed points."""
+        return self._own().n
+
+    @property
+    def negligible(self) -> float:
+        """Share of the strongest removal up to which it is taken for none."""
+        return negligible(self._own())
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(n,) s -> (ny, nx) nm."""
+        return self._own().removal_nm(time_s)
+
+    def adjoint(self, weight: FloatArray) -> FloatArray:
+        """(ny, nx) -> (n,)."""
+        return self._own().adjoint(weight)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        if self._effect is not None:
+            CachedEffect._left = {self._name: self._effect}
+        return _by_name, (self._name, self.grid)
+
+    def _own(self) -> Effect:
+        if self._effect is None:
+            raise ComputeError("the effect is in the process that solved with it, and this is another one")
+        return self._effect
+
+
+def _by_name(name: str, grid: Grid) -> CachedEffect:
+    return CachedEffect(CachedEffect._left.pop(name, None), grid, name)
+
 
 # The surface that figures are of: a map on its own samples over the clear aperture, without what is alignment.
 

@@ -16,9 +16,18 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from polishd.model.errors import ProgramError
 from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, AnyDialect, DwellWord, GcodeDialect, dialect
+from polishd.plugins.rnc_robot.dialect import (
+    DEFAULT,
+    DIALECTS,
+    HEAD_BYTES,
+    AnyDialect,
+    DwellWord,
+    GcodeDialect,
+    detect,
+    dialect,
+    require_language,
+)
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
-from polishd.plugins.rnc_robot.dialect_detection import HEAD_BYTES, detect, require_language
 from polishd.plugins.rnc_robot.formats import read
 from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, look_through
 from polishd.plugins.rnc_robot.languages import LanguageProfile

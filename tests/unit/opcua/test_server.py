@@ -21,7 +21,7 @@ from polishd.config.cell import load_config
 from polishd.model.states import DaemonState
 from polishd.opcua import server
 from polishd.opcua.jobs import node_id
-from polishd.opcua.machine import FILES, STATES
+from polishd.opcua.server import FILES, STATES
 from tests.patience import SOON_S
 from tests.unit.opcua.seen import SECTION, inner, missing, seen, type_of, until, watching
 from tests.unit.said import Polishd

@@ -229,9 +229,7 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
         asking = config.state_dir / "shop" / "asking"
         assert not asking.exists() or asking.read_text() == queue[0][1], "what was asked is looked up before more is"
         assert [json.loads(row[-1]) for row in found["cell"]], "the shop has heard of the cell"
-        if (
-            asking.exists()
-        ):  # with the part removed from its queue, the cell requests the next one
+        if asking.exists():  # with the part removed from its queue, the cell requests the next one
             with Queue.at_rest(config.state_dir) as own_queue:
                 own_queue.remove_waiting("lens")
             assert not killed_at(0, linked)
