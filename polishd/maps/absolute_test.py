@@ -24,7 +24,7 @@ from polishd.maps.map_files import (
     require_picture,
 )
 from polishd.maps.options import AbsoluteOptions
-from polishd.maps.stitch import one_pitch, require_listed
+from polishd.maps.stitch import one_pitch, require_lines
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.process.metrology.absolute_poses import PartPose, families, reference_for, term_name
@@ -69,7 +69,7 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
     source = MapSource.by(asked, system=False)  # that is what is looked for
     _require_targets(files, asked, source)
     poses = poses_of(asked, files)
-    apart = tell_apart([source.read(path) for path in files], poses, asked, source)
+    apart = separate_maps([source.read(path) for path in files], poses, asked, source)
     targets = (("instrument", apart.instrument, asked.out_instrument), ("part", apart.part, asked.out_part))
     for key, surface, target in targets:
         if target is not None:
@@ -81,7 +81,7 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
         draw_maps(asked.picture, drawn, as_json=as_json)
 
 
-def tell_apart(
+def separate_maps(
     surfaces: Sequence[SurfaceMap], poses: Sequence[PartPose], asked: AbsoluteOptions, source: MapSource
 ) -> AbsoluteTestOutput:
     """Part and instrument from maps that are read. BadMap."""
@@ -120,7 +120,7 @@ def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
         from polishd.config.table_files import read_poses
 
         listed = read_poses(asked.at)
-        require_listed(files, listed, asked.at, "file,angle_deg")
+        require_lines(files, listed, asked.at, "file,angle_deg")
         return [PartPose(*listed[path.name]) for path in files]
     count = len(files) or len((asked.angles or "").split(","))
     angles = _numbers("--angles", asked.angles or "", count)

@@ -53,7 +53,7 @@ class Difference:
     """Of a sample, one standard deviation; None where either map does not say its own."""
 
 
-def less(surface: SurfaceMap, other: SurfaceMap) -> Difference:
+def subtract_maps(surface: SurfaceMap, other: SurfaceMap) -> Difference:
     """``surface`` less ``other``, laid on each other as ``map compare`` does: not registered, nothing levelled.
 
     Independent errors add in squares. Where maps are resampled the sum holds for errors that are alike over a few
@@ -91,7 +91,7 @@ def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: b
     if other.history is not None and other.history.options.get("result") == "instrument":
         source = replace(source, system=None)  # it is what is taken off
     maps = [source.read(first), other]
-    found = less(*maps)
+    found = subtract_maps(*maps)
     mask = found.pair.mask
     heights = (*found.pair.heights_nm, found.surface.height_nm)
     figures = [heights_nm(height, without(height, mask, "tilt"), mask) for height in heights]
@@ -230,7 +230,7 @@ def _without_system(
             raise MapError(f"{surface.path} is of the instrument {surface.instrument!r}, the system error {error.path} "
                          f"of {error.instrument!r}; name its own, or say --mixed")  # fmt: skip
     unnamed = replace(error, part_id="")  # it was measured with another part, a reference: that is no news
-    found = [less(surface, unnamed) for surface in surfaces]
+    found = [subtract_maps(surface, unnamed) for surface in surfaces]
     notes = {note: None for one in found for note in one.pair.notes}
     return [one.surface for one in found], list(notes)
 

@@ -75,11 +75,11 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     answer["psd"] = None if found is None else _psd(spectra)
     _show(answer, lines, as_json=as_json)
     if asked.out is not None:
-        from polishd.maps.pictures import compared_picture
+        from polishd.maps.pictures import comparison_picture
 
         figures = {words: (was, now) for words, was, now in lines.values() if was is not None and now is not None}
         heights = dict(zip(SIDES, pair.heights_nm, strict=True))
-        draw(asked.out, compared_picture(heights, spectra, mask, pitch, figures), as_json=as_json)
+        draw(asked.out, comparison_picture(heights, spectra, mask, pitch, figures), as_json=as_json)
 
 
 def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from polishd.maps.map_files import band_names, history_record, mask_records, masked_out
+from polishd.maps.map_files import band_names, history_record, mask_map, mask_records
 from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology import iso10110
@@ -66,7 +66,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         "cols": height.shape[1],
         "pitch_mm": pitch,
         "pitches_mm": None if surface.pitches_mm is None else list(surface.pitches_mm),
-        "missing": int(np.count_nonzero(~surface.valid)) - masked_out(surface),
+        "missing": int(np.count_nonzero(~surface.valid)) - mask_map(surface),
         **heights_nm(height, level, mask),
         "bands": None
         if pitch is None
@@ -76,7 +76,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         "trim": trim,
         "samples": int(np.count_nonzero(mask)),
         "masks": mask_records(surface),
-        "masked": masked_out(surface),
+        "masked": mask_map(surface),
         **_more(level, mask, pitch),
         **_origin(surface),
     }

@@ -114,7 +114,7 @@ def mask_records(surface: SurfaceMap) -> list[dict[str, Any]]:
     return [count._asdict() for count in surface.masks]
 
 
-def masked_out(surface: SurfaceMap) -> int:
+def mask_map(surface: SurfaceMap) -> int:
     """Samples with data that lie outside one of the masks."""
     return surface.masks[0].of - int(np.count_nonzero(surface.valid)) if surface.masks else 0
 

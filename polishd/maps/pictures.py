@@ -86,7 +86,7 @@ def _periods(record: Mapping[str, Any]) -> str:
     return f"< {longest:g} mm" if shortest is None else f"{longest:g} to {shortest:g} mm"
 
 
-def compared_picture(
+def comparison_picture(
     heights: Mapping[str, FloatArray],
     spectra: Mapping[str, RadialPsd],
     mask: BoolArray,
@@ -120,7 +120,7 @@ def compared_picture(
         return png(page)
 
 
-def stitched_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
+def stitch_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
     """PNG: a stitched map, (ny, nx) nm, without its tilt; its uncertainty; how many maps have each sample."""
     there = np.isfinite(height_nm)
     level = np.where(there, without(height_nm, there, "tilt"), np.nan)

@@ -40,7 +40,7 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     source = MapSource.by(asked)
     _require_targets(files, asked, source)
     positions = read_positions(asked.at)
-    require_listed(files, positions, asked.at, "file,x_mm,y_mm")
+    require_lines(files, positions, asked.at, "file,x_mm,y_mm")
     surfaces = [source.read(path) for path in files]
     pitch = one_pitch(surfaces)
     names = distinguish_names(files)
@@ -55,9 +55,9 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     answer |= _stored(surfaces, found, asked, source, free=list(free), at=places)
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
     if asked.picture is not None:
-        from polishd.maps.pictures import stitched_picture
+        from polishd.maps.pictures import stitch_picture
 
-        draw(asked.picture, stitched_picture(found.height_nm, found.uncertainty_nm, found.maps, pitch), as_json=as_json)
+        draw(asked.picture, stitch_picture(found.height_nm, found.uncertainty_nm, found.maps, pitch), as_json=as_json)
 
 
 def _free(text: str) -> tuple[str, ...]:
@@ -77,7 +77,7 @@ def _require_targets(files: Sequence[Path], asked: StitchOptions, source: MapSou
     require_picture(asked.picture)
 
 
-def require_listed(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:
+def require_lines(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:
     """ConfigError where a list does not have a line for each map, identified by its file's name."""
     names = [path.name for path in files]
     twice = sorted({name for name in names if names.count(name) > 1})

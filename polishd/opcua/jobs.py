@@ -28,18 +28,18 @@ Status = ua.StatusCodes
 
 def good(value: Any) -> ua.DataValue:
     """As it is now."""
-    return stated(value if isinstance(value, ua.Variant) else ua.Variant(value), Status.Good, datetime.now(UTC))
+    return data_value(value if isinstance(value, ua.Variant) else ua.Variant(value), Status.Good, datetime.now(UTC))
 
 
 def nothing(status: int) -> ua.DataValue:
     """No value, and why there is none."""
-    return stated(ua.Variant(None), status, datetime.now(UTC))
+    return data_value(ua.Variant(None), status, datetime.now(UTC))
 
 
 # asyncua's types ask for its own kinds of numbers and times, and it takes Python's.
 
 
-def stated(value: ua.Variant, status: Any, source_time: Any) -> ua.DataValue:
+def data_value(value: ua.Variant, status: Any, source_time: Any) -> ua.DataValue:
     """The value with that status and its source time."""
     now: Any = datetime.now(UTC)
     return ua.DataValue(value, ua.StatusCode(status), source_time, now)

@@ -30,17 +30,17 @@ from polishd.opcua.jobs import (
     OpcUaJob,
     OpcUaJobs,
     Status,
+    data_value,
     good,
     node_id,
     nothing,
     read_work,
-    stated,
 )
 
 # What a daemon's state is called in OPC 40001-1: of the machine, and of its mode of operation.
 
 
-class Item(IntEnum):
+class ItemState(IntEnum):
     """States of MachineryItemState: their nodes in the namespace of Machinery."""
 
     OutOfService = 5004
@@ -49,7 +49,7 @@ class Item(IntEnum):
     NotExecuting = 5007
 
 
-class Mode(IntEnum):
+class OperationMode(IntEnum):
     """States of MachineryOperationMode: their nodes, too. ``Nothing`` is called None there."""
 
     Nothing = 5024
@@ -60,26 +60,26 @@ class Mode(IntEnum):
     @property
     def said(self) -> str:
         """Its browse name."""
-        return "None" if self is Mode.Nothing else self.name
+        return "None" if self is OperationMode.Nothing else self.name
 
 
 class MachineStates(NamedTuple):
     """Both."""
 
-    item: Item
-    mode: Mode
+    item: ItemState
+    mode: OperationMode
 
 
 STATES: Mapping[str, MachineStates] = {
-    "starting": MachineStates(Item.NotExecuting, Mode.Setup),
-    "idle": MachineStates(Item.NotExecuting, Mode.Processing),
-    "changing": MachineStates(Item.NotExecuting, Mode.Setup),
-    "polishing": MachineStates(Item.Executing, Mode.Processing),
-    "held": MachineStates(Item.OutOfService, Mode.Processing),
-    "finished": MachineStates(Item.NotAvailable, Mode.Nothing),
+    "starting": MachineStates(ItemState.NotExecuting, OperationMode.Setup),
+    "idle": MachineStates(ItemState.NotExecuting, OperationMode.Processing),
+    "changing": MachineStates(ItemState.NotExecuting, OperationMode.Setup),
+    "polishing": MachineStates(ItemState.Executing, OperationMode.Processing),
+    "held": MachineStates(ItemState.OutOfService, OperationMode.Processing),
+    "finished": MachineStates(ItemState.NotAvailable, OperationMode.Nothing),
 }
 """Of a daemon. Held is out of service: it does nothing until a person has mended the cause, and said so."""
-NO_DAEMON = MachineStates(Item.NotAvailable, Mode.Nothing)
+NO_DAEMON = MachineStates(ItemState.NotAvailable, OperationMode.Nothing)
 GOING = {"starting", "changing", "polishing"}
 """A job under way is worked in these, and stands still in the others."""
 
@@ -107,7 +107,7 @@ EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, WHOLE: 0, BOOLEAN:
 """Initial values of variables; they are set to unknown before a client can connect."""
 
 
-class OpcUaSnapshot(NamedTuple):
+class OpcUaVariable(NamedTuple):
     """A variable of polishd's own: where it stands in ``live``, and its type."""
 
     name: str
@@ -117,17 +117,17 @@ class OpcUaSnapshot(NamedTuple):
 
 
 SHOWN = (
-    OpcUaSnapshot("State", ("state",), TEXT, "What the daemon does."),
-    OpcUaSnapshot("Reason", ("reason",), TEXT, "Why it is held, or ended."),
-    OpcUaSnapshot("Next", ("next",), TEXT, "What a person is to do."),
-    OpcUaSnapshot("Job", ("job",), TEXT, "The job under way."),
-    OpcUaSnapshot("Part", ("part",), TEXT, "Its part."),
-    OpcUaSnapshot("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
-    OpcUaSnapshot("Phase", ("phase",), TEXT, "Of the cycle."),
-    OpcUaSnapshot("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
-    OpcUaSnapshot("Force_N", ("readings", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
-    OpcUaSnapshot("SensedForce_N", ("readings", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
-    OpcUaSnapshot("SpindleSpeed_rpm", ("readings", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
+    OpcUaVariable("State", ("state",), TEXT, "What the daemon does."),
+    OpcUaVariable("Reason", ("reason",), TEXT, "Why it is held, or ended."),
+    OpcUaVariable("Next", ("next",), TEXT, "What a person is to do."),
+    OpcUaVariable("Job", ("job",), TEXT, "The job under way."),
+    OpcUaVariable("Part", ("part",), TEXT, "Its part."),
+    OpcUaVariable("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
+    OpcUaVariable("Phase", ("phase",), TEXT, "Of the cycle."),
+    OpcUaVariable("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
+    OpcUaVariable("Force_N", ("readings", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
+    OpcUaVariable("SensedForce_N", ("readings", "sensed", "force_n"), NUMBER, "Force of the independent sensor, N."),
+    OpcUaVariable("SpindleSpeed_rpm", ("readings", "speed", "rpm"), NUMBER, "Speed of the spindle, 1/min."),
 )
 
 
@@ -138,7 +138,7 @@ class OpcUaMachine:
         self,
         server: Server,
         namespace: int,
-        own: Mapping[OpcUaSnapshot, Node],
+        own: Mapping[OpcUaVariable, Node],
         item: tuple[Node, Node],
         jobs: OpcUaJobs,
     ) -> None:
@@ -265,7 +265,7 @@ async def _identify(node: Node, name: str, section: OpcUaSection, spaces: tuple[
         )
 
 
-def _of(live: Mapping[str, Any], one: OpcUaSnapshot, now: datetime) -> ua.DataValue:
+def _of(live: Mapping[str, Any], one: OpcUaVariable, now: datetime) -> ua.DataValue:
     """Data value of one variable: Bad where it is missing, Uncertain with its source time where it is old."""
     found: Any = live
     age_s = 0.0
@@ -275,7 +275,7 @@ def _of(live: Mapping[str, Any], one: OpcUaSnapshot, now: datetime) -> ua.DataVa
         if isinstance(found, Mapping):
             age_s = found.get("age_s", age_s)
     status = Status.UncertainLastUsableValue if age_s > OLD_S else Status.Good
-    return stated(ua.Variant(found, one.kind), status, now - timedelta(seconds=age_s))
+    return data_value(ua.Variant(found, one.kind), status, now - timedelta(seconds=age_s))
 
 
 LOOK_S = 1.0
@@ -286,7 +286,7 @@ ADDRESS = "127.0.0.1"
 """Beyond this computer OPC UA needs certificates on both sides, which polishd does not keep: docs/plant-systems.md."""
 
 
-class OpcUaPolling(UserManager):
+class ReadOnlyUsers(UserManager):
     """Access rights: all users may read, none may write."""
 
     def get_user(self, iserver: Any, username: str | None = None, password: str | None = None,
@@ -300,7 +300,7 @@ class OpcUaPolling(UserManager):
 async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIterator[str]:
     """Serve inside this block; the address. OSError where the port is taken."""
     logging.getLogger("asyncua").setLevel(logging.ERROR)  # it logs a warning at each start
-    server = Server(user_manager=OpcUaPolling())
+    server = Server(user_manager=ReadOnlyUsers())
     await server.init()
     server.set_server_name(f"polishd {name}")
     await server.set_application_uri(f"urn:polishd:{name}:server")

@@ -77,7 +77,7 @@ def system_of_profile(
         ) from error
 
 
-def why_not_commissioned(config: CellConfig) -> str:
+def uncommissioned_reason(config: CellConfig) -> str:
     """Why no map may drive polishing in this cell; empty where maps may."""
     if config.profile_path is None:
         problem = "the cell names no instrument's profile; write one (docs/instruments.md), commission it, name it here"
@@ -88,7 +88,7 @@ def why_not_commissioned(config: CellConfig) -> str:
 def require_commissioned(config: CellConfig, instrument: Instrument | None) -> None:
     """ConfigError unless the instrument that this config names is commissioned."""
     if instrument is None or instrument.commissioned is None:
-        raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
+        raise ConfigError(f"{uncommissioned_reason(config)} (nothing was opened)")
 
 
 def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:

@@ -52,7 +52,7 @@ class FilledSurface(NamedTuple):
     weight: FloatArray | None
 
 
-def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
+def fill_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
     """Extend heights with a small weight to the part's samples without data: the dwell there is undetermined otherwise.
 
     Beyond the part no height is needed, and each would cost time.
@@ -119,7 +119,7 @@ class ToolSubproblem:
         """(n,) at most."""
         return motion.most_time_s(self.program, self.envelope)
 
-    def unasked_s(self) -> FloatArray:
+    def unrequested_s(self) -> FloatArray:
         """(n,) what a point gets that is not written into the program."""
         if self.program.encoding == "dwell":
             return self.least_s()
@@ -157,14 +157,14 @@ def single_tool(
     return DwellSolution(time_s, removal_nm, residual, certificate, lower_s, upper_s)
 
 
-def with_certificate(dwell: DwellSolution, **changes: Any) -> DwellSolution:
+def add_certificate(dwell: DwellSolution, **changes: Any) -> DwellSolution:
     """The same solution; of its certificate those fields changed."""
     return replace(dwell, certificate=replace(dwell.certificate, **changes))
 
 
-def with_note(dwell: DwellSolution, note: str) -> DwellSolution:
+def add_note(dwell: DwellSolution, note: str) -> DwellSolution:
     """The same solution; its certificate says one thing more."""
-    return with_certificate(dwell, notes=(*dwell.certificate.notes, note))
+    return add_certificate(dwell, notes=(*dwell.certificate.notes, note))
 
 
 LEAST_COVERAGE = 0.9
@@ -197,16 +197,16 @@ def solve(
     believed: EstimatesInUse | None = None,
     warm: WarmStart | None = None,
 ) -> SolveResult:
-    """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_turns`."""
-    return solve_turns((ToolProblem(recipe, program, believed),), measured, warm)[0]
+    """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_tools`."""
+    return solve_tools((ToolProblem(recipe, program, believed),), measured, warm)[0]
 
 
 def solve_first(turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None) -> SolveResult:
-    """Of all that the turns have to do the first one's; see `solve_turns`."""
-    return solve_turns(turns, measured, warm)[0]
+    """Of all that the turns have to do the first one's; see `solve_tools`."""
+    return solve_tools(turns, measured, warm)[0]
 
 
-def solve_turns(
+def solve_tools(
     turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None
 ) -> tuple[SolveResult, ...]:
     """Dwell of each tool for the removal that the measured surface wants of all, within what the machine can deliver.
@@ -314,7 +314,7 @@ class _Step:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
         dwell = found if divide_by is None else _in_machine_time(found, divide_by)
-        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unasked_s), 0.0)
+        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unrequested_s), 0.0)
         expected = [motion.delivered_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(asked)]
         return SolveRound(problem, dwell, asked, np.concatenate(expected))
 
@@ -347,7 +347,7 @@ class _Step:
             dwell = single_tool(found, removal, left, (time_s, lower_s, upper_s))
             total = found.dwell.certificate
             joint = f"one problem for {names}: {total.predicted_rms_nm:.2f} nm RMS after the last of them"
-            dwell = with_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
+            dwell = add_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
             solved.append(SolveResult(dwell, self.staying(leg), asked_s, expected_s, leg.believed, curve))
         return tuple(solved)
 
@@ -376,7 +376,7 @@ class _Step:
 
     @cached_property
     def surface(self) -> FilledSurface:
-        return with_rim(self.recipe, self.measured, self.finest)
+        return fill_rim(self.recipe, self.measured, self.finest)
 
     def chosen(self, problem: DwellProblem) -> Chosen:
         """The point of the residual-against-time curve that the recipe's rule takes."""
@@ -416,7 +416,7 @@ class _Step:
         if certificate.stopped != DEADLINE:
             return dwell
         used = f"{DEADLINE} after {certificate.iterations} iterations, {self.time_limit} for the whole solve step"
-        return with_certificate(dwell, stopped=used)
+        return add_certificate(dwell, stopped=used)
 
     def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
         """The same solution with an independent solver's word on it, where its own proof is not enough."""
@@ -427,11 +427,11 @@ class _Step:
         try:
             theirs = other.solve(problem, self.time_limit.left_s).certificate
         except ComputeError as error:
-            return with_note(dwell, f"cross-check by {other.name} failed: {error}")
+            return add_note(dwell, f"cross-check by {other.name} failed: {error}")
         if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
-            return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
+            return add_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
         gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
-        return with_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
+        return add_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
 
     def proved(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
         """The same solution; where its gap is too large to do without a second opinion, the best that can be proved."""
@@ -440,7 +440,7 @@ class _Step:
             return dwell
         static = dwell if self.divide_by is None else replace(dwell, time_s=dwell.time_s * self.divide_by)
         found = proved(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
-        return with_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
+        return add_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
 
     def noted(self, dwell: DwellSolution) -> DwellSolution:
         """The same solution; its certificate says what of the surface is out of the spot's reach."""
@@ -451,11 +451,11 @@ class _Step:
         if not found.resolved:
             return dwell
         left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
-        dwell = with_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
-        dwell = with_note(dwell, f"{left}: no dwell with this spot removes it")
+        dwell = add_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
+        dwell = add_note(dwell, f"{left}: no dwell with this spot removes it")
         on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
         for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
-            dwell = with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
+            dwell = add_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
         return dwell
 
     def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
@@ -465,14 +465,14 @@ class _Step:
         try:
             return dwell, tuple(price_curve(problem, self.searching("curve")).rows())
         except ComputeError as error:
-            return with_note(dwell, f"no curve of residual against time: {error}"), ()
+            return add_note(dwell, f"no curve of residual against time: {error}"), ()
 
 
 def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSolution:
     """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
     time_s, lower_s, upper_s = (t / divide_by for t in (dwell.time_s, dwell.lower_s, dwell.upper_s))
     divided = replace(dwell, time_s=time_s, lower_s=lower_s, upper_s=upper_s)
-    return with_certificate(divided, dwell_total_s=float(time_s.sum()))
+    return add_certificate(divided, dwell_total_s=float(time_s.sum()))
 
 
 def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> None:

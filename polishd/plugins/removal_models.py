@@ -169,7 +169,7 @@ def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, 
             )
             return found, (note,)
     entries = along.entries(grid, spots)
-    if gives_way(entries, along.program.n):
+    if prefers_no_matrix(entries, along.program.n):
         why = ""
         for tolerance in NEAR if entries <= MOST_ENTRIES else (NEAR[0], LESS_NEAR):
             try:
@@ -189,7 +189,7 @@ def newton_s(entries: float, points: int) -> float:
     return NEWTON_S * entries**2 / max(points, 1)
 
 
-def gives_way(entries: float, points: int) -> bool:
+def prefers_no_matrix(entries: float, points: int) -> bool:
     """Whether an effect without a matrix is tried in the place of such a matrix: where it saves time, or memory."""
     slow = newton_s(entries, points) > WORTH_S and entries > WIDE * points
     return slow or entries > MOST_ENTRIES

@@ -33,7 +33,7 @@ from polishd.process.toolpath import apertures
 from polishd.process.toolpath.apertures import Aperture, largest_turn_deg, over_outline, tool_axes
 from polishd.process.toolpath.paths import quiet_step_mm, raster, spiral
 from polishd.programs.options import MakeOptions
-from polishd.programs.rewrite import not_over, target_file
+from polishd.programs.rewrite import require_new_target, target_file
 from polishd.programs.show import path_picture
 from polishd.rendering.plots import save_picture
 from polishd.rendering.terminal import emit, key_table, stderr
@@ -56,7 +56,7 @@ UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
 
 
 @dataclass(frozen=True, slots=True)
-class MadePath:
+class GeneratedPath:
     """A path in the part's frame."""
 
     aperture: Aperture
@@ -72,10 +72,10 @@ class MadePath:
 
 
 @dataclass(frozen=True, slots=True)
-class MadeProgram:
+class GeneratedProgram:
     """A program of a path."""
 
-    path: MadePath
+    path: GeneratedPath
     text: bytes
     answer: dict[str, Any]
     """What ``polishd program make`` says of it."""
@@ -91,7 +91,7 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
 
 
-def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> MadeProgram:
+def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> GeneratedProgram:
     """The program's text and what it is; nothing is written.
 
     ComputeError or ProgramError where it cannot be, or where the cell's `plan` or `run` would refuse it.
@@ -118,7 +118,7 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
         "out": str(options.out),
         "not_checked": list(UNCHECKED) if config is None else [],
     }
-    return MadeProgram(made, text, answer)
+    return GeneratedProgram(made, text, answer)
 
 
 def dialect_of(config: CellConfig) -> str:
@@ -137,10 +137,10 @@ def _encoding(options: MakeOptions) -> Encoding:
     return options.encoding or ("feed" if options.dwell_s is None else "dwell")
 
 
-def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
+def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
     kind, _, rest = (options.aperture or "").partition(":")
     aperture = rest if kind in ("mask", "polygon") else ""
-    not_over(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
+    require_new_target(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
     with target_file(options.out) as file:
         file.write(text)
     if options.picture is not None:
@@ -148,7 +148,7 @@ def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
         save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
 
 
-def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
+def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
     """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
     aperture, optic = _aperture(options, config), _optic(options, config)
     lengths = (options.pitch_mm, options.step_mm)
@@ -162,7 +162,7 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
     if lean is None or options.azimuth_deg is not None:
         lean = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=options.azimuth_deg or 0.0)
     axis = tool_axes(points, optic, dip_deg, lean, placement)
-    return MadePath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
+    return GeneratedPath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
 
 
 def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:

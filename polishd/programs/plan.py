@@ -104,7 +104,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
 
 def _passes(turns: Sequence[ToolProblem], measured: MeasureResult, hooks: Hooks) -> list[_Pass]:
     found, vetoes, finds = list[_Pass](), list[str](), measured
-    for turn, solved in zip(turns, dwell_step.solve_turns(turns, measured), strict=True):
+    for turn, solved in zip(turns, dwell_step.solve_tools(turns, measured), strict=True):
         recipe, program, _ = turn
         require_certificate(solved.dwell.certificate, recipe)
         plan = steps.rewrite(recipe, program, solved, program.name)

@@ -21,7 +21,7 @@ from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
-from polishd.plugins.rnc_robot.gcode.rewrite import look_through, rewrite_stream
+from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream, scan_program
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
 from polishd.util.files import whole_file
@@ -158,14 +158,14 @@ def rewrite_file(
     Raises:
         ProgramError: Anything is wrong with program, table or output. Nothing was written.
     """
-    not_over(out, file, table.path)
+    require_new_target(out, file, table.path)
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
     return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
 
 
-def not_over(out: Path, *sources: Path) -> None:
+def require_new_target(out: Path, *sources: Path) -> None:
     """ProgramError where ``out`` is one of the files that are read, under whatever name."""
     for source in sources:
         with suppress(OSError):  # what is not there, or cannot be looked at, is refused where it is opened
@@ -195,7 +195,7 @@ def _streamed(
     with opened(file) as source, target_file(out) as target:
         sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
         passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
-        found = look_through(dialect, target, out.name)
+        found = scan_program(dialect, target, out.name)
     return RewriteResult((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
 
 

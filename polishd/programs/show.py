@@ -29,11 +29,11 @@ from polishd.plugins.rnc_robot.dialect import (
 )
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import read
-from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, look_through
+from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, scan_program
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
 from polishd.process.toolpath.apertures import TOWARDS, Aperture
-from polishd.programs.rewrite import DwellTable, content, not_over, opened, rewrite_file
+from polishd.programs.rewrite import DwellTable, content, opened, require_new_target, rewrite_file
 from polishd.rendering.plots import BLUE, INK, ORANGE, SEQUENTIAL, figure, png, polishd_style
 from polishd.rendering.terminal import emit, key_table, record_table, stderr, stdout
 
@@ -70,7 +70,7 @@ def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_js
     """What a program says: points, times, feeds, bounds, and what was assumed."""
     profile, why = chosen(file, dialect)
     if picture is not None:
-        not_over(picture, file)
+        require_new_target(picture, file)
     answer = {**_inspected(file, profile), "dialect_by": why}
     if picture is not None:
         from polishd.rendering.plots import save_picture
@@ -89,7 +89,7 @@ def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
     found: StreamCounts | Program
     if isinstance(profile, GcodeDialect):
         with _bar("reading", file) as progress, opened(file) as source:
-            found = look_through(profile, source, file.name, progress)
+            found = scan_program(profile, source, file.name, progress)
         points, total_s, (slow, fast) = found.points, found.time_s, found.feed_mm_min
         bounds = (found.low_mm, found.high_mm)
     else:

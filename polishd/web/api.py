@@ -18,14 +18,14 @@ from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
 from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import Json, RateLimiter, Shares, refusal
+from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.web.run_data import RunData
 from polishd.web.watcher import Watcher
 
 # Orders on their way to the daemon, each in a separate thread, so that none waits for another that hangs.
 
-TOLD_S = 5.0
+OBEYED_S = 5.0
 """Time after which the answer is that the order is not obeyed yet; the order remains valid."""
 
 
@@ -46,7 +46,7 @@ class CommandForwarder:
         if under_way is None:
             under_way = self._sent(verb, args)
         try:
-            async with asyncio.timeout(TOLD_S):
+            async with asyncio.timeout(OBEYED_S):
                 return await asyncio.shield(under_way)
         except TimeoutError:
             return None
@@ -102,7 +102,7 @@ class Api:
         self._config, self.sessions, self._certificate = config, sessions, certificate
         self._disk, self._orders = RunData(config.state_dir), CommandForwarder(config.state_dir)
         self.watcher = Watcher(config.state_dir)
-        self._streams = Shares(MOST_OF_USER, MOST_WATCHERS)
+        self._streams = ClientShares(MOST_OF_USER, MOST_WATCHERS)
 
     # who asks
 
@@ -119,7 +119,7 @@ class Api:
         if user is None:
             return refusal(401, "the token is wrong: check it, or have a new one made with polishd web --add-user")
         cookie, session = self.sessions.begin(user)
-        answer = Json(_who(session))
+        answer = JsonAnswer(_who(session))
         secure = request.url.scheme == "https"
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", secure=secure, path="/")
         return answer
@@ -254,7 +254,7 @@ class Api:
         except PolishdError as error:
             return _failed(error)
         if answer is None:
-            return Json({"ok": True, "obeyed": False}, 202)
+            return JsonAnswer({"ok": True, "obeyed": False}, 202)
         return answer if answer.get("ok") else refusal(409, str(answer.get("error")))
 
     async def _asked(self, verb: str) -> Any:

@@ -21,7 +21,7 @@ from polishd.model.errors import PolishdError
 from polishd.web.api import MAPS, MOST_NUMBER, Api
 from polishd.web.http import server as door
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import HANDLERS, Json, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, answered, hosts_of, refusal
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.watcher import polling_daemon
 
@@ -216,7 +216,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
         return await answered(api.sign_in(request, rate))
 
     async def described(_request: Request) -> Response:
-        return Json(document())
+        return JsonAnswer(document())
 
     routes = [Path(route.path, _endpoint(api, rate, route), methods=[route.method]) for route in ROUTES]
     routes += [

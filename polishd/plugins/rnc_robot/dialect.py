@@ -134,14 +134,14 @@ O_DIALECTS = ("fanuc", "haas", DEFAULT)
 
 
 @dataclass(frozen=True, slots=True)
-class Detected:
+class DialectDetection:
     """The dialect that a program is in, and why."""
 
     dialect: str
     why: str
 
 
-def detect(head: bytes, name: str) -> Detected:
+def detect(head: bytes, name: str) -> DialectDetection:
     """The dialect of a program by the beginning of its text and its name.
 
     Raises:
@@ -157,11 +157,11 @@ def detect(head: bytes, name: str) -> Detected:
                 "posted as G-code, or in the language of another robot (polishd program dialects lists them)."
             )
         by = f"line {line} of its text" if line else "the ending of its name"
-        return Detected(known.dialect, f"{known.title} by {by}")
+        return DialectDetection(known.dialect, f"{known.title} by {by}")
     lines = head.splitlines()[:LINES]
     if name.lower().endswith(SIEMENS_ENDINGS) or any(SIEMENS.match(line) for line in lines):
         iso = SIEMENS_ISO.search(head) is not None
-        return Detected(
+        return DialectDetection(
             "siemens-iso" if iso else "siemens", f"Sinumerik {'with G291 ' if iso else ''}by name or header"
         )
     numbered = O_NUMBER.search(head)
@@ -173,7 +173,7 @@ def detect(head: bytes, name: str) -> Detected:
             f"{name}:{line}: {', '.join(O_DIALECTS)} fit a program with an O number, and read the time of this dwell "
             f"in different units. To do: which controller is it for? Say {flags}."
         )
-    return Detected(DEFAULT, "G-code without the mark of a dialect: assumed")
+    return DialectDetection(DEFAULT, "G-code without the mark of a dialect: assumed")
 
 
 def language(head: bytes, name: str) -> tuple[Language, int] | None:

@@ -43,7 +43,7 @@ _DWELL = re.compile(
 )
 
 
-def misread(dialect: AnyDialect, lines: OwnLines) -> str:
+def find_misread_line(dialect: AnyDialect, lines: OwnLines) -> str:
     """Return the first line that means something else in this dialect, and what; empty where none does."""
     for seconds, line in lines.dwells.items():
         rests = _nc_dwell_s(dialect, line) if isinstance(dialect, GcodeDialect) else _language_dwell_s(dialect, line)
@@ -331,9 +331,9 @@ def make_shipped(name: str, points_mm: FloatArray, axis: FloatArray, feed_mm_min
     return make(cast(GcodeDialect, shipped(name)), points_mm, axis, feed_mm_min, of)
 
 
-def misread_shipped(name: str, lines: OwnLines) -> str:
-    """As `misread`, in the shipped dialect of that name."""
-    return misread(shipped(name), lines)
+def find_misread_line_shipped(name: str, lines: OwnLines) -> str:
+    """As `find_misread_line`, in the shipped dialect of that name."""
+    return find_misread_line(shipped(name), lines)
 
 
 def shipped_formats() -> list[ProgramFormat]:
@@ -344,7 +344,7 @@ def shipped_formats() -> list[ProgramFormat]:
             partial(read_shipped, name),
             partial(rewrite_shipped, name),
             None if name in LANGUAGES else partial(make_shipped, name),
-            partial(misread_shipped, name),
+            partial(find_misread_line_shipped, name),
         )
         for name in DIALECTS
     ]
@@ -354,5 +354,5 @@ def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
     made = partial(make, dialect) if isinstance(dialect, GcodeDialect) else None
     return ProgramFormat(
-        dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(misread, dialect)
+        dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(find_misread_line, dialect)
     )

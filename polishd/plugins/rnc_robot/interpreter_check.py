@@ -22,7 +22,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Interpreted:
+class InterpreterResult:
     """Result of running two programs through LinuxCNC's interpreter."""
 
     difference: str | None
@@ -70,7 +70,7 @@ def readable(dialect: AnyDialect) -> GcodeDialect:
     )
 
 
-def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> Interpreted:
+def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> InterpreterResult:
     """Run both programs through LinuxCNC's interpreter at the same time, and compare call by call.
 
     All calls except DWELL, SET_FEED_RATE, SET_FEED_MODE and comments are compared, in order. Dwells are then compared
@@ -91,7 +91,7 @@ def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> Interprete
             checked += program.n - sum(map(math.isnan, found.time_s))
             difference = _times_differ(program, found, exact=exact)
     digits = "doubles" if exact else "the four decimals that rs274 prints"
-    return Interpreted(None if difference is None else f"LinuxCNC: {difference}", count, checked, digits)
+    return InterpreterResult(None if difference is None else f"LinuxCNC: {difference}", count, checked, digits)
 
 
 def _means_the_same(program: Program, dialect: GcodeDialect) -> bool:

@@ -20,7 +20,7 @@ from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.checks import Checks
-from polishd.plugins.rnc_robot.gcode.rewrite import look_through
+from polishd.plugins.rnc_robot.gcode.rewrite import scan_program
 from polishd.plugins.rnc_robot.gcode.time_words import Points, ProgramChunk
 from polishd.plugins.rnc_robot.interpreter_check import interpreted, readable
 from polishd.plugins.rnc_robot.languages.columns import numbers
@@ -69,7 +69,7 @@ def _of_nc(program: Program, dialect: GcodeDialect) -> ProgramMotion:
         owners.append(piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_MOVE])
         begin += len(piece.text)
 
-    look_through(dialect, BytesIO(program.text), program.name, each=keep)
+    scan_program(dialect, BytesIO(program.text), program.name, each=keep)
     line = np.concatenate([rows[:, c.M_LINE] for rows in moves])
     return ProgramMotion(
         program=program,

@@ -146,7 +146,7 @@ class Certificate:
         return self._document.error(key, f"{path} {problem}. Name the {named}")
 
 
-class Watch:
+class CertificateMonitor:
     """Check a certificate in a separate thread, so that a disk that hangs blocks nothing else."""
 
     def __init__(self, certificate: Certificate) -> None:

@@ -24,7 +24,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from polishd.config.server_sections import WebSection
 from polishd.model.errors import ConfigError, JournalDamage, PolishdError
 from polishd.util.serialization import finite
-from polishd.web.http.certificates import Certificate, Watch
+from polishd.web.http.certificates import Certificate, CertificateMonitor
 
 # Connections that cost: how many one address may hold open, and how long the head of a request may take to come.
 
@@ -36,7 +36,7 @@ MOST = 1000
 """Open at once from all."""
 
 
-class Bounded(H11Protocol):
+class BoundedProtocol(H11Protocol):
     """Uvicorn's, with these bounds; what breaks them is closed without a word."""
 
     _head: asyncio.TimerHandle | None = None
@@ -45,7 +45,9 @@ class Bounded(H11Protocol):
         """Take it, or close it where there are too many."""
         super().connection_made(transport)
         host = self.client[0] if self.client else ""
-        of_it = sum(1 for one in self.connections if isinstance(one, Bounded) and one.client and one.client[0] == host)
+        of_it = sum(
+            1 for one in self.connections if isinstance(one, BoundedProtocol) and one.client and one.client[0] == host
+        )
         if len(self.connections) > MOST or of_it > MOST_OF_ADDRESS:
             transport.abort()
         else:
@@ -152,7 +154,7 @@ async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: in
         return refusal(413, str(error))
 
 
-class Json(JSONResponse):
+class JsonAnswer(JSONResponse):
     """JSON in ASCII: all text has an encoding, and shown as it came, as by curl, it moves no terminal."""
 
     def render(self, content: Any) -> bytes:
@@ -162,7 +164,7 @@ class Json(JSONResponse):
 
 def refusal(status: int, error: str) -> JSONResponse:
     """In the form that all errors have."""
-    return Json({"ok": False, "error": error}, status)
+    return JsonAnswer({"ok": False, "error": error}, status)
 
 
 def host_name(value: str) -> str:
@@ -217,12 +219,12 @@ def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> Non
         proxy_headers=False,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=LEAVE_S,
-        http=Bounded,
+        http=BoundedProtocol,
         ws="none",
     )
     settings.load()
     settings.ssl = None if certificate is None else certificate.context()
-    watch = None if certificate is None else Watch(certificate)
+    watch = None if certificate is None else CertificateMonitor(certificate)
     try:
         _Server(settings).run()
     finally:
@@ -253,7 +255,7 @@ async def answered(work: Awaitable[Any]) -> Response:
         return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
     except PolishdError as error:
         return refusal(502, str(error))
-    return found if isinstance(found, Response) else Json(finite(found))
+    return found if isinstance(found, Response) else JsonAnswer(finite(found))
 
 
 async def _no_such(_request: Request, error: Exception) -> Response:
@@ -352,7 +354,7 @@ class LoginLockout:
         return min(float(BUDGET), left + BUDGET / LOCKED_S * (self._clock() - at_s))
 
 
-class Shares:
+class ClientShares:
     """Streams that each user holds open, at most ``most`` each and ``in_all`` together."""
 
     def __init__(self, most: int, in_all: int) -> None:

@@ -245,13 +245,17 @@ def test_only_a_slow_matrix_of_wide_spots_gives_way() -> None:
     """Entries, points and CPU seconds as measured: benchmarks/bench_choice.py, docs/dwell.md."""
     for entries, points, measured_s in ((2.12e6, 32_724, 0.68), (9.84e6, 72_500, 10.4), (15.8e6, 78_582, 29.8)):
         assert 0.5 < removal_models.newton_s(entries, points) / measured_s < 1.7
-    assert removal_models.gives_way(7.09e6, 35_274)  # 200 mm, spots of 4 mm: 10 s with a matrix, 2 s without
-    assert removal_models.gives_way(9.84e6, 72_500)
-    assert not removal_models.gives_way(4.72e6, 73_054)  # 300 mm, spots of 2 mm: 2 s with a matrix, 90 s without
-    assert not removal_models.gives_way(19.1e6, 205_388)  # without a matrix it is too far off, which takes 7 s to find
-    assert not removal_models.gives_way(1.12e6, 8_281)
-    assert removal_models.gives_way(removal_models.MOST_ENTRIES + 1, 10**9)
-    assert not removal_models.gives_way(0.0, 0)
+    assert removal_models.prefers_no_matrix(7.09e6, 35_274)  # 200 mm, spots of 4 mm: 10 s with a matrix, 2 s without
+    assert removal_models.prefers_no_matrix(9.84e6, 72_500)
+    assert not removal_models.prefers_no_matrix(
+        4.72e6, 73_054
+    )  # 300 mm, spots of 2 mm: 2 s with a matrix, 90 s without
+    assert not removal_models.prefers_no_matrix(
+        19.1e6, 205_388
+    )  # without a matrix it is too far off, which takes 7 s to find
+    assert not removal_models.prefers_no_matrix(1.12e6, 8_281)
+    assert removal_models.prefers_no_matrix(removal_models.MOST_ENTRIES + 1, 10**9)
+    assert not removal_models.prefers_no_matrix(0.0, 0)
 
 
 def test_where_no_effect_without_a_matrix_is_near_enough_it_is_one_and_says_why(

@@ -11,10 +11,17 @@ from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.checks import doubts
-from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect, written_word
+from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect, written_dwell_word
 from polishd.plugins.rnc_robot.gcode.kernels import direct, reciprocal
 from polishd.plugins.rnc_robot.gcode.refusals import refuse
-from polishd.plugins.rnc_robot.gcode.rewrite import Edits, ProgramRow, numbers_of, refuse_long, refuse_times, spliced
+from polishd.plugins.rnc_robot.gcode.rewrite import (
+    Edits,
+    ProgramRow,
+    numbers_of,
+    refuse_long,
+    refuse_times,
+    splice_numbers,
+)
 from polishd.plugins.rnc_robot.gcode.time_words import (
     PointReader,
     Points,
@@ -50,7 +57,7 @@ def recode(dialect: GcodeDialect, program: Program, time_s: FloatArray, encoding
         parts = [_dwells(dialect, piece, points, times, program.name)]
     else:
         parts = _feeds(scanner, piece, points, times, old=program.encoding, new=encoding)
-    text = spliced(piece.text, _sorted(parts), texts)
+    text = splice_numbers(piece.text, _sorted(parts), texts)
     behind = scanner.lines - scanner.at[c.ENDED] if scanner.at[c.ENDED] else 0  # there any line may stand
     refuse_long(dialect, program.name, text, 1, np.arange(1, text.count(b"\n") - behind + 1))
     return text if whole else text[:-1]
@@ -89,7 +96,7 @@ def _plain(start: IntArray, end: IntArray, prefix: IntArray | int) -> Edits:
 
 def _dwells(dialect: GcodeDialect, piece: ProgramChunk, points: Points, times: FloatArray, name: str) -> Edits:
     """A block for each point, behind its move's line."""
-    word = dialect.dwell.words[written_word(dialect)]
+    word = dialect.dwell.words[written_dwell_word(dialect)]
     decimal = word.decimal != "refuse"
     scale = 0.001 if (word.decimal if decimal else word.whole) == "ms" else 1.0
     style = (c.S_POINT if decimal else 0) | (c.S_KEEP if word.decimal != word.whole else 0)

@@ -67,7 +67,9 @@ def _refuse_commands(text: bytes, name: str, lines: int, commands: list[str]) ->
         raise refuse(name, lines + number, line, "a comment that the controller runs", "take it out")
 
 
-def explained(error: ProgramError, dialect: GcodeDialect, name: str, lines: list[bytes], at: list[int]) -> ProgramError:
+def explain_refusal(
+    error: ProgramError, dialect: GcodeDialect, name: str, lines: list[bytes], at: list[int]
+) -> ProgramError:
     """The scanner's refusal with file, line (the last of ``lines``: its piece until there) and the dialect's reason."""
     line = lines[-1].removesuffix(b"\r")
     begin = sum(len(each) + 1 for each in lines[:-1])

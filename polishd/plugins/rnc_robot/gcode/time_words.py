@@ -14,7 +14,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot.gcode import jit
 from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect, ScanColumns, Tables, WordBuffer, tables
-from polishd.plugins.rnc_robot.gcode.refusals import explained, refuse, refuse_binary
+from polishd.plugins.rnc_robot.gcode.refusals import explain_refusal, refuse, refuse_binary
 from polishd.plugins.rnc_robot.gcode.scanner import scan
 
 PIECE_BYTES = 1 << 19
@@ -121,7 +121,7 @@ class Scanner:
         except ProgramError as error:
             count = int(at[c.LINE]) - self.lines
             lines = text.split(b"\n", count)[:count]
-            raise explained(error, self.dialect, self.name, lines, [int(value) for value in at]) from None
+            raise explain_refusal(error, self.dialect, self.name, lines, [int(value) for value in at]) from None
         if run is not scan:
             self.at, self._now = at.tolist(), now.tolist()
         return found
