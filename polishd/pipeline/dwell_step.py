@@ -1,4 +1,4 @@
-"""The computing step that solves the dwell: problem, solver, what the machine delivers, and a second opinion."""
+"""The computing step that solves the dwell: problem, solver, delivered times, and cross-check."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from polishd.process.robot import motion
 # Extended heights at the unmeasured rim of the part, so that the dwell there is determined.
 
 EXTENDED_WEIGHT = 0.01
-"""What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
+"""Weight of an extended sample relative to a measured one: it holds the rim and does not affect the data."""
 LEAST_SAMPLES = 3.0
 """The extension's cut-off spans this many samples at least."""
 
@@ -69,11 +69,11 @@ def fill_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> 
     return FilledSurface(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
 
 
-# A tool's turn in a solve step: alone, or one of several that have one problem.
+# A tool's share of a solve step: one tool alone, or several tools in one problem.
 
 
 class ToolProblem(NamedTuple):
-    """A tool's turn: with what recipe, along which program, and by what is believed of it (None: as at first)."""
+    """A tool's recipe, program, and estimates (None: the initial ones)."""
 
     recipe: Recipe
     program: Program
@@ -87,13 +87,13 @@ class DwellBounds(NamedTuple):
     upper_s: FloatArray
 
     def raised(self, least_s: FloatArray) -> DwellBounds:
-        """The lower one at least this, the upper one never below it."""
+        """Raise the lower bound to this time, and the upper bound to the lower one."""
         lower = np.maximum(self.lower_s, least_s)
         return DwellBounds(lower, np.maximum(self.upper_s, lower))
 
 
 class SolveRound(NamedTuple):
-    """A solved problem, and what the machine makes of it."""
+    """A solved problem, and the times that the machine delivers."""
 
     problem: DwellProblem
     dwell: DwellSolution
@@ -103,7 +103,7 @@ class SolveRound(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ToolSubproblem:
-    """A tool's turn with its effect."""
+    """A tool's problem with its effect."""
 
     recipe: Recipe
     program: Program
@@ -112,26 +112,26 @@ class ToolSubproblem:
     envelope: Envelope
 
     def least_s(self) -> FloatArray:
-        """(n,) what motion takes at least."""
+        """(n,) least time of the motion."""
         return motion.least_time_s(self.program, self.envelope)
 
     def most_s(self) -> FloatArray:
-        """(n,) at most."""
+        """(n,) longest time of the motion."""
         return motion.most_time_s(self.program, self.envelope)
 
     def unrequested_s(self) -> FloatArray:
-        """(n,) what a point gets that is not written into the program."""
+        """(n,) time of a point that is not written into the program."""
         if self.program.encoding == "dwell":
             return self.least_s()
         return np.full(self.program.n, self.envelope.block_overhead_s)
 
     def divide_by(self) -> FloatArray:
-        """(n,) of "pointwise", else 1."""
+        """(n,) divisor of the correction "pointwise", otherwise 1."""
         return np.ones(self.program.n) if self.answer.divide_by is None else self.answer.divide_by
 
 
 def tool_subproblem(turn: ToolProblem, measured: MeasureResult) -> ToolSubproblem:
-    """Of a turn and the surface that it finds."""
+    """Build the subproblem of a tool for a measured surface."""
     believed = turn.believed or initial_estimates(turn.recipe)
     answer = effect_of(turn.recipe, turn.program, measured.grid, believed)
     return ToolSubproblem(turn.recipe, turn.program, believed, answer, envelope_of(turn.recipe, turn.program, believed))
@@ -140,7 +140,7 @@ def tool_subproblem(turn: ToolProblem, measured: MeasureResult) -> ToolSubproble
 def single_tool(
     found: SolveRound, removal_nm: FloatArray, left_nm: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray]
 ) -> DwellSolution:
-    """Of several tools' solution one's: its times and bounds, what it removes, and what is left after it."""
+    """Extract one tool's solution from that of several tools: times, bounds, removal and residual."""
     time_s, lower_s, upper_s = own
     clear, grid = found.problem.metric_mask, found.problem.effect.grid
     residual = left_nm - left_nm[clear].mean()
@@ -158,35 +158,35 @@ def single_tool(
 
 
 def add_certificate(dwell: DwellSolution, **changes: Any) -> DwellSolution:
-    """The same solution; of its certificate those fields changed."""
+    """Return the solution with changed fields of its certificate."""
     return replace(dwell, certificate=replace(dwell.certificate, **changes))
 
 
 def add_note(dwell: DwellSolution, note: str) -> DwellSolution:
-    """The same solution; its certificate says one thing more."""
+    """Return the solution with one more note in its certificate."""
     return add_certificate(dwell, notes=(*dwell.certificate.notes, note))
 
 
 LEAST_COVERAGE = 0.9
-"""A program that works less of the clear aperture than this is taken for another part's."""
+"""A program that covers a smaller share of the clear aperture counts as another part's."""
 LEAST_ON_PART = 0.5
-"""So is one that mostly works beside it."""
+"""A program with a smaller share of its points on the part counts as another part's."""
 ENVELOPE_ROUNDS = 2
-"""Re-solves with what acceleration delivers as the lower bound."""
+"""Number of re-solves with the times that acceleration delivers as the lower bound."""
 CROSS_CHECK_GAP = 1e-3
-"""Most by which an independent solver may be better."""
+"""Largest relative advantage of an independent solver."""
 LAST_SHARE = 0.25
-"""Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
+"""Share of the step's time that is reserved for an unfinished last solve."""
 PROOF_SHARE = 0.5
-"""Of what is left of it, that a proof may take before an independent solver is asked."""
+"""Share of the remaining time for a proof before the cross-check."""
 DEADLINE = "deadline"
-"""What a certificate says of a solver whose time was over."""
+"""Stop reason of a solver whose time was over."""
 KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
-"""The worker is killed this much later: it may have two threads, and no solver looks at the time always."""
+"""Factor and margin before the worker is killed: it may have two threads, and solvers check the time late."""
 
 
 def limit(recipe: Recipe) -> CpuLimit:
-    """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
+    """CPU limit of the compute worker during `solve`; a plugin that respects ``dwell.within_s`` never reaches it."""
     return CpuLimit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
 
 
@@ -197,25 +197,24 @@ def solve(
     believed: EstimatesInUse | None = None,
     warm: WarmStart | None = None,
 ) -> SolveResult:
-    """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_tools`."""
+    """Solve the dwell for the measured surface in a cell with one tool; see `solve_tools`."""
     return solve_tools((ToolProblem(recipe, program, believed),), measured, warm)[0]
 
 
 def solve_first(turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None) -> SolveResult:
-    """Of all that the turns have to do the first one's; see `solve_tools`."""
+    """Solve for all tools and return the first one's dwell; see `solve_tools`."""
     return solve_tools(turns, measured, warm)[0]
 
 
 def solve_tools(
     turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None
 ) -> tuple[SolveResult, ...]:
-    """Dwell of each tool for the removal that the measured surface wants of all, within what the machine can deliver.
+    """Solve the dwell of each tool for the measured surface, within the times that the machine can deliver.
 
-    One problem for all tools: what the first leaves, it leaves for the others. Their recipes differ in tool and program
-    only. What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    What a turn believes is what the cycles have taught; ``warm`` is what was kept of the last one's solution. All of it
-    together, removal models, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU time: each solve is
-    given what is left.
+    All tools share one problem, so that a later tool removes the residual of an earlier one. Their recipes differ only
+    in tool and program. Times that acceleration delivers late become the lower bound of the next round, so that the
+    optimum includes them. ``warm`` is the record of the last solution. Removal models, rounds, choice, cross-check and
+    curve together have ``dwell.within_s`` of CPU time; each solve gets the remaining time.
     """
     recipe = turns[0].recipe
     time_limit = TimeLimit(recipe.dwell.within_s)
@@ -246,7 +245,7 @@ def solve_tools(
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: MeasureResult) -> None:
-    """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
+    """ProgramError unless the path covers nearly all of the clear aperture and is mostly on the part."""
     right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
     none = negligible(answer.effect)
     on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64)), none).mean())
@@ -259,42 +258,42 @@ def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measure
 
 
 def _touched(removal: FloatArray, none: float) -> BoolArray:
-    """Where there is more than that share of the strongest."""
+    """Samples with more than that share of the strongest removal."""
     return np.asarray(removal > none * np.abs(removal).max(initial=0.0))
 
 
 @dataclass(frozen=True)
 class _Step:
-    """What all solves of one step have in common."""
+    """Shared data of all solves of one step."""
 
     recipe: Recipe
-    """What all tools have in common of it."""
+    """Recipe of the first tool, for the keys that all tools share."""
     legs: tuple[ToolSubproblem, ...]
     measured: MeasureResult
     time_limit: TimeLimit
 
     def of_legs(self, value: Callable[[ToolSubproblem], FloatArray]) -> FloatArray:
-        """(n,) of all points, one tool's after the other's."""
+        """(n,) values of all points, tool by tool."""
         return np.concatenate([value(leg) for leg in self.legs])
 
     def each(self, values: FloatArray) -> Iterator[tuple[ToolSubproblem, FloatArray]]:
-        """Each tool, with its own of those."""
+        """Yield each tool with its values."""
         return zip(self.legs, split(values, [leg.program.n for leg in self.legs]), strict=True)
 
     @cached_property
     def effect(self) -> Effect:
-        """Of all tools."""
+        """Joint effect of all tools."""
         return together([leg.answer.effect for leg in self.legs])
 
     @cached_property
     def divide_by(self) -> FloatArray | None:
-        """(n,) what the dwell solved is divided by; None: nothing."""
+        """(n,) divisor of the solved dwell; None: no division."""
         none = all(leg.answer.divide_by is None for leg in self.legs)
         return None if none else self.of_legs(ToolSubproblem.divide_by)
 
     @property
     def finest(self) -> RemovalAnswer:
-        """Of the tool that corrects the shortest periods."""
+        """Answer of the tool that corrects the shortest periods."""
         known = [leg.answer for leg in self.legs if leg.answer.transfer is not None]
         if len(known) < len(self.legs):
             return next(leg.answer for leg in self.legs if leg.answer.transfer is None)
@@ -305,7 +304,7 @@ class _Step:
         return self.recipe.dwell
 
     def round(self, bounds: DwellBounds, warm: Start | None, reserve: float = 0.0) -> SolveRound:
-        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
+        """Solve within these bounds; a single solve leaves the share ``reserve`` of the step's time."""
         problem, divide_by = self.problem(bounds, warm), self.divide_by
         if self.dwell.choose == "least":
             within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
@@ -319,7 +318,7 @@ class _Step:
         return SolveRound(problem, dwell, asked, np.concatenate(expected))
 
     def as_programmed(self) -> SolveResult:
-        """No solve: the program's own times, and what the machine makes of them."""
+        """Return the program's own times, and the times that the machine delivers, without a solve."""
         (leg,) = self.legs
         asked = leg.program.time_s
         expected = motion.delivered_time_s(leg.program, asked, leg.envelope)
@@ -329,11 +328,11 @@ class _Step:
         return SolveResult(dwell, self.staying(leg), asked, expected, leg.believed)
 
     def staying(self, leg: ToolSubproblem) -> RemovalAnswer:
-        """Its answer, whose effect stays in this process."""
+        """Answer of the tool, whose effect stays in this process."""
         return replace(leg.answer, effect=CachedEffect(leg.answer.effect, self.measured.grid))
 
     def turns(self, found: SolveRound, curve: tuple[Row, ...]) -> tuple[SolveResult, ...]:
-        """What was found, for each tool."""
+        """Split the solution into one for each tool."""
         if len(self.legs) == 1:
             (leg,) = self.legs
             return (SolveResult(found.dwell, self.staying(leg), found.asked_s, found.expected_s, leg.believed, curve),)
@@ -352,7 +351,7 @@ class _Step:
         return tuple(solved)
 
     def problem(self, bounds: DwellBounds, warm: Start | None) -> DwellProblem:
-        """The solver's; of "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
+        """The problem for the solver; for "pointwise" the static problem, with bounds for the quotient."""
         measured, surface = self.measured, self.surface
         scale = 1.0 if self.divide_by is None else self.divide_by
         least = self.effect.removal_nm(bounds.lower_s * scale)
@@ -387,12 +386,12 @@ class _Step:
             case "target":
                 return to_target(problem, self.dwell.target_nm or 0.0, solve)
             case _:
-                # "pointwise" takes so much longer than it solves
+                # "pointwise" divides the solved times
                 static = 1.0 if divide_by is None else float(divide_by.mean())
                 return within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
 
     def searching(self, what: str) -> Solve:
-        """The recipe's solver for what needs many solves. One that was cut short would mislead it: a ComputeError."""
+        """The recipe's solver for a search with many solves. ComputeError where the time ends a solve early."""
         recipe, done = self.recipe, 0
 
         def solve(problem: DwellProblem) -> DwellSolution:
@@ -411,7 +410,7 @@ class _Step:
         return solve
 
     def timed(self, dwell: DwellSolution) -> DwellSolution:
-        """The same solution; where its time was over, its certificate says what the whole step had used by then."""
+        """Return the solution; at a deadline, its certificate states the time that the whole step used."""
         certificate = dwell.certificate
         if certificate.stopped != DEADLINE:
             return dwell
@@ -419,7 +418,7 @@ class _Step:
         return add_certificate(dwell, stopped=used)
 
     def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
-        """The same solution with an independent solver's word on it, where its own proof is not enough."""
+        """Return the solution with the result of an independent solver, where its proof is not sufficient."""
         other, dwell = self.recipe.cross_check, self.proved(problem, dwell)
         certificate = dwell.certificate
         if other is None or (certificate.gap is not None and certificate.gap <= self.dwell.cross_check_above):
@@ -428,22 +427,22 @@ class _Step:
             theirs = other.solve(problem, self.time_limit.left_s).certificate
         except ComputeError as error:
             return add_note(dwell, f"cross-check by {other.name} failed: {error}")
-        if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
+        if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # that proves nothing
             return add_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
         gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
         return add_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
 
     def proved(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
-        """The same solution; where its gap is too large to do without a second opinion, the best that can be proved."""
+        """Return the solution with the best provable gap, where its gap would need a cross-check."""
         enough = self.dwell.cross_check_above
-        if enough == 0:  # it is asked whatever is proved
+        if enough == 0:  # the cross-check runs always
             return dwell
         static = dwell if self.divide_by is None else replace(dwell, time_s=dwell.time_s * self.divide_by)
         found = proved(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
         return add_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
 
     def noted(self, dwell: DwellSolution) -> DwellSolution:
-        """The same solution; its certificate says what of the surface is out of the spot's reach."""
+        """Return the solution with notes on the periods that the spot cannot correct."""
         measured, spot = self.measured, self.finest.transfer
         if spot is None:
             return dwell
@@ -459,7 +458,7 @@ class _Step:
         return dwell
 
     def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
-        """The curve of residual against time where it is asked for; a plan is not refused for want of it."""
+        """Add the curve of residual against time on request; a missing curve does not refuse a plan."""
         if not self.dwell.curve:
             return dwell, ()
         try:

@@ -204,7 +204,7 @@ def test_a_cell_that_is_gone_learns_that_it_has_lost_its_part(shop: Database) ->
     add(shop, "a")
     claim(shop, "north", "1")
     report(shop, "north", **{"1": "under way"})
-    assert "may not begin it any more" in release(shop, "a", gone=True)
+    assert "must not begin it any more" in release(shop, "a", gone=True)
     assert claim(shop, "south", "2") == "a"
     assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
     assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
