@@ -1,4 +1,4 @@
-"""``polishd map absolute``: the instrument's own error and the part, from maps of it turned and shifted."""
+"""``polishd map absolute``: separate the instrument's own error from the part, by turned and shifted maps."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ LISTED = 4
 OFF_PX = 2.0
 """Distance between the middle of a map's data and its pose above which a note is made."""
 WORSE = 5.0
-"""Noise of the terms, of that of samples, from which on it is noted."""
+"""Ratio of the terms' noise to the samples' noise above which a note is made."""
 MOUNT = (
     "what turns with the part, as a mount's print or its clamping, counts as part; what does not, as gravity, counts "
     "as instrument"
@@ -56,17 +56,17 @@ class AbsoluteTestOutput:
     instrument: SurfaceMap
     part: SurfaceMap
     answer: dict[str, Any]
-    """For programs."""
+    """Answer for ``--json``."""
 
     def show(self, *, as_json: bool, more: Sequence[str] = ()) -> None:
-        """On stdout; for people, ``more`` lines below."""
+        """Print the result on stdout; for people with ``more`` lines below."""
         lines = [*_lines(self.answer), *more]
         emit(self.answer, as_json=as_json, table=lambda: _table(self.answer), lines=lines)
 
 
 def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: bool) -> None:
-    """Tell part and instrument apart; write both where they are wanted."""
-    source = MapSource.by(asked, system=False)  # that is what is looked for
+    """Separate part and instrument, and write both on request."""
+    source = MapSource.by(asked, system=False)  # the system error is the result here
     _require_targets(files, asked, source)
     poses = poses_of(asked, files)
     apart = separate_maps([source.read(path) for path in files], poses, asked, source)
@@ -84,7 +84,7 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
 def separate_maps(
     surfaces: Sequence[SurfaceMap], poses: Sequence[PartPose], asked: AbsoluteOptions, source: MapSource
 ) -> AbsoluteTestOutput:
-    """Part and instrument from maps that are read. BadMap."""
+    """Separate part and instrument of maps in memory. BadMap."""
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
     pitch = one_pitch(surfaces)
     _require_one_instrument(surfaces)
@@ -113,7 +113,7 @@ def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapS
 
 
 def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
-    """Of each file, from the options or from the list; where there are no files, as many as there are angles."""
+    """Pose of each file, from the options or the list; without files, one for each angle."""
     if (asked.angles is None) == (asked.at is None) or (asked.at is not None and asked.shifts is not None):
         raise typer.BadParameter("give the part's poses by --angles (with --shifts where it was shifted), or by --at")
     if asked.at is not None:
@@ -132,7 +132,7 @@ def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
 
 
 def _numbers(option: str, text: str, count: int) -> list[float]:
-    """So many finite numbers with commas between."""
+    """Parse this number of finite values, separated by commas."""
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
@@ -143,7 +143,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def _pixel(axis_mm: Sequence[float], surface: SurfaceMap, pitch_mm: float) -> tuple[float, float]:
-    """(row, column) of a place, mm from the map's centre."""
+    """(row, column) of a position in mm from the map's center."""
     rows, columns = surface.height_nm.shape
     return (rows - 1) / 2 - axis_mm[1] / pitch_mm, (columns - 1) / 2 + axis_mm[0] / pitch_mm
 
@@ -221,7 +221,7 @@ def _notes(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> li
 def _made(
     surfaces: Sequence[SurfaceMap], names: Sequence[str], found: AbsoluteSolution, source: MapSource
 ) -> tuple[SurfaceMap, SurfaceMap]:
-    """Instrument and part with what is known of the first map, as new as the newest."""
+    """Maps of instrument and part, with the properties of the first map and the newest date."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
     whole = replace(surfaces[0], taken_at=max(times, default=None), date_from="header", fiducials_px=(), masks=())
     unknown = families((one.n, one.m) for one in found.design.unknown)

@@ -1,4 +1,4 @@
-"""``polishd map stitch``: overlapping sub-apertures as one map, and how sure each of its samples is."""
+"""``polishd map stitch``: combine overlapping sub-apertures into one map with its uncertainty."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FREE = ("power", "shift")
 
 
 def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -> None:
-    """Stitch the maps, the first as the reference; write the result and its uncertainty where they are wanted."""
+    """Stitch the maps, with the first as reference; write the result and its uncertainty on request."""
     from polishd.config.table_files import read_positions
 
     free = _free(asked.free)
@@ -89,7 +89,7 @@ def require_lines(files: Sequence[Path], listed: Collection[str], at: Path, line
 
 
 def one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
-    """Of maps of one part; BadMap where they have none, or two, or are of several parts."""
+    """Common pitch of maps of one part; BadMap where there is none, or where they show several parts."""
     pitches: list[float] = []
     for one in surfaces:
         if one.pitch_mm is None:
@@ -133,7 +133,7 @@ def _answer(found: StitchResult, first: SubAperture, pitch_mm: float, free: Sequ
 
 
 def _on_part(found: StitchResult, first: SubAperture, pitch_mm: float, row: float, column: float) -> list[float]:
-    """x, y in mm where the list of positions has its origin."""
+    """Position x, y in mm of the origin of the list of positions."""
     down, right = row - found.centre_px[0], column - found.centre_px[1]
     return [first.x_mm + float(right) * pitch_mm, first.y_mm - float(down) * pitch_mm]
 
@@ -154,7 +154,7 @@ def _power_notes(found: StitchResult, free: Sequence[str]) -> list[str]:
 def _stored(
     surfaces: Sequence[SurfaceMap], found: StitchResult, asked: StitchOptions, source: MapSource, **options: Any
 ) -> dict[str, Any]:
-    """Write the map and its uncertainty; what there is to say of each."""
+    """Write the map and its uncertainty; return notes on each."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
     whole = replace(surfaces[0], taken_at=max(times, default=None), date_from="header", fiducials_px=(), masks=())
     inputs = [("reference", surfaces[0]), *(("sub-aperture", one) for one in surfaces[1:])]

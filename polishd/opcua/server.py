@@ -37,7 +37,7 @@ from polishd.opcua.jobs import (
     read_work,
 )
 
-# What a daemon's state is called in OPC 40001-1: of the machine, and of its mode of operation.
+# States of OPC 40001-1 for the daemon's states: machine state and operation mode.
 
 
 class ItemState(IntEnum):
@@ -59,12 +59,12 @@ class OperationMode(IntEnum):
 
     @property
     def said(self) -> str:
-        """Its browse name."""
+        """Browse name of the state."""
         return "None" if self is OperationMode.Nothing else self.name
 
 
 class MachineStates(NamedTuple):
-    """Both."""
+    """Both states."""
 
     item: ItemState
     mode: OperationMode
@@ -78,10 +78,10 @@ STATES: Mapping[str, MachineStates] = {
     "held": MachineStates(ItemState.OutOfService, OperationMode.Processing),
     "finished": MachineStates(ItemState.NotAvailable, OperationMode.Nothing),
 }
-"""Of a daemon. Held is out of service: it does nothing until a person has mended the cause, and said so."""
+"""States by the daemon's state. A held cell is out of service until a person has removed the cause and resumed it."""
 NO_DAEMON = MachineStates(ItemState.NotAvailable, OperationMode.Nothing)
 GOING = {"starting", "changing", "polishing"}
-"""A job under way is worked in these, and stands still in the others."""
+"""States in which a job under way continues; in the others it is interrupted."""
 
 
 DI, MACHINERY = "http://opcfoundation.org/UA/DI/", "http://opcfoundation.org/UA/Machinery/"
@@ -89,7 +89,7 @@ FILES = (
     "Opc.Ua.Di.NodeSet2.xml", "Opc.Ua.IA.NodeSet2.xml", "Opc.Ua.Machinery.NodeSet2.xml",
     "Opc.Ua.Isa95JobControl.NodeSet2.xml", "Opc.Ua.Machinery.Jobs.NodeSet2.xml", "Opc.Ua.Machinery.Result.NodeSet2.xml",
 )  # fmt: skip
-"""In the order in which one needs the other."""
+"""In the order of their dependences."""
 DEFAULTS = re.compile(
     r'(<UAVariable(?:Type)? [^>]*DataType="(?:Result|ProcessingTimes)\w*DataType"(?:(?!</UAVariable).)*?)'
     r"<Value>.*?</Value>",
@@ -99,7 +99,7 @@ DEFAULTS = re.compile(
 MACHINES, ITEM_STATE, IDENTIFICATION, OPERATION_MODE = 1001, 1002, 1012, 1008
 """Nodes of Machinery: the folder of machines, and types."""
 OLD_S = 2.0
-"""A reading of that age is no longer live."""
+"""Age from which a reading is not live."""
 TEXT, NUMBER, WHOLE, BOOLEAN = (
     ua.VariantType.String, ua.VariantType.Double, ua.VariantType.Int64, ua.VariantType.Boolean,
 )  # fmt: skip
@@ -108,7 +108,7 @@ EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, WHOLE: 0, BOOLEAN:
 
 
 class OpcUaVariable(NamedTuple):
-    """A variable of polishd's own: where it stands in ``live``, and its type."""
+    """A variable of polishd: its path in ``live``, and its type."""
 
     name: str
     path: tuple[str, ...]
@@ -153,7 +153,7 @@ class OpcUaMachine:
         own = await server.register_namespace(f"urn:polishd:{name}")
 
         def id_(path: str) -> ua.NodeId:
-            """The same after each start, so that clients find it again."""
+            """Node id that stays the same after each start, for clients."""
             return node_id(path, own)
 
         machines = server.get_node(node_id(MACHINES, machinery))
@@ -223,7 +223,7 @@ class OpcUaMachine:
 
 
 async def _models(server: Server) -> None:
-    """The companion models, and classes of their structures."""
+    """Import the companion models, and make classes of their structures."""
     for file in FILES:
         text = (resources.files("polishd.opcua") / "nodesets" / file).read_text(encoding="utf-8")
         await server.import_xml(xmlstring=DEFAULTS.sub(r"\1", text), auto_load_definitions=False)
@@ -231,13 +231,13 @@ async def _models(server: Server) -> None:
 
 
 async def _current(machine: Node) -> tuple[Node, Node]:
-    """Its CurrentState, and the Id of that."""
+    """CurrentState of a state machine, and its Id."""
     current = await machine.get_child("0:CurrentState")
     return current, await current.get_child("0:Id")
 
 
 async def _identify(node: Node, name: str, section: OpcUaSection, spaces: tuple[int, int, int]) -> None:
-    """Mandatory ones are there with the type; others are added where they are known."""
+    """Set the mandatory properties of the type; add the others where they are known."""
     di, machinery, own = spaces
     mandatory = {
         "Manufacturer": ua.LocalizedText(section.manufacturer),
@@ -279,11 +279,11 @@ def _of(live: Mapping[str, Any], one: OpcUaVariable, now: datetime) -> ua.DataVa
 
 
 LOOK_S = 1.0
-"""Between two questions."""
+"""Interval between two requests."""
 ANSWER_S = 0.8
-"""A daemon that has not answered for so long is called silent."""
+"""Time without an answer after which the daemon counts as silent."""
 ADDRESS = "127.0.0.1"
-"""Beyond this computer OPC UA needs certificates on both sides, which polishd does not keep: docs/plant-systems.md."""
+"""OPC UA needs certificates on both sides beyond this computer, which polishd does not have: docs/plant-systems.md."""
 
 
 class ReadOnlyUsers(UserManager):
@@ -291,14 +291,14 @@ class ReadOnlyUsers(UserManager):
 
     def get_user(self, iserver: Any, username: str | None = None, password: str | None = None,
                  certificate: Any = None) -> User:  # fmt: skip
-        """Of a client that opens a session."""
+        """User of a client that opens a session."""
         del iserver, username, password, certificate
         return User(role=UserRole.User)
 
 
 @asynccontextmanager
 async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIterator[str]:
-    """Serve inside this block; the address. OSError where the port is taken."""
+    """Serve inside this block; yield the address. OSError where the port is taken."""
     logging.getLogger("asyncua").setLevel(logging.ERROR)  # it logs a warning at each start
     server = Server(user_manager=ReadOnlyUsers())
     await server.init()
@@ -308,7 +308,10 @@ async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIte
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     server.set_identity_tokens([ua.AnonymousIdentityToken])
     machine = await OpcUaMachine.added(server, name, section)
-    async with server, asyncio.TaskGroup() as group:  # a fault of who asks ends it: no last values stand there
+    async with (
+        server,
+        asyncio.TaskGroup() as group,
+    ):  # a fault of the polling task ends the server, so that no stale values remain
         asking = group.create_task(_ask_on(machine, state_dir))
         try:
             port = section.port if server.bserver is None else server.bserver.port
@@ -318,7 +321,7 @@ async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIte
 
 
 async def serve(name: str, state_dir: Path, section: OpcUaSection) -> None:
-    """Until Ctrl-C or SIGTERM; it says where it listens. OSError where the port is taken."""
+    """Serve until Ctrl-C or SIGTERM, and print the address. OSError where the port is taken."""
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -343,7 +346,7 @@ async def _ask_on(machine: OpcUaMachine, state_dir: Path) -> None:
 
 
 def _orders(state_dir: Path) -> tuple[OpcUaJob, ...] | None:
-    """Of the journal; None: it cannot be read."""
+    """Jobs of the journal; None: it cannot be read."""
     try:
         return read_work(state_dir)
     except ConfigError:

@@ -45,7 +45,7 @@ SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "rectangle": (2, apertures.rectangle),
     "hexagon": (1, lambda flats_mm: apertures.over_outline(hexagon(flats_mm))),
 }
-"""Apertures by name: how many lengths, and what makes one of them."""
+"""Apertures by name: number of lengths, and constructor."""
 UNCHECKED = (
     "the robot's reach and singular poses",
     "the machine's range and feeds",
@@ -67,22 +67,22 @@ class GeneratedPath:
 
     @property
     def length_mm(self) -> FloatArray:
-        """(n,) of each move."""
+        """(n,) length of each move."""
         return np.asarray(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class GeneratedProgram:
-    """A program of a path."""
+    """A program along a path."""
 
     path: GeneratedPath
     text: bytes
     answer: dict[str, Any]
-    """What ``polishd program make`` says of it."""
+    """Answer of ``polishd program make``."""
 
 
 def make_verb(options: MakeOptions, *, as_json: bool) -> None:
-    """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
+    """Make the path, write the program, and describe it; write nothing where anything is refused."""
     config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
     with stderr.status("making the path"):
         program = make_program(options, config, hooks)
@@ -92,9 +92,9 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
 
 
 def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> GeneratedProgram:
-    """The program's text and what it is; nothing is written.
+    """Text and description of the program, without writing it.
 
-    ComputeError or ProgramError where it cannot be, or where the cell's `plan` or `run` would refuse it.
+    ComputeError or ProgramError where it is impossible, or where the cell's `plan` or `run` would refuse it.
     """
     encoding = _encoding(options)
     dialect = options.dialect or (DEFAULT if config is None else dialect_of(config))
@@ -128,7 +128,7 @@ def dialect_of(config: CellConfig) -> str:
 
 
 def _encoding(options: MakeOptions) -> Encoding:
-    """Where the time is written; BadParameter for times that are none."""
+    """Encoding of the time; BadParameter for invalid times."""
     for name, value in (("--feed", options.feed_mm_min), ("--dwell", options.dwell_s)):
         if value is not None and not 0 < value < np.inf:
             raise typer.BadParameter(f"{name} {value:g}: must be above 0")
@@ -149,7 +149,7 @@ def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
 
 
 def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
-    """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
+    """Points on the optic and tool axes, in the part's frame. ComputeError where there are none."""
     aperture, optic = _aperture(options, config), _optic(options, config)
     lengths = (options.pitch_mm, options.step_mm)
     beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
@@ -209,7 +209,7 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Feed (n,) mm/min and time (n,) s of each move: a dwell that sits in the feed is the time of its move."""
+    """Feed (n,) mm/min and time (n,) s of each move; a dwell in the feed is the time of its move."""
     feed = np.full(len(length_mm), options.feed_mm_min)
     if encoding == "dwell":
         return feed, 60 * length_mm / feed + (options.dwell_s or 0.0)
@@ -219,7 +219,7 @@ def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> 
 
 
 def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """From the part's frame to the one that the cell's programs are written in."""
+    """Transform from the part's frame to that of the cell's programs."""
     if config is None:
         return points, axis
     back = Rotation.from_euler("z", -config.program.rotation_deg, degrees=True)
@@ -227,7 +227,7 @@ def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatA
 
 
 def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
-    """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
+    """ProgramError with every reason for which the cell's `plan` or `run` would refuse the program with any map."""
     without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
     found = precheck.precheck_plan(recipe, program, hooks.check_plan)
@@ -257,11 +257,11 @@ def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
     return key_table(f"{_title(options)} ({answer['dialect']})", rows)
 
 
-# How wide a cell's contact is: the distance of a path's lines follows from it.
+# Width of a cell's contact, which sets the line distance of a path.
 
 
 def contact_radius_mm(config: CellConfig) -> float:
-    """Radius of the contact that acts at the part's centre."""
+    """Radius of the contact at the part's center."""
     centre, process, placement = np.zeros((1, 3)), config.tool_process(), config.placement()
     options, optic = config.compliance_options(), config.optic()
     axes = tool_axes(centre, optic, config.process.dip_deg, options, placement)
@@ -279,26 +279,26 @@ def contact_radius_mm(config: CellConfig) -> float:
     return float(contact.contact_radius_mm(process, gamma * depth)[0])
 
 
-# A raster that suits a cell: over its part and a little more, quiet for its spot, dipped as its tool dips.
+# A raster for a cell: slightly larger than its part, without ripple for its spot, with the cell's dip.
 
 RASTER_MM = 1.0
-"""Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
+"""Block length and largest line distance: the step without ripple is slightly less."""
 OVERRUN_MM = 1.0
-"""How far the raster is larger than the part: its turns, where the machine stops, lie on the ring around it."""
+"""Overrun of the raster beyond the part: its turns, with the stops of the machine, lie on the ring around it."""
 LANDING_MM = 6.0
-"""How far outside the part the tool lands, on the ring that the part sits in."""
+"""Distance of the landing points from the part, on the ring that the part sits in."""
 FEED_MM_MIN = 900.0
 
 
 def own_program(config: CellConfig, name: str) -> bytes:
-    """That raster as RNC text, timed by feeds."""
+    """The raster as RNC text, timed by feeds."""
     return path_program(*own_path(config), FEED_MM_MIN, name)
 
 
 def own_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) points of that raster, mm, and the tool axes there.
+    """(n, 3) points of the raster, mm, and tool axes.
 
-    ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
+    ``dwells_mm``: largest distance of points with dwells, so that they leave no ripple along the lines.
     """
     covered = over_outline(config.outline()).larger(OVERRUN_MM)
     step = quiet_step_mm(contact_radius_mm(config), dwells_mm or RASTER_MM)

@@ -1,4 +1,4 @@
-"""``polishd program``: what an RNC program says, its times rewritten, and the proof that nothing else changed."""
+"""``polishd program``: contents of a program, new times for it, and the proof that nothing else changed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from polishd.rendering.plots import BLUE, INK, ORANGE, SEQUENTIAL, figure, png, 
 from polishd.rendering.terminal import emit, key_table, record_table, stderr, stdout
 
 SHOWN = 20
-"""Most changed lines and warnings that a person is shown."""
+"""Longest list of changed lines and warnings for people."""
 
 
 def _is_pipe(file: Path) -> bool:
@@ -48,13 +48,13 @@ def _is_pipe(file: Path) -> bool:
 
 
 def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
-    """The dialect of a program, and by what it was chosen.
+    """The dialect of a program, and the reason of the choice.
 
     Raises:
         ProgramError: the file is in another language than the dialect; or, without one, several fit, or none is read.
         ConfigError: there is no such dialect.
     """
-    if _is_pipe(file):  # it is read once
+    if _is_pipe(file):  # read only once
         return dialect_named(dialect or DEFAULT), "--dialect" if dialect else "assumed: not a regular file"
     with opened(file) as source:
         head = source.read(HEAD_BYTES)
@@ -67,7 +67,7 @@ def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
 
 
 def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_json: bool) -> None:
-    """What a program says: points, times, feeds, bounds, and what was assumed."""
+    """Show points, times, feeds, bounds and assumptions of a program."""
     profile, why = chosen(file, dialect)
     if picture is not None:
         require_new_target(picture, file)
@@ -85,7 +85,7 @@ def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_js
 
 
 def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
-    """The figures as JSON holds them. NC text of any size is looked through in bounded memory."""
+    """Figures as JSON values. NC text of any size is read in bounded memory."""
     found: StreamCounts | Program
     if isinstance(profile, GcodeDialect):
         with _bar("reading", file) as progress, opened(file) as source:
@@ -135,7 +135,7 @@ ENCODINGS: dict[Encoding, str] = {
 def rewrite_verb(
     file: Path, dwell: Path, out: Path, dialect: str | None, encoding: Encoding | None, *, comment: bool, as_json: bool
 ) -> None:
-    """Write the program with other times; nothing is written where anything is wrong."""
+    """Write the program with other times; write nothing where anything is wrong."""
     (profile, why), table = chosen(file, dialect), DwellTable(dwell)
     with _bar("rewriting", file) as progress:
         written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
@@ -156,7 +156,7 @@ def _kept(moves: int) -> str:
 
 @contextmanager
 def _bar(what: str, file: Path) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr for as long as a file is read; hears of bytes."""
+    """Progress bar on stderr while a file is read; it takes bytes."""
     size = os.path.getsize(file) if os.path.isfile(file) else None  # noqa: PTH113, PTH202 - Path's raise
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
@@ -201,7 +201,7 @@ def _say_notes(what: str, notes: list[str] | tuple[str, ...]) -> None:
         stdout.print(f"{what}: {len(notes) - SHOWN} more; --json has them", markup=False)
 
 
-# ``polishd program dialects``: what each shipped profile says about time.
+# ``polishd program dialects``: time rules of each shipped profile.
 
 _COLUMNS = ("dialect", "for", "dwell", "new dwells", "quantum, s", "time in F", "lines at most")
 
@@ -213,7 +213,7 @@ def dialects_verb(*, as_json: bool) -> None:
 
 
 def dialect_answer(profile: AnyDialect) -> dict[str, Any]:
-    """What a profile says about time, as JSON holds it; null: it has none, or no limit."""
+    """Time rules of a profile as JSON values; null: none, or no limit."""
     return {
         "name": profile.name,
         "kind": profile.kind,
@@ -249,7 +249,7 @@ def _of_nc(profile: GcodeDialect) -> dict[str, Any]:
 
 
 def _unit(word: DwellWord) -> str:
-    """Unit of a dwell word, in words; empty where it is refused either way."""
+    """Unit of a dwell word as text; empty where both forms are refused."""
     if word.whole == word.decimal:
         return "" if word.whole == "refuse" else word.whole
     ways = ((word.whole, "without a point"), (word.decimal, "with a point"))
@@ -271,17 +271,17 @@ def _row(answer: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _quantum(answer: dict[str, Any]) -> str:
-    """Of new numbers, how fine the program's own may be, and what the controller makes of it."""
+    """Resolution of new numbers, of the program's own, and of the controller."""
     found = f"{answer['quantum_s']:g}"
     if answer["finest_s"] < answer["quantum_s"]:
         found += f", to {answer['finest_s']:g}"
     return found + (f" (runs {answer['resolution_s']:g})" if answer["resolution_s"] else "")
 
 
-# Pictures of programs: where one dwells, and for how long; and the run of a path that was made.
+# Pictures of programs: dwell times on the part, and a generated path.
 
 MOST_DOTS = 20_000
-"""Points drawn one by one; of more, every k-th."""
+"""Most points that are drawn one by one; of more, every k-th."""
 
 
 def program_picture(program: Program) -> bytes:

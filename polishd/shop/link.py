@@ -1,7 +1,7 @@
 """``polishd shop link``: a cell's side of the shop, a separate process beside the daemon.
 
-Its outbox is the cell's journal: what the shop has not taken yet is read from there, by the events' own numbers. What
-it wants of the daemon it asks over the daemon's socket, as the command line does.
+Its outbox is the cell's journal: it reads the events that the shop does not have, by their numbers. It sends requests
+to the daemon over the daemon's socket, as the command line does.
 """
 
 from __future__ import annotations
@@ -37,43 +37,43 @@ from polishd.shop.database import CellReport
 from polishd.util.files import make_folder, write_atomic
 from polishd.util.secret_files import hide, read_secret
 
-# Requests of a cell to its shop: HTTP by its token, over TLS, or on this computer.
+# Requests of a cell to its shop: HTTP with its token, over TLS or on this computer.
 
 log = logging.getLogger(__name__)
 
 STEP_S = 15.0
-"""Longest that the shop may leave a step unanswered."""
+"""Time limit of one step of a request."""
 MOST_BYTES = 32 << 20
 SERVER_ERRORS = 500
 WARN_S, AGAIN_S = 21 * 86400.0, 86400.0
 """Lead time of the warning before the shop's certificate expires, and time until its repetition."""
 NOT_YET_VALID, EXPIRED = 9, 10
 UNKNOWN_ISSUER, OTHER_NAME = (18, 19, 20, 21), (62, 64)
-"""OpenSSL's numbers of why a certificate is not believed (X509_V_ERR_...)."""
+"""OpenSSL's reasons to distrust a certificate (X509_V_ERR_...)."""
 
 
 class ShopClient:
     """Send one request after the other, each on a new connection. No proxy, no redirection."""
 
     def __init__(self, section: ShopLinkSection, base_dir: Path) -> None:
-        """ConfigError where there is no token, or whom to trust cannot be read."""
+        """ConfigError where there is no token, or the trusted certificates cannot be read."""
         self._section, self._base_dir = section, base_dir
         self._ca_file = None if section.ca_file is None else base_dir / Path(section.ca_file).expanduser()
         self._context, self._trusted = self._trusting(), self._signature()
         self._refused = ""
-        """Hash of the token that the shop refused last."""
+        """Hash of the last refused token."""
         self._warned_s = float("-inf")
         read_secret(section.token, base_dir)
 
     def has_new_token(self) -> bool:
-        """Return whether there is a token now that the shop has not refused."""
+        """Return whether there is a token that the shop has not refused."""
         try:
             return _hash(read_secret(self._section.token, self._base_dir)) != self._refused
         except ConfigError:
             return False
 
     def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer; ConfigError where the shop refuses, LinkError where it is not there, or did not take it."""
+        """Send a request; ConfigError where the shop refuses, LinkError where it is away or did not accept it."""
         content = self.fetch(path, said)
         try:
             found = json.loads(content)
@@ -84,7 +84,7 @@ class ShopClient:
         return found
 
     def fetch(self, path: str, said: Mapping[str, Any]) -> bytes:
-        """The same, as it came. TokenRefused where the shop does not take the token."""
+        """Fetch bytes. TokenRefused where the shop does not accept the token."""
         token = read_secret(self._section.token, self._base_dir)
         if (trusted := self._signature()) != self._trusted:
             self._context, self._trusted = self._trusting(), trusted
@@ -122,7 +122,7 @@ class ShopClient:
         finally:
             connection.close()
 
-    # whom to trust
+    # trust
 
     def _trusting(self) -> ssl.SSLContext:
         try:
@@ -131,7 +131,7 @@ class ShopClient:
             raise ConfigError(f"{self._ca_file}: cannot be read: {error}; name a file of certificates (PEM)") from error
 
     def _signature(self) -> tuple[int, int, int] | None:
-        """Whether the file is the one that was read."""
+        """Whether the file is still the one that was read."""
         if self._ca_file is None:
             return None
         try:
@@ -155,7 +155,7 @@ class ShopClient:
             )  # fmt: skip
 
     def _distrust(self, error: ssl.SSLCertVerificationError) -> str:
-        """What is wrong with the shop's certificate, and what to do, by OpenSSL's own number."""
+        """Problem of the shop's certificate and advice, by OpenSSL's number."""
         ca_file = "the system's authorities" if self._ca_file is None else str(self._ca_file)
         todo = {
             EXPIRED: "Renew it at the shop: cert and key in [web] of SHOP.toml. If it is not expired, set this "
@@ -191,12 +191,12 @@ def _error(content: bytes) -> str:
         return " ".join(content[:200].decode("utf-8", "replace").split())
 
 
-# What a cell's journal has to tell a shop: read beside the daemon that writes it, from any number of events on.
+# Report of a cell's journal to a shop, read beside the daemon that writes it, from any event on.
 
 MOST_EVENTS = 500
-"""In one report."""
+"""Most events in one report."""
 LESSON_AGAIN_S = 86400.0
-"""What another cell learned of a recipe is offered again when it is newer by so much."""
+"""Least age difference for a repeated offer of another cell's rate."""
 
 _JOBS = "SELECT id, name, part_id, started, ended, outcome, detail FROM job WHERE id = ?"
 _PASSES = "SELECT job, cycle, program_sha256, started, ended, how, facts FROM pass WHERE job = ? ORDER BY cycle"
@@ -245,7 +245,7 @@ def facts(report: CellReport) -> dict[str, Any]:
 
 
 def has_claim(state_dir: Path, claim: str) -> bool:
-    """Whether the cell's queue has, or had, the part of that claim. ConfigError where the journal cannot be read."""
+    """Whether the cell's queue has, or had, the part of a claim. ConfigError where the journal cannot be read."""
     with read_only(state_dir) as journal:
         return journal.execute("SELECT 1 FROM queue WHERE claim = ?", (claim,)).fetchone() is not None
 
@@ -257,7 +257,7 @@ def wanted_rates(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict
 
 
 def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
-    own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # which may have NaN in it, that SQLite takes for no JSON
+    own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # facts may contain NaN, which SQLite refuses as JSON
     if journal.execute(own, (json.dumps({"recipe": offer["recipe"]})[1:-1],)).fetchone():
         return True
     sql = (
@@ -273,7 +273,7 @@ def _of(journal: sqlite3.Connection, sql: str, jobs: Iterable[int]) -> list[tupl
 
 
 def _lessons(names: dict[int, str], passes: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    """Of each recipe the last one; none where a person had to see to the tool, and none without its uncertainty."""
+    """The last rate of each recipe; none where a person had to service the tool, and none without uncertainty."""
     found: dict[str, tuple[Any, ...]] = {}
     for job, cycle, _, _, ended, how, text in passes:
         known = json.loads(text)
@@ -286,7 +286,7 @@ def _lessons(names: dict[int, str], passes: Sequence[tuple[Any, ...]]) -> list[t
 
 
 def _claims(journal: sqlite3.Connection, also: Sequence[str], asking: str) -> dict[str, dict[str, str]]:
-    """State and reason of those that are open here, and of those that the shop takes for open."""
+    """State and reason of the claims that are open here or in the shop."""
     rows = journal.execute("SELECT claim, begun, verdict, reason, ended FROM queue WHERE claim != ''").fetchall()
     said = {
         claim: {"state": verdict or ("under way" if begun else "waiting"), "reason": reason or ""}
@@ -302,16 +302,16 @@ def _row_hash(row: tuple[Any, ...]) -> str:
 
 
 LONGEST_PAUSE_S = 15.0
-"""While the shop is away it is asked ever less often, down to this."""
+"""Longest pause between requests while the shop is away."""
 REFUSED_S = 90.0
-"""Between two trials of a token that the shop refuses: longer than a shop locks a cell out, and than it is away for."""
+"""Pause between two trials of a refused token: longer than a lockout of the shop, and than its absence."""
 NOT_NOW = frozenset({"starting", "held", "finished"})
-"""States of a daemon that asks for nothing more."""
+"""States of a daemon that needs no more parts."""
 FOLDER = "shop"
 
 
 class ShopLink:
-    """Of one cell; ``turn`` is one report, and what follows from it."""
+    """Link of one cell; ``turn`` sends one report and applies the answer."""
 
     def __init__(self, config: CellConfig, hooks: Hooks, section: ShopLinkSection) -> None:
         """ConfigError where there is no token."""
@@ -320,14 +320,14 @@ class ShopLink:
         self._folder = config.state_dir / FOLDER
         self._upto = 0
         self._open: list[str] = []
-        """Claims that the shop takes for this cell's."""
+        """Claims of this cell in the shop."""
         self._judged: set[str] = set()
-        """What was judged already, but for its name and part."""
+        """Jobs that were checked, without name and part."""
         self._seen: set[tuple[Any, ...]] = set()
-        """Offers that were looked at."""
+        """Offers that were considered."""
 
     def run(self, stop: threading.Event) -> None:
-        """Until that is set. ConfigError where another link serves this cell."""
+        """Run until ``stop`` is set. ConfigError where another link serves this cell."""
         with locked(self._folder):
             pause_s, away = 0.0, ""
             while not stop.wait(pause_s):

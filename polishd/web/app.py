@@ -1,4 +1,4 @@
-"""The application of a cell: its routes behind the guard, and the page's files; and the server that serves it."""
+"""The application of a cell: its routes behind the guard, the page's files, and the server."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGu
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.watcher import polling_daemon
 
-# The one table of routes: what each does, and which role it needs.
+# The table of routes: handler and required role.
 
 Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
 
@@ -34,7 +34,7 @@ AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
 
 @dataclass(frozen=True, slots=True)
 class ApiRoute:
-    """One of them."""
+    """One route."""
 
     method: str
     path: str
@@ -42,9 +42,9 @@ class ApiRoute:
     what: str
     does: Handler
     fields: tuple[tuple[str, str], ...] = ()
-    """Of its body: name, and JSON type; ``?`` ends the name of one that may be left away."""
+    """Fields of its body: name and JSON type; ``?`` ends the name of an optional one."""
     exempt: bool = False
-    """From rate limits and lockout: it makes the cell stand still."""
+    """Exempt from rate limits and lockout: it makes the cell stand still."""
 
 
 WATCH, OPERATE, ENGINEER = Role
@@ -131,7 +131,7 @@ REFUSALS = {
 
 
 def document() -> dict[str, Any]:
-    """Of version 3.1."""
+    """The document, in OpenAPI 3.1."""
     paths: dict[str, dict[str, Any]] = {}
     for route in ROUTES:
         paths.setdefault(open_path(route.path), {})[route.method.lower()] = _operation(route)
@@ -153,7 +153,7 @@ def document() -> dict[str, Any]:
 
 
 def open_path(path: str) -> str:
-    """As OpenAPI writes it."""
+    """A route in OpenAPI syntax."""
     return re.sub(r":int}", "}", path)
 
 
@@ -174,7 +174,7 @@ def _operation(route: ApiRoute) -> dict[str, Any]:
         properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]
         schema = {"type": "object", "properties": properties, **({"required": required} if required else {})}
-        # to stand still is never wrong: whatever the body is, the order is taken
+        # standing still is always safe: the order is taken with any body
         found["requestBody"] = _body({} if route.exempt else schema, required=bool(required))
     return found
 
@@ -198,11 +198,11 @@ FILES = {
     "/draw.js": ("draw.js", "text/javascript"),
     "/strings.js": ("strings.js", "text/javascript"),
 }
-"""All that is served beside the API, by its path: nothing else can be asked for."""
+"""All files beside the API, by path: no other file is served."""
 
 
 def application(config: CellConfig, certificate: Certificate | None = None) -> ASGIApp:
-    """Of that cell; its users are read as they are at each request. ``certificate``: the one by which it is served."""
+    """Application of a cell; its users are read at each request. ``certificate``: of this server."""
     sessions = SessionStore(UserFile(users_path(config)))
     api, rate = Api(config, sessions, certificate), RateLimiter()
 
@@ -230,7 +230,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
 
 
 def serve(config: CellConfig) -> None:
-    """Until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without users."""
+    """Serve until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without users."""
     web = config.web
     if not web.loopback and not UserFile(users_path(config)):
         raise config.error("web.address", "is beyond this computer, and there are no users; add one: polishd web "
@@ -260,7 +260,7 @@ def _endpoint(api: Api, rate: RateLimiter, route: ApiRoute) -> Callable[[Request
 
 
 def _metrics(config: CellConfig) -> Iterator[ApiRoute]:
-    """One, where they are wanted. ConfigError where their library is missing."""
+    """Metrics, where they are configured. ConfigError where their library is missing."""
     if not config.web.metrics:
         return
     try:

@@ -32,12 +32,12 @@ from polishd.web.run_data import RunData
 log = logging.getLogger(__name__)
 
 FRESH_S = 1.0
-"""For so long an answer serves all who scrape."""
+"""Time for which an answer serves all scrapes."""
 OLD_S = 2.0
 """Age from which a reading is not live: the metrics have its age, not its value."""
 M_PER_NM, BYTES_PER_MB, HZ_PER_RPM = 1e-9, 1e6, 1 / 60
 STATES = ("starting", "idle", "changing", "polishing", "held", "finished")
-"""Of a daemon; a test holds them to its table."""
+"""States of a daemon; a test compares them with its table."""
 OUTCOMES = (*(outcome.value for outcome in Outcome), "put_aside")
 """Exported from the first scrape on, at 0: a rate would miss a counter that appears at 1."""
 READINGS = (
@@ -58,23 +58,23 @@ AGES = (
 
 @dataclass(frozen=True, slots=True, eq=False)  # the registry keeps it by its identity
 class MetricsSnapshot(Collector):
-    """What is known in one moment, as families of metrics."""
+    """Metric families of one moment."""
 
     cell: str
     state: Mapping[str, Any]
-    """Of the watcher."""
+    """State of the watcher."""
     tally: Mapping[str, Any] | None
-    """Of the journal; None: it cannot be read."""
+    """Counts of the journal; None: it cannot be read."""
     alarms: Iterable[Mapping[str, Any]] = ()
 
     def collect(self) -> Iterator[Metric]:
-        """Each family once."""
+        """Yield each family once."""
         up = self.state["daemon"] == "up"
         yield _of("polishd_build_info", "Version of polishd, and the cell's name.",
                   {(__version__, self.cell): 1}, ("version", "cell"))  # fmt: skip
         yield _one("polishd_daemon_up", "1: the daemon answers; 0: none runs, or it is silent.", up)
         live = self.state["live"] if up else None
-        if live is not None and "state" in live:  # a refusal has none
+        if live is not None and "state" in live:  # a refusal has no such field
             passed_s = self.state["age_s"] or 0.0
             yield _one("polishd_daemon_answer_age_seconds", "How long ago the daemon answered.", passed_s)
             yield from _doing(live)
@@ -87,7 +87,7 @@ class MetricsSnapshot(Collector):
 
 
 class Metrics:
-    """Of one cell; one look at its journal a second serves all who scrape."""
+    """Metrics of one cell; one read of its journal a second serves all scrapes."""
 
     def __init__(self, config: CellConfig) -> None:
         self._cell, self._disk, self._state_dir = config.cell.name, RunData(config.state_dir), config.state_dir
@@ -95,7 +95,7 @@ class Metrics:
         self._text, self._made_s = b"", float("-inf")
 
     async def answer(self, api: Api, _request: Request, _session: HttpSession) -> Response:
-        """In the text format, version 0.0.4, which every Prometheus reads."""
+        """The metrics in the text format, version 0.0.4, which every Prometheus reads."""
         async with self._turn:
             if time.monotonic() - self._made_s >= FRESH_S:
                 self._text = await asyncio.to_thread(self._look, api.watcher.state())
