@@ -308,10 +308,8 @@ async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIte
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     server.set_identity_tokens([ua.AnonymousIdentityToken])
     machine = await OpcUaMachine.added(server, name, section)
-    async with (
-        server,
-        asyncio.TaskGroup() as group,
-    ):  # a fault of the polling task ends the server, so that no stale values remain
+    # a fault of the polling task ends the server, so that no stale values remain
+    async with server, asyncio.TaskGroup() as group:
         asking = group.create_task(_ask_on(machine, state_dir))
         try:
             port = section.port if server.bserver is None else server.bserver.port

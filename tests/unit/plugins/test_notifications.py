@@ -276,7 +276,7 @@ def test_a_command_has_its_time_and_no_more(folder: Path) -> None:
         ("email", {"to": []}, "at least 1 item"),
         ("email", {"to": ["ada@example.org\nBcc: eve@example.org"]}, "is no address"),
         ("webhook", {"url": "hooks.example.org"}, "is no URL"),
-        ("webhook", {"url": f"https://cell:{SECRET}@hooks.example.org"}, "a password does not stand in a config"),
+        ("webhook", {"url": f"https://cell:{SECRET}@hooks.example.org"}, "a config must not contain a password"),
         ("webhook", {"url": "https://hooks.example.org:port/"}, "is no URL"),
         ("webhook", {"url": "https://hooks.example.org/a b"}, "is no URL"),
         ("webhook", {"token": SECRET}, "a secret does not stand in a config"),
@@ -307,10 +307,14 @@ def test_wrong_options(kind: str, keys: dict[str, Any], says: str) -> None:
         ("email", {"password": "file:binary"}, "'file:binary': .* is no UTF-8 text"),
         ("email", {"password": "env:NO_SUCH_VARIABLE"}, "'env:NO_SUCH_VARIABLE': holds no secret"),
         ("email", {"ca_file": "secret"}, "'secret': cannot be read"),
-        ("webhook", {"url": "file:secret"}, "'file:secret': what is kept there is no URL"),
-        ("webhook", {"url": "http://hooks.example.org", "token": "file:secret"}, "'file:secret': .*in the clear"),
-        ("command", {"argv": ["no-such-program"]}, "'no-such-program': there is no such program"),
-        ("command", {"argv": ["./secret"]}, "'./secret': there is no such program that may be run"),
+        ("webhook", {"url": "file:secret"}, "'file:secret': the value there is no URL"),
+        (
+            "webhook",
+            {"url": "http://hooks.example.org", "token": "file:secret"},
+            "'file:secret': a token needs encryption",
+        ),
+        ("command", {"argv": ["no-such-program"]}, "'no-such-program': no such executable program"),
+        ("command", {"argv": ["./secret"]}, "'./secret': no such executable program"),
     ],
 )
 def test_what_cannot_work_is_refused_before_anything_is_sent(

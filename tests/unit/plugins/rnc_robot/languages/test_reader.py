@@ -83,8 +83,8 @@ BROKEN_FILES = [
     (b"G1 X1 Y1 Z1 F60\nM2\n", "from an unknown X"),
     (b"X1 F60\nM2\n", "before any G0 or G1"),
     (b"G91 G0 X1\nM2\n", "G91 before any absolute position"),
-    (b"G0 X0 Y0\nG1 X1 F60\nG0 Z5\nM2\n", "where Z is, is not said"),
-    (b"G0 X0 Y0 Z0\nG1 X1 F60\nG0 A5\nM2\n", "where A is, is not said"),
+    (b"G0 X0 Y0\nG1 X1 F60\nG0 Z5\nM2\n", "a point before Z is stated"),
+    (b"G0 X0 Y0 Z0\nG1 X1 F60\nG0 A5\nM2\n", "a point before A is stated"),
 ]
 
 
