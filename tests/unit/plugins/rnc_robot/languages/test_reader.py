@@ -151,7 +151,7 @@ def test_inches() -> None:
 def test_what_is_assumed_is_said() -> None:
     found = program("G0 X0 Y0\nG1 X1 F60\n", head="")
     assert {warning.split(":")[0] for warning in found.warnings} == {
-        "no G21", "no G90", "no G94", "does not state Z",
+        "no G21 in the program", "no G90 in the program", "no G94 in the program", "the program does not state Z",
     }  # fmt: skip
     assert program("G1 X1 F60\n").warnings == ()
 
