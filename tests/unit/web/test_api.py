@@ -124,7 +124,7 @@ def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
 
 
 def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(api, "TOLD_S", 0.01)
+    monkeypatch.setattr(api, "OBEYED_S", 0.01)
     web.daemon.hang = threading.Event()
     said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
     web.daemon.hang.set()
@@ -157,12 +157,12 @@ async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobo
         return {"ok": True}
 
     monkeypatch.setattr(api.client, "request", request)
-    monkeypatch.setattr(api, "TOLD_S", 0.01)
+    monkeypatch.setattr(api, "OBEYED_S", 0.01)
     ours = api.CommandForwarder(tmp_path)
     for by in ("anna (web)", "ben (web)", "anna (web)"):
         assert await ours.give("hold", {"by": by}, joined=True) is None
     answer.set()
-    monkeypatch.setattr(api, "TOLD_S", SOON_S)
+    monkeypatch.setattr(api, "OBEYED_S", SOON_S)
     assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
     assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
 
