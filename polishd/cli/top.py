@@ -137,7 +137,7 @@ def _rows(one: CellView, passed_s: float) -> Iterator[Row]:
 
 
 def _readings(live: Mapping[str, Any], passed_s: float) -> Iterator[Row]:
-    told = live.get("told", {})
+    told = live.get("readings", {})
     for key, name, words in READINGS:
         if (had := told.get(key)) is not None:
             yield name, _aged(words.format(**had), had["age_s"] + passed_s)

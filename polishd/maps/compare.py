@@ -1,4 +1,4 @@
-"""``polishd map compare``: two maps over the samples that both have, as the paper's Table V and fig. 15 compare two."""
+"""``polishd map compare``: two maps over their common samples, with the figures of the paper's Table V and fig. 15."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ from polishd.process.metrology.statistics import pv_rms, remove_terms, trim_mask
 from polishd.rendering.terminal import emit, figure_table
 
 LEAST_COMMON = 0.5
-"""Share of the smaller map's data that both must have: less is another part, or another place on it."""
+"""Least share of the smaller map's data that both maps have: below it, they show different parts or positions."""
 SIDES = ("before", "after")
 Line = tuple[str, float | None, float | None]
-"""What is compared, and its figures before and after, nm."""
+"""Compared figures, before and after, nm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two maps on one grid; ``notes`` say how they came there."""
+    """Two maps on one grid; ``notes`` describe the resampling."""
 
     heights_nm: tuple[FloatArray, FloatArray]
     """(ny, nx) before and after."""
     mask: BoolArray
-    """(ny, nx) samples that both have."""
+    """(ny, nx) common samples."""
     pitch_mm: float | None
     notes: tuple[str, ...] = ()
 
 
 def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bool) -> None:
-    """Figures of both, and by how much they changed."""
+    """Figures of both maps, and their changes."""
     edges = edges_mm(asked.bands)
     require_picture(asked.out)
     source = MapSource.by(asked)
@@ -75,11 +75,11 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     answer["psd"] = None if found is None else _psd(spectra)
     _show(answer, lines, as_json=as_json)
     if asked.out is not None:
-        from polishd.maps.pictures import compared_picture
+        from polishd.maps.pictures import comparison_picture
 
         figures = {words: (was, now) for words, was, now in lines.values() if was is not None and now is not None}
         heights = dict(zip(SIDES, pair.heights_nm, strict=True))
-        draw(asked.out, compared_picture(heights, spectra, mask, pitch, figures), as_json=as_json)
+        draw(asked.out, comparison_picture(heights, spectra, mask, pitch, figures), as_json=as_json)
 
 
 def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
@@ -107,7 +107,7 @@ def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
 
 
 def _resampled(before: SurfaceMap, after: SurfaceMap) -> tuple[tuple[FloatArray, FloatArray], Grid]:
-    """Both at the coarser pitch, over what both reach; and that grid."""
+    """Both maps at the coarser pitch over their common area, and that grid."""
     from polishd.process.metrology.resampling import resample_registered
 
     one, two = before.grid, after.grid
@@ -137,7 +137,7 @@ def _part_notes(before: SurfaceMap, after: SurfaceMap) -> list[str]:
 
 
 def _lines(answer: Mapping[str, Any]) -> dict[str, Line]:
-    """Table V, and the bands, by what they are called among the changes."""
+    """Table V and the bands, by the names of the changes."""
     before, after = (answer[side] for side in SIDES)
     lines: dict[str, Line] = {
         key.removesuffix("_nm"): (words, before[key], after[key]) for key, words in HEIGHTS.items()
@@ -148,7 +148,7 @@ def _lines(answer: Mapping[str, Any]) -> dict[str, Line]:
 
 
 def _percent(before: float | None, after: float | None) -> float | None:
-    """Change in percent of what was before; below 0 is better, None where that is 0 or none."""
+    """Change in percent of the first value, below 0 is better; None where that value is 0 or missing."""
     return 100 * (after / before - 1) if before and after is not None else None
 
 
@@ -169,7 +169,7 @@ def _common(pair: Pair, trim: int) -> dict[str, Any]:
 
 
 def _psd(spectra: Mapping[str, RadialPsd]) -> dict[str, Any]:
-    """Fig. 15: the radial spectra of both."""
+    """Fig. 15: the radial spectra of both maps."""
     densities = {f"{side}_nm2_mm2": psd.density_nm2_mm2 for side, psd in spectra.items()}
     return {"frequency_per_mm": spectra["before"].frequency_per_mm, **densities}
 

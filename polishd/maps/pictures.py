@@ -1,4 +1,4 @@
-"""Pictures of maps: of each the heights, their spectrum and histogram, and its bands; and two maps compared."""
+"""Pictures of maps: heights, spectrum, histogram and bands of each map; comparison of two maps."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from polishd.rendering.plots import (
 
 PANEL_IN = 2.7
 ACROSS = 4
-"""Panels beside each other; more where a map has more bands."""
+"""Panels side by side; more where a map has more bands."""
 MOST_PX = 600
-"""Samples of a map that a panel shows along a side: more are only slower."""
+"""Most samples of a map along a side of a panel: more are only slower."""
 LEAST_NM = 1e-6
-"""Below this heights are rounding errors, which are not to be looked at."""
+"""Heights below this are rounding errors, which are not shown."""
 
 
 def figures_picture(maps: Sequence[MapFigures]) -> bytes:
-    """PNG: of each map a row with heights, spectrum and histogram, and one with its bands."""
+    """PNG with two rows for each map: heights, spectrum and histogram; and its bands."""
     names = distinguish_names(["map" if found.surface.path is None else found.surface.path for found in maps])
     across = max(ACROSS, *(len(found.bands_nm) for found in maps))
     rows = [1 if found.surface.pitch_mm is None else 2 for found in maps]
@@ -86,14 +86,14 @@ def _periods(record: Mapping[str, Any]) -> str:
     return f"< {longest:g} mm" if shortest is None else f"{longest:g} to {shortest:g} mm"
 
 
-def compared_picture(
+def comparison_picture(
     heights: Mapping[str, FloatArray],
     spectra: Mapping[str, RadialPsd],
     mask: BoolArray,
     pitch_mm: float | None,
     figures: Mapping[str, tuple[float, float]],
 ) -> bytes:
-    """PNG: two maps on the first one's scale, the second and the difference on their own; figures and both spectra.
+    """PNG of two maps on the first one's scale, the second and the difference on their own; figures and both spectra.
 
     Args:
         heights: by name, before and after: (ny, nx) nm.
@@ -120,8 +120,8 @@ def compared_picture(
         return png(page)
 
 
-def stitched_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
-    """PNG: a stitched map, (ny, nx) nm, without its tilt; its uncertainty; how many maps have each sample."""
+def stitch_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: FloatArray, pitch_mm: float) -> bytes:
+    """PNG of a stitched map, (ny, nx) nm, without its tilt; its uncertainty; number of maps at each sample."""
     there = np.isfinite(height_nm)
     level = np.where(there, remove_terms(height_nm, there, "tilt"), np.nan)
     with polishd_style():
@@ -135,7 +135,7 @@ def stitched_picture(height_nm: FloatArray, uncertainty_nm: FloatArray, maps: Fl
 
 
 def _amount(ax: Axes, values: FloatArray, pitch_mm: float, title: str, unit: str) -> None:
-    """What is never below 0, from 0 on."""
+    """Panel of a quantity that is never negative, from 0 on."""
     ny, nx = values.shape
     step = max(1, int(np.ceil(max(ny, nx) / MOST_PX)))
     half_x, half_y = nx * pitch_mm / 2, ny * pitch_mm / 2
@@ -148,7 +148,7 @@ def _amount(ax: Axes, values: FloatArray, pitch_mm: float, title: str, unit: str
 
 
 def artefact_picture(artefact_nm: FloatArray, seen: SurfaceMap, title: str) -> bytes:
-    """PNG: the artefact as it is expected, (ny, nx) nm, and as it is seen, on one scale."""
+    """PNG of the expected and the measured artefact, (ny, nx) nm, on one scale."""
     limit = float(np.abs(artefact_nm).max()) or 1.0
     half_x, half_y = seen.grid.nx * seen.grid.pitch_mm / 2, seen.grid.ny * seen.grid.pitch_mm / 2
     with polishd_style():
@@ -177,7 +177,7 @@ def _nm(value_nm: float) -> str:
 
 
 def _bars(ax: Axes, figures: Mapping[str, tuple[float, float]]) -> None:
-    """Before and after beside each other, on a logarithmic scale where none is 0."""
+    """Figures before and after side by side, on a logarithmic scale where none is 0."""
     at = np.arange(len(figures))
     for side, (name, colour) in enumerate((("before", BLUE), ("after", ORANGE))):
         values = [pair[side] for pair in figures.values()]
@@ -190,7 +190,7 @@ def _bars(ax: Axes, figures: Mapping[str, tuple[float, float]]) -> None:
 
 
 def _spectra(ax: Axes, spectra: Mapping[str, RadialPsd], pitch_mm: float, edges_mm: Sequence[float] = ()) -> None:
-    """Up to Nyquist's frequency: the rings beyond it are corners of the square of frequencies."""
+    """Spectra up to Nyquist's frequency: rings beyond it are corners of the square of frequencies."""
     drawn = False
     for (name, psd), colour in zip(spectra.items(), (BLUE, ORANGE), strict=False):
         some = (psd.density_nm2_mm2 > LEAST_NM**2) & (psd.frequency_per_mm <= 0.5 / pitch_mm)
@@ -213,7 +213,7 @@ def _spectra(ax: Axes, spectra: Mapping[str, RadialPsd], pitch_mm: float, edges_
 
 
 def _panel(ax: Axes, height_nm: FloatArray, pitch_mm: float | None, title: str, limit: float | None = None) -> None:
-    """A map about its mean; in mm from its centre, or in pixels where it has no scale."""
+    """A map about its mean, in mm from its center, or in pixels without a scale."""
     height = height_nm - np.nanmean(height_nm)
     limit = _limit(height) if limit is None else limit
     ny, nx = height.shape
@@ -232,7 +232,7 @@ def _panel(ax: Axes, height_nm: FloatArray, pitch_mm: float | None, title: str, 
 
 
 def _outlined(ax: Axes, mask: BoolArray) -> None:
-    """The edge of what the masks leave, as a thin line on a panel."""
+    """Draw the edge of the masks as a thin line on a panel."""
     step = max(1, int(np.ceil(max(mask.shape) / MOST_PX)))
     rim = np.pad(mask[::step, ::step].astype(np.float64), 1)
     left, right, bottom, top = ax.images[0].get_extent()
@@ -244,7 +244,7 @@ def _outlined(ax: Axes, mask: BoolArray) -> None:
 
 
 def _limit(height_nm: FloatArray) -> float:
-    """Where the colours end: a few spikes do not bleach the rest, and rounding errors have no colour."""
+    """Limit of the color scale: a few spikes do not bleach the rest, and rounding errors have no color."""
     most = float(np.nanpercentile(np.abs(height_nm), 99.8))
     return most if most > LEAST_NM else 1.0
 

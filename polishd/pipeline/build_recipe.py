@@ -52,7 +52,7 @@ def system_of(config: CellConfig, hooks: Hooks) -> SystemMap | None:
 def system_of_profile(
     profile: InstrumentProfile, readers: Collection[SurfaceReader], cell: str = "CELL.toml"
 ) -> SystemMap | None:
-    """The same of a profile; ``cell`` is the cell's file in what errors advise."""
+    """System map of a profile; ``cell`` is the cell's file for the advice of errors."""
     record, again = profile.system, f"polishd calibrate instrument {cell} makes another"
     if record is None:
         return None
@@ -70,13 +70,15 @@ def system_of_profile(
         problem = f"{record.map} says of itself no instrument's own error, read by a profile; {again}"
         raise profile.error("system.map", problem)
     try:
-        return SystemMap(surface, AbsoluteTestResult.load(step.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(step.options["terms"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise profile.error("system.map", f"{record.map} does not say how sure its terms are; {again}") from error
+        raise profile.error(
+            "system.map", f"{record.map} does not state the uncertainty of its terms; {again}"
+        ) from error
 
 
-def why_not_commissioned(config: CellConfig) -> str:
-    """Why no map may drive polishing in this cell; empty where maps may."""
+def uncommissioned_reason(config: CellConfig) -> str:
+    """Reason why maps must not drive polishing in this cell; empty where they may."""
     if config.profile_path is None:
         problem = "the cell names no instrument's profile; write one (docs/instruments.md), commission it, name it here"
         return str(config.error("instrument.profile", problem))
@@ -86,7 +88,7 @@ def why_not_commissioned(config: CellConfig) -> str:
 def require_commissioned(config: CellConfig, instrument: Instrument | None) -> None:
     """ConfigError unless the instrument that this config names is commissioned."""
     if instrument is None or instrument.commissioned is None:
-        raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
+        raise ConfigError(f"{uncommissioned_reason(config)} (nothing was opened)")
 
 
 def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
@@ -98,7 +100,7 @@ def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
 
 
 def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
-    """Everything that the computing steps need; ConfigError names the key that no loaded plugin serves."""
+    """Build the input of the computing steps; ConfigError names a key that no loaded plugin serves."""
     solvers = hooks.dwell_solvers()
     program = _named(config, "program.format", config.program.format, hooks.program_formats())
     instrument = instrument_of(config)
@@ -136,7 +138,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
 
 
 def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
-    """The removal model, with the way to learn that the cell asks for."""
+    """The removal model with the cell's learner."""
     process = config.process
     model: RemovalModel = _named(config, "process.removal_model", process.removal_model, hooks.removal_models())
     own = {OWN: Learner(model.beliefs, model.learn, model.later)}

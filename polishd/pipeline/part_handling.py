@@ -1,4 +1,4 @@
-"""What the config says of the part's seat and of what happens between passes, made into what the daemon does."""
+"""Part handling from the config: the part's seat, and the steps between passes."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from polishd.process.removal import contact
 from polishd.process.robot import motion
 from polishd.process.toolpath.apertures import tool_axes
 
-# The seat of a part: three places where the tool met it, against where they should be.
+# The seat of a part: three measured contact positions against the expected ones.
 
 TRIED = 257
-"""Points from the centre to the rim, among which one that is deep enough is found."""
+"""Points from the center to the rim, to find one that is deep enough."""
 FLATTEST = 1e-3
-"""Below it, relative to the part's size, three places lie so nearly on a line that no tilt can be told."""
+"""Relative to the part's size: below it, three positions are so close to a line that the tilt is undetermined."""
 
 
 def rim_points_mm(outline: Outline, edge_mm: float) -> FloatArray:
-    """(3, 2) places on the middle of the rim that the clear aperture leaves out, a third of a turn apart."""
+    """(3, 2) positions on the middle of the rim outside the clear aperture, a third of a turn apart."""
     turn = np.radians([90.0, 210.0, 330.0])
     towards = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     reach = [_reach_mm(outline, edge_mm / 2, x, y) for x, y in towards]
@@ -41,7 +41,7 @@ def rim_points_mm(outline: Outline, edge_mm: float) -> FloatArray:
 
 
 def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
-    """How far from the centre the farthest point in this direction is that lies so far inside the rim."""
+    """Distance from the center of the farthest point in this direction that is inside the rim by this margin."""
 
     def deeper(reach_mm: float) -> float:
         return float(outline.inside_mm(reach_mm * x, reach_mm * y)) - inside_mm
@@ -52,17 +52,17 @@ def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
 
 
 def seat_of(asked: TouchOff, early_mm: FloatArray) -> PartSeat:
-    """How the part sits, from how much earlier (3,) than it should the actuator met it at each place.
+    """Solve the part's seat from the early contact (3,) of the actuator at each position.
 
     A small move of a rigid body, by ``t`` along z and turned by ``w`` about x and y, lifts the surface at ``p`` along
     its normal ``n`` by ``n.(t + w x p) = n_z t + w.(p x n)``: three places give the three.
 
-    Raises ComputeError where they cannot be told apart: the places lie on a line.
+    Raises ComputeError where the positions lie on a line, so that the terms cannot be separated.
     """
     off_mm = early_mm * asked.lean
     matrix = _moves(asked)
     if not separate_seat_terms(asked):
-        raise ComputeError("the three places of the touch-off lie on a line: no tilt can be told; move one of them")
+        raise ComputeError("the three touch-off positions lie on a line, so the tilt is undetermined; move one of them")
     height_mm, about_x, about_y = np.linalg.solve(matrix, off_mm)
     rise = float(np.hypot(about_x, about_y)) * asked.rim_mm
     return PartSeat(
@@ -74,24 +74,24 @@ def seat_of(asked: TouchOff, early_mm: FloatArray) -> PartSeat:
 
 
 def separate_seat_terms(asked: TouchOff) -> bool:
-    """Whether the places say height and both tilts."""
+    """Whether the positions determine height and both tilts."""
     return bool(abs(np.linalg.det(_moves(asked) / [1.0, asked.rim_mm, asked.rim_mm])) > FLATTEST)
 
 
 def _moves(asked: TouchOff) -> FloatArray:
-    """(3, 3): what of each place a unit of height, and of turn about x and y in rad, is along the normal."""
+    """(3, 3) motion along the normal at each position for a unit of height, and of turn about x and y in rad."""
     turned = np.cross(asked.points_mm, asked.normal)
     return np.column_stack([asked.normal[:, 2], turned[:, 0], turned[:, 1]])
 
 
 NOISE = 2.0
-"""Two maps of a part at rest differ by sqrt(2) times the instrument's repeatability; as much again is chance's."""
+"""Two maps of a part at rest differ by sqrt(2) times the repeatability; twice that is beyond chance."""
 LEAST_SLACK_MM = 0.2
-"""Beside the contact: so much may the places and the clear aperture be off."""
+"""Margin beside the contact for errors of the positions and of the clear aperture."""
 
 
 def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
-    """How the seat is proved; None where the cell does not ask for it. ConfigError names the key."""
+    """Touch-off from the config; None where the cell has none. ConfigError names the key."""
     section = config.touch_off
     if section is None:
         return None
@@ -120,12 +120,12 @@ def touch_off_of(config: CellConfig, program: ProgramFormat) -> TouchOff | None:
         force_max_n=section.force_max_n,
     )
     if not separate_seat_terms(made):
-        raise config.error(key, "the three places lie on a line: no tilt can be told; move one of them")
+        raise config.error(key, "the three positions lie on a line, so the tilt is undetermined; move one of them")
     return made
 
 
 def between_of(config: CellConfig, instrument: Instrument | None) -> BetweenPasses:
-    """What happens between passes; ConfigError names the key."""
+    """Steps between passes from the config; ConfigError names the key."""
     section = config.part_handling
     settle = None
     if section.settle is not None:
@@ -133,7 +133,7 @@ def between_of(config: CellConfig, instrument: Instrument | None) -> BetweenPass
         if noise_nm is None:
             raise config.error(
                 "part_handling.settle",
-                "nobody knows when two maps agree: write the instrument's repeatability into its profile, "
+                "needs the instrument's repeatability to compare two maps: write into its profile "
                 "[repeatability] rms_nm = ...",
             )
         settle = SettleRule(NOISE * noise_nm, section.settle.max_maps, section.settle.wait_s)
@@ -148,7 +148,7 @@ def _step(config: CellConfig, section: StepSection | None) -> HandlingStep | Non
 
 
 def _points_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray, str]:
-    """(3, 2) in the part's frame, and the key that says where; ConfigError where the tool would touch what counts."""
+    """(3, 2) positions in the part's frame, and their key; ConfigError where the tool would touch the aperture."""
     part, process = config.part, replace(config.tool_process(), force_n=section.force_n)
     room = float(contact.contact_radius_mm(process, contact.hertz_depth_mm(process))) + LEAST_SLACK_MM
     outline = config.outline()
@@ -171,12 +171,12 @@ def _points_mm(config: CellConfig, section: TouchOffSection) -> tuple[FloatArray
     return places, "touch_off.points_mm"
 
 
-# The programs of a touch-off: to each place with the tool up, and away again.
+# The programs of a touch-off: approach each position with the tool up, and leave it.
 
 FEED_MM_S = 10.0
-"""Near the part, where the machine allows it."""
+"""Height near the part, where the machine allows it."""
 RISE_MM = 1.0
-"""The one timed move of each program: off the place, along the program's z."""
+"""Length of the one timed move of each program: away from the position, along the program's z."""
 
 
 def plans(recipe: Recipe, asked: TouchOff) -> tuple[Plan, ...]:
@@ -189,7 +189,7 @@ def plans(recipe: Recipe, asked: TouchOff) -> tuple[Plan, ...]:
 
 
 def require_allowed(recipe: Recipe, made: Sequence[Plan], check: Callable[[Plan, Envelope], Sequence[str]]) -> None:
-    """PlanRefused with all that the plugins find against them: a touch-off moves like any plan."""
+    """PlanRefused with all objections of the plugins: a touch-off moves like any plan."""
     if found := [f"  {plan.program.name}: {line}" for plan in made for line in check(plan, recipe.envelope)]:
         raise PlanRefused("\n".join(["the touch-off was refused, nothing moved:", *found]))
 

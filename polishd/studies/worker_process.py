@@ -61,5 +61,5 @@ def _say(answers: TextIO, what: dict[str, Any]) -> None:
 if __name__ == "__main__":
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as out:
         os.dup2(2, 1)  # what a library prints is no answer
-        jit.for_many()
+        jit.compile_always()
         serve(sys.stdin, out)

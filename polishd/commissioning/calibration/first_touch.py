@@ -21,8 +21,7 @@ from polishd.pipeline import precheck, steps
 from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import load_cell
-from polishd.plugins.removal_along_path import path_of
-from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot_of, modelled_spot_of
+from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot_of, modelled_spot_of, path_of
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import path_program, read
 from polishd.process.frames import directions_to_base, points_to_base

@@ -16,7 +16,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.instrument_profile import InstrumentProfile, load_profile, write_system
 from polishd.daemon.assembly import build_cell
 from polishd.daemon.runtime.exit_record import locked
-from polishd.maps.absolute_test import poses_of, tell_apart
+from polishd.maps.absolute_test import poses_of, separate_maps
 from polishd.maps.convert import require_target, store
 from polishd.maps.map_files import MapSource
 from polishd.maps.options import AbsoluteOptions
@@ -78,7 +78,7 @@ def instrument_verb(
         surfaces = [source.read(path) for path in files]
     else:
         surfaces = [apply_profile(one, profile.instrument) for one in take(poses)]
-    apart = tell_apart(surfaces, poses, options, source)
+    apart = separate_maps(surfaces, poses, options, source)
     instrument = apart.instrument
     if asked.power is not None and asked.power_sigma is not None:
         instrument = _with_power(instrument, AbsoluteTestResult.of(apart.found), asked.power, asked.power_sigma)
@@ -135,7 +135,7 @@ def _with_power(instrument: SurfaceMap, told: AbsoluteTestResult, power_nm: floa
     facts = told.with_reference(POWER, sigma_nm).facts()
     left = [name for name in step.options["without"] if name != family_name(*POWER)]
     reference = f"power {power_nm:g} nm, known to {sigma_nm:g} nm"
-    options = {**step.options, "told": facts, "without": left, "reference": reference}
+    options = {**step.options, "terms": facts, "without": left, "reference": reference}
     return replace(instrument, height_nm=height, history=replace(step, options=options))
 
 

@@ -316,7 +316,7 @@ class MapReconstructor:
         surface = read_map(path, self._readers.values())
         if surface.history is None:
             raise ConfigError(f"{path}: does not say how sure its terms are")
-        return SystemMap(surface, AbsoluteTestResult.load(surface.history.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(surface.history.options["terms"]))
 
     def _named(self, name: str, sha256: str, what: str) -> Path:
         """A file that lies beside the cell or its profile: found by its name, believed by its content."""

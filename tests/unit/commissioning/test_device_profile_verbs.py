@@ -59,7 +59,7 @@ class Desk:
         source = MapSource.of(None, self.profile)
         one = source.read(self.raw)
         told = AbsoluteTestResult(4, ((0, 0),), np.eye(1), {}, 0.0, (29.5, 23.5, 30.0))
-        options = {"profile": profile.instrument.name, "result": "instrument", "told": told.facts()}
+        options = {"profile": profile.instrument.name, "result": "instrument", "terms": told.facts()}
         system = replace(one, height_nm=SYSTEM, history=MapStep("absolute", "0", options, ()))
         sha256 = store(system, self.folder / "system.x3p", source)["sha256"]
         at = datetime(2026, 5, 5, tzinfo=UTC)

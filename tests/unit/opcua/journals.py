@@ -35,9 +35,9 @@ def write_journal(state_dir: Path) -> None:
         for measured, rms_nm in RMS_NM.items():
             line = {"what": "RMS", "value": rms_nm, "limit": 2.0, "unit": "nm"}
             stats = json.dumps({"rms_nm": rms_nm, "pv_nm": 5 * rms_nm, "judged": [line]})
-            for cycle, told in enumerate((json.dumps({"rms_nm": 9.0, "pv_nm": 50.0}), stats)):
+            for cycle, stats_text in enumerate((json.dumps({"rms_nm": 9.0, "pv_nm": 50.0}), stats)):
                 sql = "INSERT INTO map (job, cycle, sha256, path, stats, taken) VALUES (?, ?, '', '', ?, 150.0)"
-                journal.execute(sql, (measured, cycle, told))
+                journal.execute(sql, (measured, cycle, stats_text))
             sql = ("INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, "
                    "started, how) VALUES (?, 0, '', '', 1, 0, 1, '{}', 110.0, 'done')")  # fmt: skip
             journal.execute(sql, (measured,))

@@ -1,4 +1,4 @@
-"""By what a part is accepted: as measured, or by the bound of what it is; what is demanded, and what is said."""
+"""Acceptance of a part, as measured or by the bound of its true figure; demanded references and messages."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def system(map_: SurfaceMap, height_nm: FloatArray | float, unknown: dict[tuple[
     """Of the frame of that map."""
     rows, columns = map_.height_nm.shape
     circle = ((rows - 1) / 2, (columns - 1) / 2, (rows - 1) / 2)
-    told = AbsoluteTestResult(4, SEEN, np.eye(len(SEEN)) * 0.01**2, unknown, 0.0, circle)
-    return SystemMap(replace(map_, sha256="5" * 64).with_height(0 * map_.height_nm + height_nm), told)
+    solved = AbsoluteTestResult(4, SEEN, np.eye(len(SEEN)) * 0.01**2, unknown, 0.0, circle)
+    return SystemMap(replace(map_, sha256="5" * 64).with_height(0 * map_.height_nm + height_nm), solved)
 
 
 def of(**changes: Any) -> Recipe:

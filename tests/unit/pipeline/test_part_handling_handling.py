@@ -75,7 +75,7 @@ def test_on_a_curved_part_they_lie_on_its_surface(cell: Cell, hooks: Hooks) -> N
         ),
         (
             {"touch_off": {"points_mm": [[0, 49], [0, 52], [0, -49]]}},
-            r"touch_off\.points_mm: the three places lie on a line",
+            r"touch_off\.points_mm: the three positions lie on a line",
         ),
         ({"touch_off": {"points_mm": [[0, 49], [0, 52]]}}, r"touch_off\.points_mm: has too few"),
         ({"touch_off": {"force_n": 1.2}}, "touch_off.force_n"),

@@ -18,7 +18,6 @@ from polishd.model.estimates import Estimate, Estimates, MachineEstimates, MapPi
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.pipeline import dwell_step, steps
-from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.records import (
     EstimatesInUse,
     ExecutedPass,
@@ -29,6 +28,7 @@ from polishd.pipeline.records import (
     figures,
     npz,
 )
+from polishd.pipeline.steps import CachedEffect
 from polishd.process.identification.findings import Forecast
 from polishd.process.metrology.resampling import Registration
 from tests.unit.daemon.small import at_rate, gaussian_effect, small_map, small_program, small_recipe
@@ -129,7 +129,7 @@ UNWORN = Estimate(0.0, unit="1/h")
 
 @dataclass(frozen=True, slots=True)
 class Worn(Estimates):
-    """A model of somebody else, which believes in wear, too."""
+    """A third-party model, which also estimates wear."""
 
     wear: Estimate = UNWORN
 

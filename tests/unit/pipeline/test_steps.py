@@ -461,18 +461,18 @@ def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
     grid_nm = float(remove_terms(flat.height_nm, flat.metric_mask, "tilt")[flat.metric_mask].std())
     plan = steps.rewrite(recipe, program, solved, "again")
     rippled, smooth = (replace(flat, stats=replace(flat.stats, rms_nm=float(np.hypot(grid_nm, f)))) for f in (1.5, 0.0))
-    told = []
+    forecasts = []
     for after in (rippled, smooth):
         done = ExecutedPass(
             replace(measured, stats=replace(measured.stats, rms_nm=0.0)), after, solved.asked_s, solved.expected_s
         )
         believed = steps.learn(recipe, program, done, EstimatesInUse()).believed
-        told.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
+        forecasts.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
     removed_nm = float(np.sqrt(np.mean(removal[measured.metric_mask] ** 2)))
-    assert told[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
-    assert told[1][0] == 0.0
-    assert told[0][1].low_nm > 1.5 - 0.05
-    assert told[1][1].low_nm < told[0][1].low_nm
+    assert forecasts[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
+    assert forecasts[1][0] == 0.0
+    assert forecasts[0][1].low_nm > 1.5 - 0.05
+    assert forecasts[1][1].low_nm < forecasts[0][1].low_nm
 
 
 @pytest.mark.parametrize("true", [0.75, 1.25])
@@ -528,7 +528,7 @@ def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_take
     assert "scaled" in taught.verdict.undecidable
     assert taught.found is not None
     assert taught.found["measured_rate"] > 1 + 2 * taught.found["rate_sigma"], (
-        "learning by itself would have believed it"
+        "the learning step alone would have accepted it"
     )
     assert taught.believed.rate == 1.0
     assert "cannot show a wrong rate" in taught.notes[0]

@@ -194,7 +194,7 @@ def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, Dev
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "told"),
+    ("name", "options", "message"),
     [
         ("cia402_spindle", {"address": "tcp://a:1"}, "slcan: or socketcand://"),
         ("cia402_spindle", {"address": "slcan:x?bitrate=50000"}, "at least 125000 bit/s"),
@@ -207,21 +207,21 @@ def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, Dev
     ],
 )
 def test_drives_are_built_from_what_makes_sense(
-    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], told: str | None
+    types: dict[str, DeviceType], tmp_path: Path, name: str, options: dict[str, Any], message: str | None
 ) -> None:
     kind = types[name]
     given = kind.options(**{**DRIVE, **(PRESS if name == "cia402_actuator" else {}), **options})
-    if told is None:
+    if message is None:
         assert isinstance(kind.build(given, context(tmp_path)), Device)
     else:
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             kind.build(given, context(tmp_path))
 
 
 def test_a_drive_without_the_mode_that_is_needed_is_a_config_error(
     types: dict[str, DeviceType], tmp_path: Path
 ) -> None:
-    """Told with the file, where nothing is connected yet."""
+    """Reported with the file, before anything is connected."""
     (tmp_path / "torque.eds").write_text(EDS.read_text().replace("[60FF]", "[5FFF]"))
     options = {**DRIVE, "eds": "torque.eds"}
     with pytest.raises(ConfigError, match=r"torque.eds: it has no number 60FFh"):

@@ -24,7 +24,7 @@ TIMES: dict[str, Any] = {
 }
 OTHER = {
     ("cia402_actuator", "silence_s"): "a drive is asked four things for each reading",
-    ("universal_robots", "silence_s"): "RTDE tells 10 times a second or more",
+    ("universal_robots", "silence_s"): "RTDE reports 10 times a second or more",
     ("linuxcnc", "silence_s"): "linuxcncrsh answers at once",
     ("linuxcnc", "stop_s"): "it stops with its own acceleration",
 }

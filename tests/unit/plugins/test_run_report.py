@@ -240,7 +240,7 @@ FOREIGN = "<q a=\"1\" c='2'>{{ 7 * 7 }}&amp;</q>"
 
 
 def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
-    """In every place of the template that shows what is read: no tag, no attribute, no template of its own."""
+    """Text that is read adds no tag, no attribute and no template, at each position of the template."""
     row = {column.key: 1.0 for column in COLUMNS} | {"notes": [FOREIGN], "how": FOREIGN, "executed_s": FOREIGN}
     summary = dict.fromkeys(("part_id", "job", "correction", "started", "outcome"), FOREIGN) | {"cycles": [row, row]}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
@@ -344,7 +344,7 @@ def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path:
         "Measurement after pass 2",
     ]
     predicted = run_pictures.rms_per_measurement(cycles, 2.0, 0.0).axes[0].get_lines()[0].get_ydata()
-    assert np.isnan(predicted).tolist() == [True, False, True, False], "nobody predicted what a part of a pass leaves"
+    assert np.isnan(predicted).tolist() == [True, False, True, False], "there is no prediction for a part of a pass"
 
 
 class TestWhatIsMissing:

@@ -1,4 +1,4 @@
-"""A cell's side of the shop: what it tells and when, parts that it asks for, and what it does without the shop."""
+"""A cell's side of the shop: its reports, its requests for parts, and its work without the shop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ OFFER = {
 
 
 class Office:
-    """A shop that says what it is told to say, and notes what it was asked."""
+    """A shop with fixed answers that records its requests."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, dict[str, Any]]] = []
@@ -47,7 +47,7 @@ class Office:
     def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
         verb = path.rpartition("/")[2]
         if self.away:
-            raise LinkError("nobody answers")
+            raise LinkError("no answer")
         if self.refuses:
             raise ConfigError(self.refuses)
         self.asked.append((verb, dict(said)))
@@ -117,9 +117,9 @@ class Rig:
         self.link = ShopLink(self.config, plugins_of(self.config), self.config.shop)
         return self.link
 
-    def happens(self, *told: Event) -> None:
+    def happens(self, *happened: Event) -> None:
         with Journal.of_cell(self.config.state_dir) as journal:
-            for event in told:
+            for event in happened:
                 journal.record_event(event)
 
 
@@ -178,7 +178,7 @@ def test_nothing_is_lost_while_the_shop_is_away(rig: Rig) -> None:
 def test_a_part_is_asked_for_where_none_waits_and_added_by_its_claim(rig: Rig) -> None:
     rig.happens(HELD)
     rig.office.parts = ["lens", "disc"]
-    assert rig.link.turn() is True, "the shop is to be told at once"
+    assert rig.link.turn() is True, "the shop must get this at once"
     assert rig.desk.waiting() == ["lens"]
     rig.link.turn()
     assert len(rig.office.of("claim")) == 1, "one waits"
@@ -267,7 +267,7 @@ def test_the_daemon_hears_the_shops_word_and_what_others_have_learned(rig: Rig) 
 
 def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.happens(HELD)
-    rig.office.refuses = "the token is nobody's"
+    rig.office.refuses = "the token is not valid"
     turns, stop = [0], threading.Event()
 
     class Pauses(threading.Event):
@@ -287,7 +287,7 @@ def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: p
 def test_a_token_that_is_refused_is_not_tried_again_until_there_is_another_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The shop is the real one; what the cell does meanwhile is told once the token is good again."""
+    """The shop is the real one; the cell reports the time in between once the token is good again."""
     file = rig.config.base_dir / "shop.token"
     monkeypatch.undo()
     monkeypatch.setattr(module.client, "request", rig.desk)

@@ -24,7 +24,7 @@ def kernel(function: Callable[..., Any], size: int) -> Callable[..., Any]:
     return function if size < LARGE_BYTES else _compiled(function)
 
 
-def for_many() -> None:
+def compile_always() -> None:
     """Compile for small programs, too: a process that reads thousands of them, as a study's worker, waits once."""
     global LARGE_BYTES  # noqa: PLW0603  (of the process, and said once)
     LARGE_BYTES = 0

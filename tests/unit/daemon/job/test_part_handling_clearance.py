@@ -103,9 +103,9 @@ async def test_who_watches_sees_readings_with_their_ages(bench: Bench) -> None:
         await running.in_contact()
         live = await running.daemon.handlers["live"]()
         assert live["pressing"]
-        assert live["told"]["force"]["age_s"] >= 0
-        assert "at_s" not in live["told"]["force"]
-        assert live["told"]["sensed"] is None
+        assert live["readings"]["force"]["age_s"] >= 0
+        assert "at_s" not in live["readings"]["force"]
+        assert live["readings"]["sensed"] is None
         assert {"state", "cycle", "phase", "ages_s", "signals", "health", "unsafe"} <= set(live)
 
 

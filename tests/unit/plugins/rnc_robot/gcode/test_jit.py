@@ -148,7 +148,7 @@ def test_large_programs_are_compiled() -> None:
 
 def test_a_process_that_reads_many_compiles_for_small_ones(monkeypatch: Patch) -> None:
     monkeypatch.setattr(jit, "LARGE_BYTES", jit.LARGE_BYTES)
-    jit.for_many()
+    jit.compile_always()
     assert hasattr(jit.kernel(scanner.scan, 1), "py_func")
 
 
