@@ -219,7 +219,7 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
         monkeypatch.setattr(
             job,
             "decide",
-            lambda cycle, _: AnotherPass() if cycle <= EARLIER_PASSES else passes_used(job.judging.recipe),
+            lambda cycle, _: AnotherPass() if cycle <= EARLIER_PASSES else passes_used(job.recipe),
         )
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
         daemon, asker = Daemon(cell, job, bus), Asker(tmp_path)
