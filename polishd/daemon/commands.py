@@ -14,19 +14,19 @@ from polishd.model.errors import HostFault, PolishdError
 
 @dataclass(slots=True)
 class OperatorCommand:
-    """One of ``states.ORDERS``, and why; or ``UNFIT``, which the computer or a signal gives."""
+    """One of ``state_machine.ORDERS`` with its reason; or ``UNFIT``, which the computer or a signal gives."""
 
     verb: StateEvent
     reason: str = ""
     error: type[PolishdError] = HostFault
     """Of ``UNFIT``: what the cell is held over, or its daemon ends with."""
     refused: bool = False
-    """It was tried, and the cell did not come to it."""
+    """It was tried, and the cell stays in its state."""
     taken: bool = False
-    """It was tried, and the cell goes on by it: with a queue through states that nobody may see."""
+    """It was tried, and the cell goes on by it, perhaps through states that are left at once."""
 
     def worsen(self, reason: str, error: type[PolishdError]) -> None:
-        """Of ``UNFIT``, also once it is taken: what nobody should go on from counts more than what can be mended."""
+        """Of ``UNFIT``, also once it is taken: an error that cannot be mended replaces one that can."""
         if self.error.mendable and not error.mendable:
             self.error, self.reason = error, f"{reason}; {self.reason}"
 
@@ -36,7 +36,7 @@ class OperatorCommand:
 
 
 class OperatorCommandQueue:
-    """In the order in which they came."""
+    """Commands that were given and are not taken yet, in the order in which they came."""
 
     def __init__(self) -> None:
         self._waiting: asyncio.Queue[OperatorCommand] = asyncio.Queue()
@@ -46,7 +46,7 @@ class OperatorCommandQueue:
         self._waiting.put_nowait(order)
 
     async def next(self) -> OperatorCommand:
-        """Any of a person's."""
+        """The next one of an operator."""
         return await self._but(StateEvent.UNFIT)
 
     async def interrupting(self) -> OperatorCommand:
@@ -59,7 +59,7 @@ class OperatorCommandQueue:
         return order
 
     async def asked_to_stop(self) -> OperatorCommand:
-        """While the cell is opened. All orders stay where they are: should it be open just now, they come next."""
+        """The order to stop, while the cell is opened. All orders stay in the queue, for when it is open."""
         seen: list[OperatorCommand] = []
         try:
             while not seen or seen[-1].verb is not StateEvent.STOP:

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from polishd.daemon.assembly import NoJob, figures
 from polishd.daemon.cell.cell import Cell
@@ -28,7 +28,7 @@ from polishd.daemon.health import Health, health_snapshot, status_snapshot
 from polishd.daemon.job.job import Job
 from polishd.daemon.job.part_handling import require_clear
 from polishd.daemon.job_source import QueuedJobs, SingleJob
-from polishd.daemon.queue.queue import BY_A_PERSON, JobResult, QueueEntry, judge
+from polishd.daemon.queue.queue import BY_A_PERSON, JobResult, QueueEntry
 from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.runtime.events import EventBus, causes, killed_safety, safety_of
 from polishd.daemon.runtime.exit_record import next_action
@@ -52,6 +52,8 @@ from polishd.model.states import EXIT_CODES, DaemonState, Outcome
 
 log = logging.getLogger(__name__)
 
+_T = TypeVar("_T")
+
 ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
 EMERGENCY = "motion was stopped at once, by order"
 IN_THE_WAY = (
@@ -62,7 +64,7 @@ IN_THE_WAY = (
 
 @dataclass(frozen=True, slots=True)
 class StateResult:
-    """What ended a state's work, and what is known of it."""
+    """What ended the work of a state: the trigger of the next transition, with its reason, outcome or error."""
 
     trigger: StateEvent
     reason: str = ""
@@ -146,9 +148,9 @@ class JobRunner:
         self._orders.give(OperatorCommand(StateEvent.STOP))
 
     async def run(self) -> Outcome:
-        """From state to state until the job ends, or a person ends it; the cell is safe and closed then.
+        """Go from state to state until the jobs or an operator end it; the cell is safe and closed then.
 
-        Raises what ended it otherwise.
+        Raises the error that ended it.
         """
         try:
             async with self._health.watching(self._endangered), monitoring_signals(self._cell, self._wrong):
@@ -157,7 +159,7 @@ class JobRunner:
             try:
                 await self._leave()
             except (PolishdError, OSError) as late:
-                error.add_note(f"and then: {late}")  # what ended it is told first
+                error.add_note(f"and then: {late}")  # the first error counts
             raise
         await self._leave()
         return outcome
@@ -165,19 +167,19 @@ class JobRunner:
     async def _until_finished(self) -> Outcome:
         while True:
             try:
-                turn = await self._work[self.state]()
-            except Exception as error:  # noqa: BLE001 - it is raised below, or a person is asked to mend it
-                turn = self._failed(error)
-            state = following(self.state, turn.trigger, unattended=not self._holds)
+                result = await self._work[self.state]()
+            except Exception as error:  # noqa: BLE001 - it is raised below, or an operator mends its cause
+                result = self._failed(error)
+            state = following(self.state, result.trigger, unattended=not self._holds)
             if state is DaemonState.FINISHED:
-                if turn.error is not None:
-                    raise turn.error
-                self.reason = turn.reason or self.reason
-                return turn.outcome
-            if turn.error is not None and turn.error is not self._error:
-                self.bus.publish(events.CellHeld(error=str(turn.error), kind=type(turn.error).__name__))
-            self._error = turn.error
-            await self.become(*self._passed_through(state, turn.reason))
+                if result.error is not None:
+                    raise result.error
+                self.reason = result.reason or self.reason
+                return result.outcome
+            if result.error is not None and result.error is not self._error:
+                self.bus.publish(events.CellHeld(error=str(result.error), kind=type(result.error).__name__))
+            self._error = result.error
+            await self.become(*self._passed_through(state, result.reason))
 
     def _passed_through(self, state: DaemonState, reason: str) -> tuple[DaemonState, str]:
         """The state after those that have nothing to do: IDLE with a job ready, CHANGING with its part in."""
@@ -193,17 +195,17 @@ class JobRunner:
             await self._cell.close()
 
     def _standing(self, state: str, reason: str, *, killed: bool = False) -> events.StateChanged:
-        """By what the devices confirmed; or as it is to be told should the daemon be killed meanwhile."""
+        """The state, with what the devices confirmed; ``killed``: as it is if the daemon is killed in this state."""
         unsafe = killed_safety(self._cell.acting) if killed else self._cell.unsafe if self._cell.identities else None
         return safety_of(state, reason, unsafe, queue=self.jobs.of_queue)
 
     def failure(self, error: Exception) -> events.DaemonFailed:
-        """It ends the daemon, which leaves the cell as it stands now."""
+        """The event of an error that ends the daemon, with the state in which the cell is left."""
         kind = type(error).__name__
         return events.DaemonFailed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
 
     def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
-        """The end as ``status`` tells it when no daemon runs: how, why, how the cell stands, and what to do."""
+        """The exit record: outcome, reason, causes, what the devices confirmed, and what to do."""
         found = causes(self.job.journal, failure)
         reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
         return {
@@ -234,26 +236,27 @@ class JobRunner:
     async def _busy(self, what: str) -> None:
         await self.become(following(self.state, StateEvent.BUSY), what)
 
+    async def _unless_interrupted(self, work: Callable[[], Awaitable[_T]]) -> _T | OperatorCommand:
+        """The result of the work, or the command that ended it. SafetyStop where the journal is lost meanwhile."""
+        done: list[_T] = []
+
+        async def run() -> None:
+            done.append(await work())
+
+        lost = self.job.journal.lost()
+        order = await run_unless_commanded(self._orders.interrupting(), run(), lost, late=self._orders.give)
+        return done[0] if order is None else order
+
     async def _next(self) -> StateResult:
-        """Between jobs, or back in one over which the cell was held."""
-        turns: list[StateResult] = []
-
-        async def work() -> None:
-            turns.append(await (self._go_on() if isinstance(self.job, Job) else self._begin()))
-
-        order = await run_unless_commanded(
-            self._orders.interrupting(), work(), self.job.journal.lost(), late=self._orders.give
-        )
-        return turns[0] if order is None else self._interrupted(order)
+        """Between jobs, or back in a job over which the cell was held."""
+        found = await self._unless_interrupted(self._go_on if isinstance(self.job, Job) else self._begin)
+        return self._interrupted(found) if isinstance(found, OperatorCommand) else found
 
     async def _go_on(self) -> StateResult:
-        """With the job that is under way, once it is sure that no other cell has its part meanwhile."""
-        lost = await self._queued().claims.settled(self.jobs.entry)
-        return (
-            await self._ended(JobResult("put aside", lost, ""))
-            if lost
-            else StateResult(StateEvent.NEXT, self._to_change())
-        )
+        """Go on with the job under way, once it is sure that no other cell has its part meanwhile."""
+        if lost := await self._queued().claims.settled(self.jobs.entry):
+            return await self._ended(JobResult("put aside", lost, ""))
+        return StateResult(StateEvent.NEXT, self._to_change())
 
     async def _begin(self) -> StateResult:
         jobs = self._queued()
@@ -265,20 +268,20 @@ class JobRunner:
         except PolishdError as error:
             if not jobs.queue.holds(entry):
                 return StateResult(StateEvent.ENDED)  # it was taken out meanwhile
-            verdict = self._judged(error)
+            verdict = jobs.judge(error)
             if verdict is None:
                 raise
             return self._refused(entry, verdict, StateResult(StateEvent.ERROR, error=error))
         return StateResult(StateEvent.NEXT, self._to_change())
 
     def _queued(self) -> QueuedJobs:
-        """The jobs of the queue: the one job of the cell's file is always ready, and has no verdict."""
+        """Where the jobs come from, in states that a single job passes through."""
         return cast(QueuedJobs, self.jobs)
 
-    def _refused(self, entry: QueueEntry, verdict: JobResult, turn: StateResult = ENDED) -> StateResult:
-        """A job that could not begin has its verdict."""
+    def _refused(self, entry: QueueEntry, verdict: JobResult, result: StateResult = ENDED) -> StateResult:
+        """End a job that could not begin."""
         self._queued().refuse(entry, verdict)
-        return _after(verdict, entry.name, turn)
+        return _after(verdict, entry.name, result)
 
     async def _change(self) -> StateResult:
         """Put the job's part in. No loader moves before every device has confirmed that it is safe."""
@@ -293,11 +296,9 @@ class JobRunner:
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
             return self._failed(error, StateEvent.UNSAFE)
-        loader: Any = self._cell.devices[port]
+        loader = cast(PartLoader, self._cell.devices[port])
         try:
-            order = await run_unless_commanded(
-                self._orders.interrupting(), self._load(loader, part), self.job.journal.lost(), late=self._orders.give
-            )
+            order = await self._unless_interrupted(partial(self._load, loader, part))
         except WrongPart as error:
             return await self._over(error, StateResult(StateEvent.MENDABLE, error=error))
         except PolishdError:
@@ -326,7 +327,7 @@ class JobRunner:
         return StateResult(StateEvent.RESUME)
 
     async def _load(self, loader: PartLoader, part: str) -> None:
-        """By the loader's own word; the next map has to prove it, too."""
+        """Load a part, and ask the loader for it; the next map proves it."""
         if await loader.loaded() not in {None, part}:
             await loader.unload()
         await loader.load(part)
@@ -336,39 +337,32 @@ class JobRunner:
             self._is_in(part, "loader")
 
     async def _polish(self) -> StateResult:
-        turn = await self._cycles()
-        ended = turn.trigger in {StateEvent.DONE, StateEvent.MENDABLE, StateEvent.ERROR}
-        end = turn.outcome if turn.trigger is StateEvent.DONE else turn.error
+        result = await self._cycles()
+        ended = result.trigger in {StateEvent.DONE, StateEvent.MENDABLE, StateEvent.ERROR}
+        end = result.outcome if result.trigger is StateEvent.DONE else result.error
         if not self.jobs.of_queue or not ended or not isinstance(end, Outcome | PolishdError):
-            return turn
+            return result
         torn = self.job.journal.unfinished() is not None
         if torn:
             await make_safe(self._cell)
             if self._cell.unsafe:
-                return turn  # it ends the daemon, and the job stays open: an operator has to look first
+                return result  # it ends the daemon, and the job stays open: an operator has to look first
             await settle_interrupted_pass(self._cell, self.job.journal)
-        return await self._over(end, turn, torn=torn)
+        return await self._over(end, result, torn=torn)
 
     async def _cycles(self) -> StateResult:
         """Polish until the job has its outcome, or an error or a command ends it."""
         self._cell.emergency, self._unfit = False, None
-        job, journal = cast(Job, self.job), self.job.journal  # polishing begins with a job
-        done: list[Outcome] = []
-
-        async def work() -> None:
-            done.append(await polish(self._cell, job, journal))
-
+        journal = self.job.journal
         try:
-            order = await run_unless_commanded(
-                self._orders.interrupting(), work(), journal.lost(), late=self._orders.give
-            )
+            order = await self._unless_interrupted(partial(polish, self._cell, cast(Job, self.job), journal))
         except PolishdError as error:
-            turn = self._failed(error)
-            if turn.trigger is StateEvent.MENDABLE:
+            result = self._failed(error)
+            if result.trigger is StateEvent.MENDABLE:
                 await make_safe(self._cell)
-            return turn
-        if order is None:
-            return StateResult(StateEvent.DONE, outcome=done[0])
+            return result
+        if isinstance(order, Outcome):
+            return StateResult(StateEvent.DONE, outcome=order)
         if order.verb is StateEvent.STOP:
             return StateResult(StateEvent.STOP, self._stopped_by(order))
         if order.verb is StateEvent.UNFIT and not order.error.mendable:
@@ -380,40 +374,35 @@ class JobRunner:
             return StateResult(StateEvent.UNFIT, f"{type(unfit).__name__}: {unfit}", error=unfit)
         return StateResult(order.verb, self._held_by(order, settled))
 
-    async def _over(self, end: Outcome | PolishdError, turn: StateResult, *, torn: bool = False) -> StateResult:
-        """After the verdict on that end; the turn itself where the job is not over."""
-        verdict = self._judged(end, torn=torn)
-        return turn if verdict is None else await self._ended(verdict, turn)
+    async def _over(self, end: Outcome | PolishdError, result: StateResult, *, torn: bool = False) -> StateResult:
+        """End the job by its verdict; the result itself where the job is not over."""
+        verdict = self._queued().judge(end, torn=torn)
+        return result if verdict is None else await self._ended(verdict, result)
 
-    def _judged(self, end: Outcome | PolishdError, *, torn: bool = False) -> JobResult | None:
-        before = self.jobs.queue.last_ended()
-        tool = "; ".join(found.what for found in self.job.findings if found.stops == "cell")
-        return judge(end, torn=torn, previous=before.fault if before else "", tool=tool)
-
-    async def _ended(self, verdict: JobResult, turn: StateResult = ENDED) -> StateResult:
-        entry, failure = self.jobs.entry, turn.error
+    async def _ended(self, verdict: JobResult, result: StateResult = ENDED) -> StateResult:
+        entry, failure = self.jobs.entry, result.error
         if failure is not None:
             self.bus.publish(events.CellHeld(error=str(failure), kind=type(failure).__name__))
-            self._error = failure  # it is told: with the job, while that is still under way
+            self._error = failure  # published with the job that is still under way
         if verdict.how == "put aside":
-            self._part_in = ""  # it may be another part, or sit wrong: a person is asked for it again
-        last = self.last_words(turn.outcome, failure)
+            self._part_in = ""  # it may be another part, or be fixed wrongly: an operator puts it in again
+        last = self.last_words(result.outcome, failure)
         name = entry.name if entry else ""
         told = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
-        outcome = "failed" if failure else "put aside" if verdict.how == "put aside" else turn.outcome.value
+        outcome = "failed" if failure else "put aside" if verdict.how == "put aside" else result.outcome.value
         notes = [*last["notes"], *([verdict.reason] if verdict.how == "put aside" else [])]
         await self._queued().end(verdict, {**last, **figures(self.job), **told, "outcome": outcome, "notes": notes})
         gc.collect()  # its passes froze their garbage: the maps and plans of hundreds of parts would stay
-        return _after(verdict, name, turn)
+        return _after(verdict, name, result)
 
     async def _wait(self) -> StateResult:
         """Until a command changes something or is refused, or the job is put aside over which the cell is held."""
-        turns: list[StateResult] = []
+        done: list[StateResult] = []
 
-        async def work() -> None:
-            turns.append(await self._obey())
+        async def obey() -> None:
+            done.append(await self._obey())
 
-        aside = await run_unless_commanded(self._asked_aside(), work())
+        aside = await run_unless_commanded(self._asked_aside(), obey())
         if aside is not None:
             kind = type(self._error).__name__ if self._error else ""
             reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
@@ -421,9 +410,9 @@ class JobRunner:
             if self.jobs.entry is None and (begun := self.jobs.queue.under_way()) is not None:
                 return self._refused(begun, verdict)
             return await self._ended(verdict)
-        if turns[0].trigger is StateEvent.RESUME and self.jobs.of_queue:
+        if done[0].trigger is StateEvent.RESUME and self.jobs.of_queue:
             self._seen = self.job.journal.cut_off()  # the reason for which it was held named it
-        return turns[0]
+        return done[0]
 
     async def _obey(self) -> StateResult:
         """The next command while the cell is held."""
@@ -447,7 +436,7 @@ class JobRunner:
         return refused or StateResult(StateEvent.RESUME)
 
     async def _made_safe(self) -> StateResult | None:
-        """None where every device confirmed, and no pass was left open; nothing is measured or moved before."""
+        """Make the cell safe. None where every device confirmed and no pass was left open; nothing moves before."""
         await make_safe(self._cell)
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
@@ -459,7 +448,7 @@ class JobRunner:
         return self._failed(HostFault(unfit), StateEvent.UNFIT) if unfit else None
 
     def _failed(self, error: Exception, mended: StateEvent = StateEvent.MENDABLE) -> StateResult:
-        """A person is asked to mend what can be while the daemon waits; not where it cut off a pass."""
+        """The transition after an error: an operator mends its cause meanwhile, except where it cut off a pass."""
         error = named(error)
         waits = isinstance(error, PolishdError) and error.mendable and bool(self._cell.identities)
         if self.state is DaemonState.POLISHING:
@@ -469,7 +458,7 @@ class JobRunner:
     # orders
 
     def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
-        """Contact is left while it still can be; what nobody should go on from counts more, also if it comes later."""
+        """Leave contact while that is still possible. An error that cannot be mended replaces one that can."""
         if self.state is DaemonState.POLISHING and self._unfit is None:
             self._unfit = OperatorCommand(StateEvent.UNFIT, what, error)
             self._orders.give(self._unfit)
@@ -477,19 +466,19 @@ class JobRunner:
             self._unfit.worsen(what, error)
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
-        """A signal is not as it must be in contact: what follows is what its limits say."""
+        """A signal is outside its limits in contact; the limits say what follows."""
         self.bus.publish(events.SignalOutOfRange(signal=limits.name, what=what, leads_to=limits.leads_to))
         if limits.leads_to != "notify":
             self._endangered(what, SafetyStop if limits.leads_to == "lift" else SignalFault)
 
     def _held_by(self, order: OperatorCommand, settled: str) -> str:
-        """The order, where it says more than what it interrupted."""
+        """The reason while the cell is held: the order, where it says more than what it interrupted, and that."""
         said = [EMERGENCY] if self._cell.emergency else []
         said += [order.said(ORDERED)] if order.reason or not settled else []
         return "; ".join([*said, settled] if settled else said)
 
     def _stopped_by(self, order: OperatorCommand) -> str:
-        """What was said with the order to stop is told at the end."""
+        """The reason at the end, with that of the order to stop."""
         return f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ") if order.reason else self.reason
 
     async def become(self, state: DaemonState, reason: str) -> None:
@@ -502,7 +491,7 @@ class JobRunner:
         self.bus.publish(self._standing(state, reason, killed=state not in {DaemonState.HELD, DaemonState.FINISHED}))
 
     async def _order(self, verb: StateEvent, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        """Give an order and answer when it is obeyed; DeviceRefused with the reason why the cell stays held."""
+        """Give an order, and answer once it is obeyed. DeviceRefused where the cell stays held, with the reason."""
         order = OperatorCommand(verb, " ".join(reason.split()))
         self._cell.emergency = self._cell.emergency or verb is StateEvent.ESTOP
         self._orders.give(order)
@@ -515,7 +504,7 @@ class JobRunner:
         return {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self.jobs.of_queue)}
 
     async def _remove(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        """Take one out that waits, or put the one aside over which the cell is held."""
+        """Take a job out that waits, or put the job aside over which the cell is held."""
         entry = self._under_way()
         if entry is None or entry.name != job:
             return await self._requests.remove_waiting(job, reason, by)
@@ -530,7 +519,7 @@ class JobRunner:
         async with self._changed:
             await self._changed.wait_for(lambda: not self._goes_on(entry) or self.state is not DaemonState.HELD)
         if self._goes_on(entry):
-            raise DeviceRefused(f"{job!r} goes on: somebody was faster")
+            raise DeviceRefused(f"{job!r} goes on: another command came first")
         return await self._requests.list()
 
     async def _asked_aside(self) -> OperatorCommand:
@@ -547,14 +536,14 @@ class JobRunner:
         return now is not None and now.id == entry.id
 
     def _interrupted(self, order: OperatorCommand) -> StateResult:
-        if order.verb is StateEvent.UNFIT:  # said while the last job's end was written, say
+        if order.verb is StateEvent.UNFIT:  # while the end of the last job was written, for example
             return self._failed(order.error(order.reason))
         if order.verb is StateEvent.STOP:
             return StateResult(StateEvent.STOP, self._stopped_by(order))
         return StateResult(order.verb, self._held_by(order, ""))
 
     def _in_the_way(self) -> bool:
-        """The robot may stand over the part, and a loader is to move there."""
+        """The robot may stand over the part, where the loader moves."""
         left = self.job.journal.cut_off() if self.jobs.of_queue and "loader" in self._cell.used else None
         return left is not None and left != self._seen
 
@@ -563,7 +552,7 @@ class JobRunner:
         self.bus.publish(events.PartChanged(part_id=part, by=by))
 
     def _to_change(self) -> str:
-        """What a person reads while the part is changed."""
+        """The reason that ``status`` gives while the part is changed."""
         entry = self.jobs.entry
         if entry is None or self._is_part_in():
             return ""
@@ -571,27 +560,27 @@ class JobRunner:
         return f"{entry.name}: {who} part {entry.part_id!r} in"
 
     def _is_part_in(self) -> bool:
-        """No part has to be changed: of the one job, which an operator put in, or because it is in and stays in."""
+        """Of a single job, whose part an operator put in before the start, or where the part of the job is in."""
         entry = self.jobs.entry
         return entry is None or ("loader" not in self._cell.used and entry.part_id == self._part_in)
 
 
-def _after(verdict: JobResult, name: str, turn: StateResult) -> StateResult:
+def _after(verdict: JobResult, name: str, result: StateResult) -> StateResult:
     if not verdict.stops:
         return StateResult(StateEvent.ENDED)
     reason = f"the queue stopped: {verdict.stops}; {name} was {verdict.how}: {verdict.reason}"
-    error = turn.error or (ToolStop(reason) if verdict.how == "accepted" else None)
-    return replace(turn, trigger=StateEvent.STOPS, reason=reason, error=error)
+    error = result.error or (ToolStop(reason) if verdict.how == "accepted" else None)
+    return replace(result, trigger=StateEvent.STOPS, reason=reason, error=error)
 
 
 def _tell_broken(bus: EventBus, error: BaseException) -> None:
-    """At once: until every device has confirmed, or is given up, seconds pass."""
+    """Publish at once that contact is left: the devices take seconds to confirm."""
     with suppress(PolishdError):  # a lost journal: polishing ends over it
         bus.publish(events.ContactAborted(error=str(error), kind=type(error).__name__))
 
 
 async def run_until_finished(daemon: JobRunner) -> tuple[Outcome, Exception | None]:
-    """Run it; what ended it otherwise than by its outcome is logged and told, and not raised."""
+    """Run it. An error that ends it is logged, published and returned."""
     try:
         await daemon.become(DaemonState.STARTING, "")
         return await daemon.run(), None

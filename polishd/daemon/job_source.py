@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 from polishd.daemon.assembly import NoJob, figures
 from polishd.daemon.job.job import Job
 from polishd.daemon.journal.journal import Journal, over_row
-from polishd.daemon.queue.queue import JobResult, Queue, QueueEntry
+from polishd.daemon.queue.queue import JobResult, Queue, QueueEntry, judge
 from polishd.daemon.queue.requests import ShopAssignments
 from polishd.daemon.runtime.events import EventBus, utc_now
 from polishd.daemon.socket.server import Handler
@@ -212,6 +212,15 @@ class QueuedJobs(JobSource):
         job, self.folder = await self._make(entry, self.queue, self._of_cell, self.tell)
         self.job, self.entry, self._began = job, entry, utc_now()
         self.tell(events.JobStarted(job=entry.name, part_id=entry.part_id, run_dir=str(self.folder.path)))
+
+    def judge(self, end: Outcome | PolishdError, *, torn: bool = False) -> JobResult | None:
+        """The verdict on the job under way, or on the one that could not begin; None where the job is not over.
+
+        ``torn``: the end cut off a pass, and every device has confirmed since that it is safe.
+        """
+        before = self.queue.last_ended()
+        tool = "; ".join(found.what for found in self.job.findings if found.stops == "cell")
+        return judge(end, torn=torn, previous=before.fault if before else "", tool=tool)
 
     async def end(self, verdict: JobResult, summary: Mapping[str, Any]) -> None:
         """End the job under way: first in the journal, then in its run folder, then as an event."""
