@@ -388,10 +388,10 @@ class JobRunner:
             self._part_in = ""  # it may be another part, or be fixed wrongly: an operator puts it in again
         last = self.last_words(result.outcome, failure)
         name = entry.name if entry else ""
-        told = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
+        facts = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
         outcome = "failed" if failure else "put aside" if verdict.how == "put aside" else result.outcome.value
         notes = [*last["notes"], *([verdict.reason] if verdict.how == "put aside" else [])]
-        await self._queued().end(verdict, {**last, **figures(self.job), **told, "outcome": outcome, "notes": notes})
+        await self._queued().end(verdict, {**last, **figures(self.job), **facts, "outcome": outcome, "notes": notes})
         gc.collect()  # its passes froze their garbage: the maps and plans of hundreds of parts would stay
         return _after(verdict, name, result)
 

@@ -107,7 +107,7 @@ TRANSITIONS: tuple[StateTransition, ...] = (
     StateTransition(_HELD, StateEvent.UNSAFE, _HELD, "`resume` is refused, and tries again the next time", _END),
     StateTransition(_HELD, StateEvent.UNFIT, _HELD, "the same", _END),
     StateTransition(_HELD, StateEvent.MENDABLE, _HELD, "the same: the cause is not mended yet", _END),
-    StateTransition(_HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: it is told before it goes on", _END),
+    StateTransition(_HELD, StateEvent.INTERRUPTED, _HELD, "the same, once: `status` shows it first", _END),
     StateTransition(_HELD, StateEvent.HOLD, _HELD, "its reason is added"),
     StateTransition(_HELD, StateEvent.ESTOP, _HELD, "its reason is added"),
     StateTransition(_HELD, StateEvent.STOP, _END, "over an error, the daemon ends with that error"),
