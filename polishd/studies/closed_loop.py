@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +29,6 @@ from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.decisions import (
     Accept,
     AnotherPass,
-    Decision,
     Diverge,
     PassesUsed,
     Stalled,
@@ -356,7 +355,8 @@ class _Job:
                     series = extend_series(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
                     account.name(one.kind for one in found)
-            match decision_of(recipe, surface, account.rms_nm, found, self.passes):
+            passes_left = self.passes - (len(account.rms_nm) - 1)
+            match decide(recipe, account.rms_nm[:-1], surface, found, passes_left):
                 case ToolWorn(why):
                     return _Ended(TOOL, why)
                 case Accept() | Diverge() | Stalled() | PassesUsed() as decision:
@@ -478,16 +478,6 @@ def _remembering(recipe: Recipe) -> Recipe:
         return last[0][1]
 
     return replace(recipe, model=replace(model, effect=effect))
-
-
-def decision_of(
-    recipe: Recipe, surface: MeasureResult, rms_nm: Sequence[float], found: Sequence[Finding], passes: int
-) -> Decision:
-    """Decide what follows a measurement, as the daemon's job does.
-
-    ``rms_nm``: of all measurements, this one the last; ``passes``: that the job may make.
-    """
-    return decide(recipe, rms_nm[:-1], surface, found, passes + 1 - len(rms_nm))
 
 
 def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:

@@ -170,7 +170,11 @@ class ShopAssignments:
 
     def first(self) -> QueueEntry | None:
         """The first that waits and may begin."""
-        return self._queue.next(lambda entry: not entry.claim or entry.claim in self._stands)
+        return self._queue.next(self.stands)
+
+    def stands(self, entry: QueueEntry) -> bool:
+        """Whether no shop gave its part, or the shop has said that the part is this cell's."""
+        return not entry.claim or entry.claim in self._stands
 
     async def settled(self, entry: QueueEntry | None) -> str:
         """Why the job under way may not go on, once that is known; empty where it may."""

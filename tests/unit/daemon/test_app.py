@@ -17,11 +17,13 @@ import pytest
 from polishd.daemon import app, assembly
 from polishd.daemon.assembly import run_folder
 from polishd.daemon.cell import cell
+from polishd.daemon.job_runner import JobRunner
+from polishd.daemon.job_source import SingleJob
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
+from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.runtime.events import EventBus
 from polishd.daemon.socket.client import request
-from polishd.daemon.state_machine import Daemon
 from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import (
     ConfigError,
@@ -67,7 +69,9 @@ class Running:
         self.told: list[Event] = []
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
         bus = EventBus(sinks=(bench.journal.record_event, self.told.append))
-        self.daemon = Daemon(bench.fake.cell, job, bus, holds=holds)
+        jobs = SingleJob(bench.journal, job.folder, job)
+        requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
+        self.daemon = JobRunner(bench.fake.cell, jobs, requests, bus, holds=holds)
         self.task: asyncio.Task[Outcome] | None = None
 
     async def __aenter__(self) -> Self:

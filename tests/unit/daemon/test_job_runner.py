@@ -9,17 +9,17 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
 
 from polishd.config.job import JobFile
-from polishd.daemon import state_machine as daemon_module
-from polishd.daemon.app import _serve_queue
+from polishd.daemon import job_runner as daemon_module
+from polishd.daemon.app import _serve
 from polishd.daemon.cycle import short_collections
 from polishd.daemon.job.job import Job
-from polishd.daemon.job_runner import IN_THE_WAY, QueueDaemon, QueueRunner, resume_open_job
+from polishd.daemon.job_runner import IN_THE_WAY, JobRunner
+from polishd.daemon.job_source import QueuedJobs
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.queue.queue import NewJob, Queue, QueueEntry
@@ -84,7 +84,7 @@ class Hall:
         return small_job(self.tmp_path, own, folder=folder, publish=publish), folder
 
     async def polish(self, _cell: Any, job: Job, journal: Journal) -> Outcome:
-        entry = self.shift.entry
+        entry = self.jobs.entry
         assert entry is not None
         assert job.journal is journal
         self.polished.append(entry.name)
@@ -103,12 +103,12 @@ class Hall:
         self.task = asyncio.ensure_future(self.daemon.run())
 
     async def build(self, **options: Any) -> None:
-        self.shift = QueueRunner(self.journal, self.make)
-        self.bus = self.shift.bus = EventBus(sinks=(self.shift.record, self.told.append))
-        await resume_open_job(self.shift)
-        desk = QueueRequests(None, self.shift.queue, self.shift.added)  # type: ignore[arg-type]
-        self.queue = self.shift.queue
-        self.daemon = QueueDaemon(self.fake.cell, self.shift, desk, self.bus, **options)
+        self.jobs = QueuedJobs(self.journal, self.make)
+        self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.told.append))
+        await self.jobs.resume()
+        requests = QueueRequests(None, self.jobs.queue, self.jobs.added)  # type: ignore[arg-type]
+        self.queue = self.jobs.queue
+        self.daemon = JobRunner(self.fake.cell, self.jobs, requests, self.bus, **options)
 
     async def run(self, **options: Any) -> Outcome:
         await self.start(**{"until_empty": True} | options)
@@ -270,7 +270,7 @@ async def test_it_waits_for_a_job_and_takes_one_that_is_added(hall: Hall) -> Non
     await hall.start()
     await hall.until("idle")
     hall.add("a")
-    hall.shift.added()
+    hall.jobs.added()
     await hall.wait(lambda: hall.verdicts() == {"a": "accepted"})
     await hall.until("idle")
     hall.daemon.stop()
@@ -515,7 +515,7 @@ async def test_a_part_that_was_put_aside_is_asked_for_again(hall: Hall) -> None:
     await hall.order("resume")
     await hall.until("idle")
     hall.queue.add([NewJob("a", "P-a", JobFile(Path("/a.toml"), ""), {})])
-    hall.shift.added()
+    hall.jobs.added()
     await hall.until("changing")
     assert [event["part_id"] for event in hall.events("part_wanted")] == ["P-a", "P-a"]
     await hall.end()
@@ -619,7 +619,7 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
     await hall.until("idle")
     assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by order: cleaning"
     hall.add("a")
-    hall.shift.added()
+    hall.jobs.added()
     assert (await hall.order("resume"))["state"] != "held"
     await hall.wait(lambda: hall.verdicts() == {"a": "accepted"})
     await hall.end()
@@ -681,7 +681,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     hall.add("a").fake.with_loader()
     hall.ends["a"] = [end]
     await hall.build()
-    serving: Any = _serve_queue(SimpleNamespace(state_dir=hall.tmp_path), hall.daemon, hall.shift)  # type: ignore[arg-type]
+    serving: Any = _serve(hall.tmp_path, hall.daemon)
     hall.task = asyncio.ensure_future(serving)
     await hall.wait(hall.journal.cut_off)
     hall.daemon.stop()
@@ -757,7 +757,9 @@ async def test_a_part_that_a_person_had_put_in_is_not_asked_for_again(hall: Hall
         await hall.until("held")
         await hall.order("resume")
         await hall.task
-    assert "changing" in [event["state"] for event in hall.events("state")]
+    states = [event["state"] for event in hall.events("state")]
+    assert states[states.index("held") :] == ["held", "polishing", "idle"], "nothing is changed for it"
+    assert not hall.events("part_wanted")
     assert hall.verdicts() == {"a": "rejected"}
 
 
