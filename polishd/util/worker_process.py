@@ -27,7 +27,6 @@ LOOK_S = 0.1
 """Time between two looks at what a worker has used."""
 STDERR_BYTES = 1 << 12
 """Of what a worker printed last, so much is kept."""
-PIPE_BYTES = 1 << 20
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS",
 )  # fmt: skip
