@@ -36,6 +36,10 @@ def fail() -> tuple[dict[str, Any], AnswerFunction]:
     raise ModuleNotFoundError("no module named so")
 
 
+def start_in_vain() -> tuple[dict[str, Any], AnswerFunction]:
+    raise OSError("out of luck")
+
+
 def hang() -> tuple[dict[str, Any], AnswerFunction]:
     hang_in_c()
     raise AssertionError
@@ -107,7 +111,7 @@ def answer(message: dict[str, Any], arrays: Arrays) -> Message:  # noqa: C901
         case "send":
             left = message["what"].encode() * message.get("times", 1)
             while left:
-                left = left[os.write(_answers(), left) :]
+                left = left[os.write(answers_pipe(), left) :]
             if message.get("then") == "exit":
                 os._exit(3)
             time.sleep(600)
@@ -116,7 +120,7 @@ def answer(message: dict[str, Any], arrays: Arrays) -> Message:  # noqa: C901
     return {}, {}
 
 
-def _answers() -> int:
+def answers_pipe() -> int:
     """The pipe of the answers, as a file that has taken the worker over would find it."""
     for number in range(3, 64):
         try:
