@@ -18,7 +18,8 @@ from polishd.model.errors import ComputeError, ConfigError, PolishdError, Worker
 from polishd.plugins.rnc_robot.gcode import jit
 from polishd.studies.case_runner import CaseRunner
 from polishd.studies.cases import Case, versions
-from polishd.util.worker_main import AnswerFunction, Message
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
 from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
 TARGET = "polishd.studies.workers:start_worker"

@@ -69,7 +69,7 @@ def write(stream: BinaryIO, message: Mapping[str, Any], arrays: Arrays | None = 
 
 
 def _as_bytes(values: NDArray[Any]) -> memoryview:
-    return memoryview(values.reshape(-1).view(np.uint8))
+    return values.reshape(-1).view(np.uint8).data
 
 
 def _layout(array: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:

@@ -25,7 +25,8 @@ from polishd.daemon.runtime.process import compute_last
 from polishd.model.errors import ComputeError, HostFault, PolishdError, WorkerError
 from polishd.pipeline.recipe import CpuLimit
 from polishd.process.dwell.time_limit import backstop_s
-from polishd.util.worker_main import AnswerFunction, Message
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
 from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
 TARGET = "polishd.daemon.runtime.compute:start_worker"
@@ -166,7 +167,8 @@ def pack(value: object) -> Pickled:
         return content.nbytes <= SMALL_BYTES
 
     main = pickle.dumps(value, protocol=5, buffer_callback=is_small)
-    return {str(number): np.frombuffer(piece, np.uint8) for number, piece in enumerate((main, *arrays))}
+    pieces: list[bytes | memoryview] = [main, *arrays]
+    return {str(number): np.frombuffer(piece, np.uint8) for number, piece in enumerate(pieces)}
 
 
 def unpack(pieces: Mapping[str, NDArray[Any]]) -> Any:

@@ -10,7 +10,8 @@ from typing import Any
 
 from polishd.model.errors import ConfigError
 from polishd.studies.cases import versions
-from polishd.util.worker_main import AnswerFunction, Message
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
 
 
 def start() -> tuple[dict[str, Any], AnswerFunction]:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.model.errors import MapError
-from polishd.util.worker_main import AnswerFunction, Message
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -27,7 +27,8 @@ from pydantic import TypeAdapter
 from polishd.api import MapError, SurfaceMap
 from polishd.model.errors import ComputeError, WorkerError
 from polishd.model.surface import DateFrom, MapStep, MaskCount
-from polishd.util.worker_main import AnswerFunction, Message
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
 from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
 TARGET = "polishd.plugins.interferometer.formats.sandbox:start_worker"
