@@ -163,7 +163,7 @@ async def test_one_that_sleeps_is_killed_at_the_backstop() -> None:
         await compute.start()
         before = compute.pid
         assert before is not None
-        with pytest.raises(ComputeError, match=r"forever: .*0\.\d s of CPU .* in 1\.\d s \(limit 1 s\)"):
+        with pytest.raises(ComputeError, match=r"forever: .*0\.\d s of CPU .* in \d+\.\d s \(limit 1 s\)"):
             await compute(jobs.forever, within_s=50.0)
         assert not alive(before)
 
