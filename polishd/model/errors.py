@@ -121,6 +121,10 @@ class ComputeError(PolishdError):
     exit_code = 10
 
 
+class WorkerError(ComputeError):
+    """A worker process exceeded a limit, ended, or broke the protocol. It has been ended."""
+
+
 class DeviceError(PolishdError):
     """A device, or the link to it, is the cause."""
 
@@ -196,4 +200,4 @@ class BatchRequestError(PolishdError):
 
 
 class FrameError(PolishdError):
-    """The start of the next message to the batch plant is unknown; the connection ends."""
+    """A message between a program and a worker process is broken or too large, and the next one cannot be found."""

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.estimates import Finding
 from polishd.model.states import Outcome
+from polishd.model.tolerance import part_holds
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.process.identification.findings import Forecast, gain_too_small, has_diverged

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -20,7 +19,9 @@ from polishd.reports import run_pictures, wording
 from polishd.reports.run_pictures import write_gate
 from polishd.reports.run_reader import Cycle, ReportSurface, RunFolderReader, read_folder
 from polishd.reports.wording import VERDICTS, Verdict, duration, figure, plain, text, when
+from polishd.util.array_stream import Message
 from polishd.util.files import write_atomic
+from polishd.util.worker_main import AnswerFunction
 
 # The page: one HTML file with its style and pictures inside, by ``report.html.jinja``.
 
@@ -307,6 +308,16 @@ def path_pictures(folder: RunFolderReader, index: int, album: Album) -> None:
     album.add(f"{cycle.name}-executed", caption, lambda: run_pictures.executed(plan, done_s))
 
 
-if __name__ == "__main__":
-    draw = write_gate if sys.argv[2:] == ["gate"] else write_report
-    draw(Path(sys.argv[1]))
+def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
+    """Prepare a worker process to draw reports."""
+    return {}, _answer
+
+
+def _answer(request: Mapping[str, Any], _: Mapping[str, Any]) -> Message:
+    """Draw the report of a folder, or the picture of a failed removal check."""
+    folder = Path(request["folder"])
+    if request["draw"] == "gate":
+        write_gate(folder)
+    else:
+        write_report(folder)
+    return {}, {}

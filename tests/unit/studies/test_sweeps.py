@@ -30,12 +30,12 @@ from pathlib import Path
 from polishd.studies import result_store as kept
 from polishd.studies.options import StudyOptions
 from polishd.studies.run import study_verb
-add, seen = kept.Kept.add, []
+add, seen = kept.ResultStore.add, []
 def then_die(self, done):
     seen.append(add(self, done))
     if len(seen) == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-kept.Kept.add = then_die
+kept.ResultStore.add = then_die
 study_verb(Path(sys.argv[1]), StudyOptions(out=Path(sys.argv[2]), workers=1), as_json=True)
 """
 

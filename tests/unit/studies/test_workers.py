@@ -1,9 +1,8 @@
-"""A worker of studies, in this process: it computes what it is asked, and refuses what is no longer the same."""
+"""A worker of studies, in this process: it computes each case, and refuses what is no longer the same."""
 
 from __future__ import annotations
 
 import io
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,11 @@ from typing import Any
 import pytest
 
 from polishd.config.sweep import load_swept
+from polishd.plugins.rnc_robot.gcode import jit
 from polishd.studies.cases import Case, cases_of, versions
-from polishd.studies.worker_process import serve
+from polishd.studies.workers import start_worker
+from polishd.util import array_stream
+from polishd.util.worker_main import serve
 from tests.unit.studies.studies import TABLE_III, variant
 
 SPOT = """
@@ -29,6 +31,12 @@ over.seconds = [30.0, 60.0]
 """
 
 
+@pytest.fixture(autouse=True)
+def _interpreter_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker compiles for small programs, too; the other tests of this process must not."""
+    monkeypatch.setattr(jit, "LARGE_BYTES", jit.LARGE_BYTES)
+
+
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     path = tmp_path / "study.toml"
@@ -36,13 +44,17 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def answers(study: Path, *cases: Case, run: str = "r") -> list[dict[str, Any]]:
-    asked = [json.dumps({"study": str(study), "run": run, "case": asdict(case)}) for case in cases]
-    said = io.StringIO()
-    serve(io.StringIO("".join(f"{line}\n" for line in asked)), said)
-    ready, *found = map(json.loads, said.getvalue().splitlines())
-    assert ready == {"ready": dict(versions())}
-    return found
+def answers(study: Path, *cases: Case) -> list[dict[str, Any]]:
+    """Of a worker in this process."""
+    requests, found = io.BytesIO(), io.BytesIO()
+    for case in cases:
+        array_stream.write(requests, {"study": str(study), "run": "r", "case": asdict(case)})
+    requests.seek(0)
+    stated, answer = start_worker()
+    assert stated == {"versions": dict(versions())}
+    serve(answer, requests, found)
+    found.seek(0)
+    return [message for message, _ in iter(lambda: array_stream.read(found), None)]
 
 
 def test_rows_are_those_of_the_case(study: Path) -> None:
@@ -61,9 +73,9 @@ def test_a_study_that_was_changed_is_refused(study: Path) -> None:
     case = cases_of(load_swept(study))[0]
     study.write_text(SPOT.replace("1000.0", "900.0"))
     (refused,) = answers(study, case)
-    assert "was changed since the study began; let all workers see the same files" in refused["refused"]
+    assert "was changed since the study began; let all workers see the same files" in refused["error"]
     (refused,) = answers(study, replace(case, of="other"))
-    assert "refused" in refused
+    assert "error" in refused
 
 
 def test_what_cannot_be_computed_is_that_cases_own(tmp_path: Path) -> None:
