@@ -202,7 +202,7 @@ def verdict_of(run: CertificateRun) -> CertificateVerdict:
     since = [done for done in run.rows.passes if done["cycle"] >= run.rows.maps[-1]["cycle"]]
     state: State = "not known" if since or not judged else "in tolerance" if holds(judged) else "not in tolerance"
     farthest = worst(judged)
-    ended = VERDICTS[outcome].words if outcome in VERDICTS else outcome.replace("_", " ")
+    ended = VERDICTS[outcome].text if outcome in VERDICTS else outcome.replace("_", " ")
     if since:
         said = "Not known: the part was polished after its last map"
     elif not judged:

@@ -19,7 +19,7 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.rendering.document import html
 from polishd.reports.certificate import issue
 from polishd.reports.certificate.content import CertificateRequest, certificate_content
-from polishd.reports.certificate.document import sheet
+from polishd.reports.certificate.document import certificate_document
 from polishd.reports.certificate.model import schema
 from polishd.reports.certificate.sources import find_run
 from tests.unit.reports.certificate.conftest import Made
@@ -83,7 +83,9 @@ def test_one_rms_of_each_surface(certified: Made) -> None:
 
 @pytest.mark.full
 def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
-    page = html(sheet(certificate_content(find_run(torn_files.run_dir, None), CertificateRequest(), AT), ""))
+    page = html(
+        certificate_document(certificate_content(find_run(torn_files.run_dir, None), CertificateRequest(), AT), "")
+    )
     assert "<h2>A pass that was interrupted at 32%; blocks 13 to 15 uncertain</h2>" in page
     assert "had it been a whole pass" in page
     assert "nothing else is learned of part of a pass" in page
@@ -97,7 +99,7 @@ def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
 @pytest.mark.full
 def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
     asked = CertificateRequest(operator="<script>", customer="$x^2$", drawing="100 % {{ x }}")
-    page = html(sheet(certificate_content(find_run(whole_files.run_dir, None), asked, AT), ""))
+    page = html(certificate_document(certificate_content(find_run(whole_files.run_dir, None), asked, AT), ""))
     assert "<script>" not in page
     assert "$x^2$" in page
 
