@@ -226,7 +226,8 @@ class TestARun:
         for value, cycle, key, shown in figures:
             meant = summary["cycles"][int(cycle)][key]
             assert float(value) == meant
-            assert float(shown.replace(",", "")) == pytest.approx(meant, abs=0.005)
+            rounding = 0.5 * 10.0 ** -len(shown.partition(".")[2])
+            assert float(shown.replace(",", "")) == pytest.approx(meant, abs=rounding * (1 + 1e-9))
 
     def test_the_certificate_is_there(self, page: str) -> None:
         assert page.count("Certificate of the dwell solution") == 2
@@ -374,7 +375,7 @@ class TestWhatIsMissing:
         assert f'<p class="verdict {kind}">' in words_of(run_dir)
 
     def test_every_outcome_has_a_verdict(self) -> None:
-        assert {*VERDICTS} == {*Outcome} | {"planned", ""}
+        assert {*VERDICTS} == {*Outcome} | {"failed", "planned", ""}
 
     @pytest.mark.full
     def test_without_a_summary_the_run_is_called_unfinished(self, undrawn: None, run_dir: Path) -> None:
@@ -487,11 +488,8 @@ class TestSpectrum:
         height = rng.standard_normal((96, 96))
         mask = np.ones((96, 96), dtype=bool)
         tilted = height + 40 * np.linspace(-1, 1, 96)[:, None]
-        np.testing.assert_allclose(
-            run_pictures.smooth_spectrum(tilted, mask, 1.0)[1],
-            run_pictures.smooth_spectrum(height, mask, 1.0)[1],
-            rtol=0.3,
-        )
+        level, raised = (run_pictures.smooth_spectrum(one, mask, 1.0)[1] for one in (height, tilted))
+        np.testing.assert_allclose(raised, level, rtol=0.3)
         tilted[40:44, 50:53] = np.nan
         assert np.isfinite(run_pictures.smooth_spectrum(tilted, mask, 1.0)[1]).all()
 
