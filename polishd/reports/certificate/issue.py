@@ -57,17 +57,16 @@ def certificate_verb(run: Path, options: CertificateOptions, *, as_json: bool) -
     digest = hashlib.sha256(pdf).hexdigest()
     content = json.loads(draft.content.model_dump_json(by_alias=True))
     content["pdf"] = {"name": options.out.name, "sha256": digest, "bytes": len(pdf), "pages": pages}
-    twin = {**content, seal.SEAL: seal.sealed(content, key).model_dump(mode="json")}
-    _write(options.out, pdf, json_path, seal.written(twin))
-    _report(options.out, twin, pages, as_json=as_json)
+    certificate = {**content, seal.SEAL: seal.sealed(content, key).model_dump(mode="json")}
+    _write(options.out, pdf, json_path, seal.written(certificate))
+    _report(options.out, certificate, pages, as_json=as_json)
 
 
 def verify_verb(file: Path, key: Path | None, *, as_json: bool) -> None:
     """Print a sentence for each finding; PolishdError after them if anything is wrong."""
     from polishd.reports.certificate import signature as seal
-    from polishd.reports.certificate.signature import verify
 
-    found = verify(file, None if key is None else seal.public_key(key))
+    found = seal.verify(file, None if key is None else seal.public_key(key))
     facts = {"number": found.number, "right": found.right, "signer": found.signer}
     emit(
         {**facts, "findings": [asdict(one) for one in found.findings]},
@@ -106,14 +105,14 @@ def _require_new(out: Path) -> Path:
     """Return the path of the JSON file; ConfigError if one of the two files cannot be made."""
     if out.suffix.lower() != PDF:
         raise ConfigError(f"{out}: a certificate is a PDF. Use a name that ends in .pdf.")
-    twin = out.with_suffix(JSON)
-    for path in (out, twin):
+    json_path = out.with_suffix(JSON)
+    for path in (out, json_path):
         if path.exists():
             raise ConfigError(f"{path}: exists, and a certificate is never overwritten. Name another file with --out.")
     if not out.parent.is_dir():
         raise ConfigError(f"{out.parent}: is not a folder. Make it, or name another with --out.")
     require_writable(out.parent)
-    return twin
+    return json_path
 
 
 def _key_and_shop(run: Path, options: CertificateOptions) -> tuple[Path | None, str]:
@@ -142,11 +141,11 @@ def _drawn(draft: CertificateDraft, signed_by: str) -> tuple[bytes, int]:
     return paged(certificate_document(draft, signed_by))
 
 
-def _write(pdf_path: Path, pdf: bytes, json_path: Path, twin: bytes) -> None:
+def _write(pdf_path: Path, pdf: bytes, json_path: Path, json_bytes: bytes) -> None:
     """Write both files, or none."""
     try:
         write_atomic(pdf_path, pdf)
-        write_atomic(json_path, twin)
+        write_atomic(json_path, json_bytes)
     except OSError as error:
         pdf_path.unlink(missing_ok=True)
         json_path.unlink(missing_ok=True)
@@ -155,20 +154,18 @@ def _write(pdf_path: Path, pdf: bytes, json_path: Path, twin: bytes) -> None:
         ) from error
 
 
-def _report(out: Path, twin: dict[str, Any], pages: int, *, as_json: bool) -> None:
-    signature = twin["seal"]["signature"]
+def _report(out: Path, certificate: dict[str, Any], pages: int, *, as_json: bool) -> None:
+    signature = certificate["seal"]["signature"]
     signed = f"signed with the key {signature['key_id']}" if signature else "not signed: no --key, no certificate.key"
     rows = [
-        ("verdict", twin["verdict"]["words"]),
-        ("decided by", twin["verdict"]["decided_by"]),
+        ("verdict", certificate["verdict"]["words"]),
+        ("decided by", certificate["verdict"]["decided_by"]),
         ("PDF", f"{out}, {pages} pages"),
         ("JSON", str(out.with_suffix(JSON))),
         ("signature", signed),
-        *(("left out", reason) for reason in twin["left_out"]),
+        *(("left out", reason) for reason in certificate["left_out"]),
     ]
-    emit(
-        {"number": twin["number"], "verdict": twin["verdict"], "pdf": str(out), "twin": str(out.with_suffix(JSON)),
-         "pages": pages, "key_id": signature["key_id"] if signature else None, "left_out": twin["left_out"]},
-        as_json=as_json,
-        table=lambda: key_table(f"certificate {twin['number']}", rows),
-    )  # fmt: skip
+    answer = {key: certificate[key] for key in ("number", "verdict", "left_out")}
+    answer |= {"pdf": str(out), "json": str(out.with_suffix(JSON)), "pages": pages}
+    answer |= {"key_id": signature["key_id"] if signature else None}
+    emit(answer, as_json=as_json, table=lambda: key_table(f"certificate {certificate['number']}", rows))

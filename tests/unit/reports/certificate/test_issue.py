@@ -134,7 +134,7 @@ def test_what_is_wrong_is_said_and_is_exit_code_1(polishd: Polishd, signed: Made
     signed.pdf.write_bytes(signed.pdf.read_bytes() + b"%")
     said = polishd("report", "verify", signed.pdf)
     assert said.code == 1
-    assert "WRONG: part.pdf was changed since it was made" in said.out
+    assert "WRONG: part.pdf was changed" in said.out
     assert said.err.startswith("polishd: ")
     assert polishd("report", "verify", signed.pdf.with_name("none.pdf")).code == 3
 
@@ -145,7 +145,7 @@ def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -
     (out / "c.json").write_text("mine")
     said = polishd("report", "certificate", whole, "--out", out / "c.pdf")
     assert said.code == 3
-    assert "a certificate is not overwritten" in said.err
+    assert "c.json" in said.err
     assert [path.name for path in out.iterdir()] == ["c.json"]
 
 
@@ -153,11 +153,11 @@ def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--out", "c.html"], "a certificate is a PDF; name it *.pdf"),
-        (["--out", "none/c.pdf"], "is no folder; make it"),
+        (["--out", "c.html"], "c.html"),
+        (["--out", "none/c.pdf"], "none: is not a folder"),
         (["--out", "c.pdf", "--key", "none.key"], "none.key: cannot be read"),
-        (["--out", "c.pdf", "--operator", "a\nb"], "--operator: has letters that cannot be printed"),
-        (["--out", "c.pdf", "--job", "x"], "leave --job out"),
+        (["--out", "c.pdf", "--operator", "a\nb"], "--operator"),
+        (["--out", "c.pdf", "--job", "x"], "--job"),
     ],
 )
 def test_bad_input_is_one_error_and_no_file(
