@@ -1,8 +1,7 @@
-"""Plugin ``run_report``: writes ``report.html`` and ``pictures/*.png`` into a run or plan folder when it is complete.
+"""Plugin ``run_report``: writes ``report.html`` and ``pictures/*.png`` into a complete run or plan folder.
 
-The page is self-contained: it opens offline and refers to nothing on a network. A run that ended early is reported
-too, and the page says what is missing. It is drawn in a worker process: in a thread, matplotlib would delay the loop
-that is in contact with a part.
+The page opens offline. A run that ended early is reported too, with a list of what is missing. A separate process
+draws: in a thread, matplotlib would delay the contact loop.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ LIMIT = WorkerLimit(wall_s=3600.0, cpu_s=900.0)
 
 @hookimpl
 def polishd_on_event(event: Event) -> None:
-    """Write the report, or the gate's picture, into the folder that the event names; ignore other events."""
+    """Write the report, or the picture of a failed removal check, into the folder of the event."""
     match event:
         case events.RemovalCheckFailed():
             _draw(event.cycle_dir, "gate")

@@ -34,7 +34,8 @@ from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
 from polishd.process.toolpath.apertures import TOWARDS, Aperture
 from polishd.programs.rewrite import DwellTable, content, opened, require_new_target, rewrite_file
-from polishd.rendering.plots import BLUE, INK, ORANGE, SEQUENTIAL, figure, png, polishd_style
+from polishd.rendering.map_plots import path_map
+from polishd.rendering.plots import BLUE, INK, ORANGE, figure, png, polishd_style
 from polishd.rendering.terminal import emit, key_table, record_table, stderr, stdout
 
 SHOWN = 20
@@ -291,9 +292,7 @@ def program_picture(program: Program) -> bytes:
     with polishd_style():
         page = figure(7.6, 3.6)
         above, along = page.subplots(1, 2)
-        shown = above.scatter(place[:, 0], place[:, 1], c=time_s, s=max(0.5, 4000 / len(place)) ** 0.5, cmap=SEQUENTIAL)
-        above.set(title=program.name.replace("$", r"\$"), xlabel="x, mm", ylabel="y, mm", aspect="equal")
-        page.colorbar(shown, ax=above, shrink=0.85, label="s")
+        path_map(above, place, time_s, program.name, "s")
         along.plot(np.arange(1, program.n + 1, step), time_s, color=BLUE, linewidth=0.8)
         along.set(title="time along the program", xlabel="point", ylabel="s", ylim=(0, None))
         return png(page)
@@ -313,10 +312,7 @@ def path_picture(points_mm: FloatArray, normal: FloatArray, aperture: Aperture, 
         path.plot(*points_mm[-1, :2], "s", color=ORANGE, markersize=4, label="last point")
         path.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
         path.set(title=title.replace("$", r"\$"), ylabel="y, mm")
-        size = max(0.5, 4000 * step / len(points_mm)) ** 0.5
-        shown = tilt.scatter(*points_mm[::step].T[:2], c=tilt_deg[::step], s=size, cmap=SEQUENTIAL)
-        tilt.set(title="tilt of the normal")
-        page.colorbar(shown, ax=tilt, shrink=0.85, label="deg")
+        path_map(tilt, points_mm[::step], tilt_deg[::step], "tilt of the normal", "deg")
         for axes in (path, tilt):
             axes.plot(*np.vstack([outline, outline[:1]]).T, color=INK, linewidth=0.9)
             axes.plot(*(aperture.hole_mm * np.vstack([TOWARDS, TOWARDS[:1]])).T, color=INK, linewidth=0.9)

