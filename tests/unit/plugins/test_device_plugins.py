@@ -22,7 +22,7 @@ from polishd.api import (
     SensorTimes,
     Spindle,
 )
-from polishd.drivers import force_sensor_line, monitor_line, spindle_can
+from polishd.drivers import force_sensor_line, monitor_line
 from polishd.drivers.cia402 import device_types
 from polishd.drivers.profile_device import device_types as device_profiles
 from polishd.drivers.universal_robots import driver
@@ -44,8 +44,7 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("actuator_profile", {"profile": str(LINE_DRIVE), "address": "tcp://127.0.0.1:4001"}, ForceActuator),
     ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x?parity=even", "pole_pairs": 2}, Spindle),
     ("force_sensor_profile", {"profile": "laumas_tlb", "address": "tcp://127.0.0.1:502", "tare_s": 2.0}, ForceSensor),
-    ("spindle_can", {"address": "slcan:sim/spindle?bitrate=500000", "node": 5}, Spindle),
-    ("spindle_can", {"address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
+    ("cia402_spindle", {**DRIVE, "address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
     ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
     ("monitor_line", {"address": "tcp://127.0.0.1:4001"}, Monitor),
     ("cia402_spindle", {**DRIVE, "rpm_per_unit": 0.1}, Spindle),
@@ -64,7 +63,7 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("voice_coil_modbus", {"address": "tcp://a:1", "watchdog_ms": 50}),
     ("voice_coil_serial", {"address": "serial:x", "unit": 1}),
     ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
-    ("spindle_can", {"address": "slcan:x", "node": 128}),
+    ("cia402_spindle", {**DRIVE, "node": 128}),
     ("voice_coil_serial", {"address": "serial:x", "unpowered": "falls"}),
     ("force_sensor_line", {"address": "serial:x", "silence_s": 0.1}),
     ("monitor_line", {"address": "serial:x", "signals": []}),
@@ -79,8 +78,8 @@ BAD_ADDRESSES = [
     ("universal_robots", "slcan:x"),
     ("voice_coil_modbus", "slcan:x"),
     ("voice_coil_serial", "socketcand://a:1/can0"),
-    ("spindle_can", "tcp://a:1"),
-    ("spindle_can", "slcan:x?bitrate=1"),
+    ("cia402_spindle", "tcp://a:1"),
+    ("cia402_spindle", "slcan:x?bitrate=1"),
     ("force_sensor_line", "slcan:x"),
     ("monitor_line", "socketcand://a:1/can0"),
 ]
@@ -96,7 +95,6 @@ def types() -> dict[str, DeviceType]:
         rnc_robot,
         driver,
         voice_coil,
-        spindle_can,
         force_sensor_line,
         monitor_line,
     ):
