@@ -25,7 +25,6 @@ from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.drivers.cia402.drive import CanNodeAddress
 from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
-from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.profile_device import build as make
 from polishd.drivers.profile_device.build import profile_of
 from polishd.drivers.robot_link.driver import RobotLink
@@ -94,7 +93,7 @@ async def devices(endpoints: dict[str, str], opened: AsyncExitStack) -> list[Ask
     actuator = make.actuator(profile_of("voice_coil_modbus", Path()), actuator_at)
     place = CanNodeAddress(spindle_at, 5, 0x45, SpindleTimes().silence_s, SpindleTimes().watchdog_s)
     spindle = Cia402Spindle(place, read_dictionary(SIMULATED_EDS, 5), SpindleScale(rpm_per_unit=0.1), SpindleTimes())
-    sensor = ForceSensorLine(sensor_at)
+    sensor = make.force_sensor(profile_of("force_sensor_line", Path()), sensor_at)
     for one in (robot, actuator, spindle, sensor):
         await one.open()
         opened.push_async_callback(one.close)

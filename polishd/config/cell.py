@@ -301,9 +301,11 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 REMOVED_TYPES = {
     "spindle_can": "is removed. Use 'cia402_spindle' of the plugin 'cia402' (docs/protocols/cia402.md)",
+    "force_sensor_line": "is removed. Use 'force_sensor_profile' of the plugin 'device_profiles', with profile = "
+    "'force_sensor_line'",
 }
 """Device types of earlier versions, and what takes their place."""
-REMOVED_PLUGINS = {"spindle": "'cia402'"}
+REMOVED_PLUGINS = {"spindle": "'cia402'", "force_sensor": "'device_profiles'"}
 
 
 def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:

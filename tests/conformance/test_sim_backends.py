@@ -27,7 +27,6 @@ import pytest
 from polishd.api import DeviceRefused, ExecutedBlock, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.file_delivery import Folder
@@ -215,7 +214,7 @@ def connect(cells: Cells, place: Place) -> Any:
     address = parse_address(running.endpoints[place.device], running.state)
     match address:
         case Tcp() | SerialLine() if place.device == "force_sensor":
-            return ForceSensorLine(address, PATIENT_SENSOR)
+            return build.force_sensor(shipped("force_sensor_line"), address, PATIENT_SENSOR)
         case Tcp() | SerialLine() if place.device == "monitor":
             return MonitorLine(address, PATIENT_MONITOR)
         case Tcp() if place.device == "robot":

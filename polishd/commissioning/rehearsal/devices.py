@@ -350,8 +350,9 @@ def add_loader(draft: RehearsalDraft, device: str) -> None:
 
 def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
     """``[force_sensor]``."""
-    options = _line(draft, device, "force_sensor", "force_sensor_line", "force_sensor")
-    latency_s = min(FILTER_S, float(options.get("delay_s", 0.1)) / 2)
+    profile = "force_sensor_line"
+    options = _line(draft, device, "force_sensor", "force_sensor_profile", "device_profiles", profile=profile)
+    latency_s = min(FILTER_S, float(options.get("delay_s") or 0.1) / 2)
     draft.put("force_sensor", "latency_s", latency_s, f"at most half of {device}.delay_s")
     most_n = max(RANGE_N, 3.0 * draft.config.process.force_n)
     draft.put("force_sensor", "range_n", most_n, "at least three times process.force_n")
@@ -395,16 +396,21 @@ def inside(signal: SignalSection) -> float | bool:
     return (high or 0.0) - (ROOM * abs(high or 0.0) or 1.0)
 
 
-def _line(draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str) -> dict[str, Any]:
-    """A small device on a line: its own type, or that which stands in for another; its options."""
+def _line(
+    draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str, *, profile: str = ""
+) -> dict[str, Any]:
+    """A small device on a line: its own type (and profile), or the simulated one in its place; its options."""
     kind = str(draft.config.devices[device].type)
-    if kind != line_type:
-        draft.put(port, "kind", "serial", f"stands in for {kind}")
+    options = draft.options(device) if kind == line_type else {}
+    if kind != line_type or options.get("profile", "") != profile:
+        draft.put(port, "kind", "serial", f"in place of {kind}")
         instead = {"type": line_type, "address": f"serial:{SIM_STATE}/{port}?baud=115200"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
+        named = f"{kind!r} with that profile" if kind == line_type else repr(kind)
+        draft.replace_device(
+            device, instead | ({"profile": profile} if profile else {}), f"there is no simulated {named}"
+        )
         draft.plugin(plugin)
         return {}
-    options = draft.options(device)
     real = wire(draft, device, port, options["address"])
     draft.put(port, "kind", "serial" if isinstance(real, SerialLine) else "tcp", f"{device}.address")
     if isinstance(real, SerialLine):

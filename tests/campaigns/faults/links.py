@@ -155,7 +155,7 @@ def _cia402(folder: Path) -> DemoFiles:
 def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
     """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
+    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "device_profiles", "monitors"') + text
     files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files
@@ -204,6 +204,6 @@ LINKS: Mapping[str, Link] = {
     "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}, driver="cia402", simulator="cia402"),
     "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}, driver="cia402", simulator="cia402"),
     "actuator, CiA 402": CIA402("actuator", faults={**ALL, **UNIT, **FORCE}),
-    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="force_sensor_line"),
+    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="profile_device"),
     "monitor": Link("monitor", _monitored, {**ALL, **REFUSES}, driver="monitor_line"),
 }

@@ -25,7 +25,7 @@ from tests.fakes.wires import Peer
 from tests.unit.said import Polishd
 
 LOADED = [
-    "rnc_robot", "voice_coil", "device_profiles", "cia402", "loader", "monitors", "force_sensor",
+    "rnc_robot", "voice_coil", "device_profiles", "cia402", "loader", "monitors",
     "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report",
 ]  # fmt: skip
 LINE = SerialLine(Path(), 9600)
@@ -71,7 +71,7 @@ ACTUATOR = '[actuator]\ntype = "actuator_profile"\nwatchdog_s = 1.0\nprofile'
 LINES = f'{ACTUATOR} = "{file_of("line_drive.toml")}"'
 MODBUS, NUMBERED = f'{ACTUATOR} = "voice_coil_modbus"', f'{ACTUATOR} = "voice_coil_serial"'
 LOADER, MONITOR = '[loader]\ntype = "loader_line"', '[monitor]\ntype = "monitor_line"'
-SENSOR = '[force_sensor]\ntype = "force_sensor_line"'
+SENSOR = '[force_sensor]\ntype = "force_sensor_profile"\nprofile = "force_sensor_line"'
 CIA402 = f'[spindle]\ntype = "cia402_spindle"\neds = "{EXAMPLES / "drive.eds"}"\nrpm_per_unit = 0.1\nnode = 5'
 
 NO_ANSWER = r"within [\d.]+ s at 9600 8N1; see whether it has power, and this baud rate"
@@ -110,7 +110,7 @@ def wrong_lines() -> Iterator[Case]:
         yield Case("rtu", what, SPINDLE, profiled("delta_ms300"), rf"unit 1: no answer {NO_ANSWER}", true)
         yield Case("lines", what, LINES, profiled("line_drive.toml"), rf"no answer to '\?' {NO_ANSWER}", true)
         yield Case("loader", what, LOADER, FakeLoader, rf"no answer to ST\? {NO_ANSWER}", true)
-        yield Case("sensor", what, SENSOR, FakeAmplifier, rf"no answer to ID\? {NO_ANSWER}", true)
+        yield Case("sensor", what, SENSOR, FakeAmplifier, rf"no answer to F\? {NO_ANSWER}", true)
         yield Case("monitor", what, MONITOR, FakeInputs, rf"no answer to ID\? {NO_ANSWER}", true)
         yield Case("cia402", what, CIA402, on_can(5), "and the adapter's 9600 baud", true)
 
@@ -135,7 +135,7 @@ TCP = [
     Case("modbus tcp", "lines there", MODBUS, DRIVE, f"no answer {SILENT}"),
     Case("lines tcp", "Modbus there", LINES, COIL, rf"no answer to '\?' {SILENT}"),
     Case("loader tcp", "nobody", LOADER, Mute, rf"no answer to ST\? {SILENT}"),
-    Case("sensor tcp", "a web server", SENSOR, Web, rf"ID\?: 'HTTP.*' within .* is no answer; {OTHER}"),
+    Case("sensor tcp", "a web server", SENSOR, Web, rf"F\?: 'HTTP.*' within .* is no answer; {OTHER}"),
     Case("socketcand", "node", CIA402, on_can(9, SocketcandPeer), "node 5: .*; heard are nodes 9: see the node number"),
     Case("socketcand", "nobody", CIA402, Mute, "no greeting within 1 s; is it a socketcand server"),
 ]  # fmt: skip

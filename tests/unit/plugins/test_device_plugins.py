@@ -22,7 +22,7 @@ from polishd.api import (
     SensorTimes,
     Spindle,
 )
-from polishd.drivers import force_sensor_line, monitor_line
+from polishd.drivers import monitor_line
 from polishd.drivers.cia402 import device_types
 from polishd.drivers.profile_device import device_types as device_profiles
 from polishd.drivers.universal_robots import driver
@@ -45,7 +45,11 @@ GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("spindle_profile", {"profile": "delta_ms300", "address": "serial:x?parity=even", "pole_pairs": 2}, Spindle),
     ("force_sensor_profile", {"profile": "laumas_tlb", "address": "tcp://127.0.0.1:502", "tare_s": 2.0}, ForceSensor),
     ("cia402_spindle", {**DRIVE, "address": "socketcand://127.0.0.1:29536/can0"}, Spindle),
-    ("force_sensor_line", {"address": "serial:sim/force_sensor", "delay_s": 0.5}, ForceSensor),
+    (
+        "force_sensor_profile",
+        {"profile": "force_sensor_line", "address": "serial:sim/force_sensor", "delay_s": 0.5},
+        ForceSensor,
+    ),
     ("monitor_line", {"address": "tcp://127.0.0.1:4001"}, Monitor),
     ("cia402_spindle", {**DRIVE, "rpm_per_unit": 0.1}, Spindle),
     ("cia402_actuator", {**DRIVE, **PRESS, "node": 127, "lift": "position"}, ForceActuator),
@@ -65,7 +69,7 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("voice_coil_serial", {"address": "serial:x", "landing_s": 0.0}),
     ("cia402_spindle", {**DRIVE, "node": 128}),
     ("voice_coil_serial", {"address": "serial:x", "unpowered": "falls"}),
-    ("force_sensor_line", {"address": "serial:x", "silence_s": 0.1}),
+    ("force_sensor_profile", {"profile": "force_sensor_line", "address": "serial:x", "silence_s": 0.1}),
     ("monitor_line", {"address": "serial:x", "signals": []}),
     ("cia402_spindle", {"address": "slcan:x", "node": 5}),
     ("cia402_spindle", {**DRIVE, "lift": "spring"}),
@@ -80,7 +84,6 @@ BAD_ADDRESSES = [
     ("voice_coil_serial", "socketcand://a:1/can0"),
     ("cia402_spindle", "tcp://a:1"),
     ("cia402_spindle", "slcan:x?bitrate=1"),
-    ("force_sensor_line", "slcan:x"),
     ("monitor_line", "socketcand://a:1/can0"),
 ]
 
@@ -95,7 +98,6 @@ def types() -> dict[str, DeviceType]:
         rnc_robot,
         driver,
         voice_coil,
-        force_sensor_line,
         monitor_line,
     ):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
