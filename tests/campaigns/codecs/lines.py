@@ -98,9 +98,7 @@ class ForceSensor(Sampled):
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
-        self.device = build.force_sensor(
-            build.profile_of("force_sensor_line", Path()), self.address, SensorTimes(silence_s=self.silence_s)
-        )
+        self.device = build.force_sensor(PROFILE, self.address, SensorTimes(silence_s=self.silence_s))
 
     def answer(self, request: str) -> str:
         number = next(self.numbers)
