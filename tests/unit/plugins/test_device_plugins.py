@@ -82,8 +82,6 @@ BAD_ADDRESSES = [
     ("universal_robots", "slcan:x"),
     ("voice_coil_modbus", "slcan:x"),
     ("voice_coil_serial", "socketcand://a:1/can0"),
-    ("cia402_spindle", "tcp://a:1"),
-    ("cia402_spindle", "slcan:x?bitrate=1"),
     ("monitor_line", "socketcand://a:1/can0"),
 ]
 
@@ -151,7 +149,9 @@ def test_what_devices_state_is_what_their_sections_say(types: dict[str, DeviceTy
     tool = built("voice_coil_serial", address="serial:x", unpowered="stays")
     assert tool.times.unpowered == "stays"
     assert built("voice_coil_serial", address="serial:x").times.unpowered == "lifts"
-    sensor = built("force_sensor_line", address="serial:x", silence_s=0.4, delay_s=0.2, tare_s=3.0)
+    sensor = built(
+        "force_sensor_profile", profile="force_sensor_line", address="serial:x", silence_s=0.4, delay_s=0.2, tare_s=3.0
+    )
     assert sensor.times == SensorTimes(silence_s=0.4, delay_s=0.2, tare_s=3.0)
     assert built("monitor_line", address="serial:x", silence_s=5.0).times.silence_s == 5.0
     linuxcnc = built("linuxcnc", address="tcp://127.0.0.1:5007", program_dir="programs")
@@ -197,6 +197,7 @@ def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, Dev
     ("name", "options", "told"),
     [
         ("cia402_spindle", {"address": "tcp://a:1"}, "slcan: or socketcand://"),
+        ("cia402_spindle", {"address": "slcan:x?bitrate=1"}, "address"),
         ("cia402_spindle", {"address": "slcan:x?bitrate=50000"}, "at least 125000 bit/s"),
         ("cia402_spindle", {"controller_node": 5}, "controller_node 5 is the drive's own"),
         ("cia402_spindle", {"rpm_per_unit": 0.0}, "rpm_per_unit is 0"),
