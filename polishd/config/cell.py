@@ -222,6 +222,7 @@ def consistent(config: CellConfig) -> CellConfig:
         *_wrong_force(config),
         *_wrong_grid(config),
         *_wrong_devices(config),
+        *_removed(config),
         *_wrong_signals(config),
         *_wrong_tolerance(config),
         *_wrong_tools(config),
@@ -297,6 +298,25 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
     for name, tool in config.tools.items():
         if tool.position_mm is not None and config.touch_off is None:
             yield f"tools.{name}.position_mm", "is of [touch_off], and the cell has none; add it, or remove the line"
+
+
+REMOVED_TYPES = {
+    "spindle_can": "is removed. Use 'cia402_spindle' of the plugin 'cia402' (docs/protocols/cia402.md)",
+    "force_sensor_line": "is removed. Use 'force_sensor_profile' of the plugin 'device_profiles', with profile = "
+    "'force_sensor_line'",
+}
+"""Device types of earlier versions, and what takes their place."""
+REMOVED_PLUGINS = {"spindle": "'cia402'", "force_sensor": "'device_profiles'"}
+
+
+def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """(key, what is wrong) of device types and plugins that are no more."""
+    for name, section in config.devices.items():
+        if section.type in REMOVED_TYPES:
+            yield f"{name}.type", f"{section.type!r} {REMOVED_TYPES[section.type]}"
+    for name in config.plugins.load:
+        if name in REMOVED_PLUGINS:
+            yield "plugins.load", f"{name!r} is now {REMOVED_PLUGINS[name]}"
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:

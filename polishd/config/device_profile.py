@@ -83,8 +83,9 @@ class StateCondition(ConfigSection):
 class StateRule(StateCondition):
     """What the device's words for its state mean. The first rule that holds decides."""
 
-    state: Literal["retracted", "extending", "contact", "retracting", "fault", "stopped", "running"]
-    """Of an actuator, of a spindle (`stopped`, `running`), or `fault` of either."""
+    state: Literal["retracted", "extending", "contact", "retracting", "fault", "stopped", "running", "taring"]
+    """Of an actuator, of a spindle (`stopped`, `running`), of a force sensor (`taring`: its readings mean nothing
+    yet), or `fault` of any."""
 
 
 class Quantity(ConfigSection):
@@ -342,7 +343,9 @@ class ForceSensorTable(ConfigSection):
     tare_s: Times = _SENSOR.tare_s
     """Longest from `commands.tare` until what it read then is 0, ..."""
     zero_n: Positive = 0.1
-    """... or not more than this."""
+    """... or not more than this. Not used where a state `taring` says when the tare ends."""
+    period_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
+    """Time between two readings."""
 
 
 Kind = Literal["actuator", "spindle", "force_sensor"]

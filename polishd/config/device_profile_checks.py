@@ -28,7 +28,7 @@ ORDERS = {
 STATES = {
     "actuator": {"retracted", "extending", "contact", "retracting", "fault"},
     "spindle": {"stopped", "running", "fault"},
-    "force_sensor": {"fault"},
+    "force_sensor": {"fault", "taring"},
 }
 MEASURES = {"force": "force", "position": "length", "speed": "speed"}
 """What the values that polishd knows by name must measure."""

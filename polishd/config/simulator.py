@@ -290,9 +290,8 @@ class SimSpindleSection(ConfigSection):
     """The spindle drive."""
 
     kind: Literal["slcan", "socketcand", "profile", "profile_tcp"] = "slcan"
-    """How its CAN bus is reached: a serial adapter, or a daemon over TCP; or it speaks what a device profile says."""
-    drive: Literal["spindle_can", "cia402"] = "spindle_can"
-    """What it speaks on CAN: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
+    """How the CAN bus of its CiA 402 drive is reached: a serial adapter, or a daemon over TCP. `profile` and
+    `profile_tcp` have the protocol of a device profile."""
     profile: Text = "profile.toml"
     """File of the device profile, for `profile` and `profile_tcp`."""
     unit: Annotated[int, Field(ge=0, le=247)] | None = None
@@ -306,11 +305,11 @@ class SimSpindleSection(ConfigSection):
     max_rpm: Annotated[int, Field(ge=1, le=200_000)] = 3000
     """Fastest that it turns; more is refused."""
     spin_s: Positive = 3.0
-    """From standstill to 1000 rpm, simulated clock."""
+    """From standstill to 1000 rpm with a profile, simulated clock. `cia402_spindle` sets the ramps of its drive."""
     stop_s: Positive = 0.5
-    """And back: its quick stop."""
+    """And back with a profile: its quick stop."""
     watchdog_s: Positive = 1.0
-    """Without a command for so long it stops by itself, wall time."""
+    """Time without a command after which a drive with a profile stops, wall time."""
 
 
 class SimInterferometerSection(ConfigSection):

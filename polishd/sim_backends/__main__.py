@@ -221,7 +221,7 @@ def _device(name: str, config: SimConfig) -> Any:
     module, main = {
         "robot": (f"{robot.get(config.robot.kind, config.robot.kind)}.device", "main"),
         "interferometer": ("interferometer", "main"),
-        "spindle": ("cia402.device", "spindle") if config.spindle.drive == "cia402" else ("spindle", "main"),
+        "spindle": ("cia402.device", "spindle") if config.spindle.kind in CAN else ("profile_device.device", "main"),
         "actuator": ("cia402.device", "actuator") if config.actuator.kind in CAN else ("actuator", "main"),
     }.get(name, (name, "main"))
     return getattr(import_module(f"polishd.sim_backends.{module}"), main)

@@ -23,6 +23,7 @@ from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell.cell import OPEN_S
 from polishd.daemon.cell.recorder import place, recording_to
 from polishd.daemon.runtime.exit_record import locked
+from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
 from polishd.interfaces import Device
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, DeviceClaimed, DeviceFault, PolishdError
@@ -51,11 +52,11 @@ home = [0.0, 0.0, 0.0, 15.0, 0.0]
 PATIENT: Mapping[str, Mapping[str, Any]] = {
     "robot": {"type": "robot_link", "watchdog_s": 60.0},
     "actuator": {"type": "voice_coil_modbus", "silence_s": 1.0, "watchdog_ms": 2000},
-    "spindle": {"type": "spindle_can", "silence_s": 1.5},
+    "spindle": {**SIMULATED_SPINDLE, "eds": str(SIMULATED_EDS), "silence_s": 1.5},
     "loader": {"type": "loader_line"},
 }
 """By port: the section of a simulated one, less its address. The computer that simulates may be busy."""
-PLUGINS = {"robot": "rnc_robot", "actuator": "voice_coil", "spindle": "spindle", "loader": "loader"}
+PLUGINS = {"robot": "rnc_robot", "actuator": "voice_coil", "spindle": "cia402", "loader": "loader"}
 
 
 def require_simulated(config: CellConfig, names: Sequence[str]) -> None:

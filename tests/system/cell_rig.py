@@ -34,7 +34,7 @@ PATIENT: Sections = {
     "job": {"stream_ahead_s": 12.0},
 }
 """On a busy machine every process is silent for a while: only one that hangs is so for as long as this."""
-PATIENT_SIM: Sections = {"robot": {"watchdog_s": 20.0}, "spindle": {"watchdog_s": 6.0}}
+PATIENT_SIM: Sections = {"robot": {"watchdog_s": 20.0}}
 
 
 def write_small(

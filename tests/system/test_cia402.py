@@ -39,7 +39,6 @@ watchdog_s = 30.0
 kind = "slcan"
 [spindle]
 kind = "socketcand"
-drive = "cia402"
 """
 PRESSED = [b"G21 G90", b"G0 X0 Y0 Z0 A15 C0", b"M2"]
 
@@ -174,7 +173,7 @@ def test_a_part_is_polished_by_drives_off_the_shelf(tmp_path: Path) -> None:
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     files.cell.write_text(text)
     (files.cell.parent / "drive.eds").write_bytes(EDS.read_bytes())
-    kinds = {"actuator": {"kind": "slcan"}, "spindle": {"drive": "cia402"}}
+    kinds = {"actuator": {"kind": "slcan"}}
     files.sim.write_text(with_keys(files.sim.read_text(), kinds))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):

@@ -28,7 +28,8 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 SENSOR = """
 [force_sensor]
-type = "force_sensor_line"
+type = "force_sensor_profile"
+profile = "force_sensor_line"
 address = "serial:sim/force_sensor"
 silence_s = {silence_s}
 delay_s = {delay_s}
@@ -62,7 +63,7 @@ def watched_cell(
 ) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with more in both files."""
     files = write_small(out, **{**ONE_PASS, **job})
-    text = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"')
+    text = files.cell.read_text().replace('"interferometer"', '"interferometer", "device_profiles", "monitors"')
     text = with_values(text + cell, {"limits": {"force_alarm_delay_s": 1.3}})
     files.cell.write_text(text)
     files.sim.write_text(with_faults(files.sim.read_text() + sim, *faults))

@@ -14,7 +14,8 @@ import pytest
 
 from polishd.api import LinkError
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
-from polishd.drivers import spindle_can
+from polishd.drivers.cia402 import device_types as cia402
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.interfaces import Device
 from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import ConfigError
@@ -59,7 +60,7 @@ async def test_a_recorded_probe_is_played_to_the_drivers(
     case, said = probed
     for role, plugin, kind, options in (
         ("actuator", voice_coil, type_of_actuator, ACTUATOR),
-        ("spindle", spindle_can, "spindle_can", SPINDLE),
+        ("spindle", cia402, "cia402_spindle", {**SPINDLE, "eds": str(SIMULATED_EDS), "node": 5, "rpm_per_unit": 0.1}),
     ):
         async with replayed(case, role) as link:
             device = driver(plugin, kind, options, tmp_path, link.endpoint)

@@ -110,7 +110,7 @@ def questions(
     first = connected.serial[0].path if connected.serial else ""
     serial = f"serial:{first}?baud=115200" if first else ASSUMED["actuator.address"][0]
     can = f"socketcand://127.0.0.1:29536/{connected.can[0]}" if connected.can else ASSUMED["spindle.address"][0]
-    addresses = {**ADDRESSES, "spindle_can": can, "cia402_spindle": can, "cia402_actuator": can}
+    addresses = {**ADDRESSES, "cia402_spindle": can, "cia402_actuator": can}
     for port in ("robot", "actuator", "spindle"):
         yield from _of_device(port, given, hooks, lambda kind: addresses.get(kind, serial))
     sample = str(connected.maps[0].sample) if connected.maps else SKIP
@@ -163,9 +163,11 @@ def _of_device(port: str, given: Mapping[str, Any], hooks: Hooks, address: Calla
     told = meanings(kind.options)
     for name, field in kind.options.model_fields.items():
         if field.is_required():
-            default = address(kind.name) if name == "address" else SKIP
+            key = f"{port}.{name}"
+            assumed = ASSUMED.get(key, (SKIP,))[0] if kind.name == usual[0] else SKIP
+            default = address(kind.name) if name == "address" else SKIP if key in PATHS else assumed
             why = in_words(told.get(name, ""))
-            yield Question(f"{port}.{name}", why, default, text=field.annotation is str, needed=True)
+            yield Question(key, why, default, text=field.annotation is str, needed=assumed == SKIP or name == "address")
 
 
 def _of_part(given: Mapping[str, Any]) -> Iterator[Question]:

@@ -13,6 +13,7 @@ from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.cell_sections import BoundsSection, SignalSection
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
 from polishd.config.device_profile import DeviceProfile
+from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
 from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, address_of, profile_of
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp
 from polishd.util.serialization import toml
@@ -24,7 +25,7 @@ LANDS_S, LIFTS_S, SPINS_S, USUAL_RPM = 2.0, 4.0, 3.0, 3000
 DRIVE_TIME_SHARE = 0.8
 """Share of the longest time that the cell allows which a simulated device takes, where it is slower by itself."""
 CIA402_ACTUATOR = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "rest_increments": 0, "balance_n": 2.0}
-CIA402_SPINDLE = {"rpm_per_unit": 0.1}
+CIA402_SPINDLE = {"rpm_per_unit": SIMULATED_SPINDLE["rpm_per_unit"]}
 """What the simulated drive's numbers mean."""
 
 
@@ -102,10 +103,9 @@ def _actuator_profile(draft: RehearsalDraft, device: str, options: dict[str, Any
 def add_spindle(draft: RehearsalDraft, device: str) -> None:
     """``[spindle]``."""
     kind, options = str(draft.config.devices[device].type), draft.options(device)
-    if kind in {"spindle_can", "cia402_spindle"}:
+    if kind == "cia402_spindle":
         _add_can(draft, device, "spindle", options)
-        draft.put("spindle", "drive", "cia402" if kind == "cia402_spindle" else "spindle_can", f"{device}.type")
-        _scale(draft, device, options, CIA402_SPINDLE if kind == "cia402_spindle" else {})
+        _scale(draft, device, options, CIA402_SPINDLE)
     elif kind == "spindle_profile":
         table: Any = _add_profile(draft, device, "spindle", options).spindle
         options = {**table.model_dump(), **{key: value for key, value in options.items() if value is not None}}
@@ -113,9 +113,10 @@ def add_spindle(draft: RehearsalDraft, device: str) -> None:
         draft.put("spindle", "pole_pairs", options["pole_pairs"], draft.origin(f"{device}.pole_pairs"))
     else:
         draft.put("spindle", "kind", "slcan", f"stands in for {kind}")
-        instead = {"type": "spindle_can", "address": f"slcan:{SIM_STATE}/spindle?bitrate=500000"}
+        address = f"slcan:{SIM_STATE}/spindle?bitrate=500000"
+        instead = {**SIMULATED_SPINDLE, "address": address, "eds": str(SIMULATED_EDS)}
         draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("spindle")
+        draft.plugin("cia402")
         options = {}
     rpm = draft.config.process.rpm
     most_rpm = max(float(options.get("max_rpm", USUAL_RPM)), rpm)
@@ -349,8 +350,9 @@ def add_loader(draft: RehearsalDraft, device: str) -> None:
 
 def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
     """``[force_sensor]``."""
-    options = _line(draft, device, "force_sensor", "force_sensor_line", "force_sensor")
-    latency_s = min(FILTER_S, float(options.get("delay_s", 0.1)) / 2)
+    profile = "force_sensor_line"
+    options = _line(draft, device, "force_sensor", "force_sensor_profile", "device_profiles", profile=profile)
+    latency_s = min(FILTER_S, float(options.get("delay_s") or 0.1) / 2)
     draft.put("force_sensor", "latency_s", latency_s, f"at most half of {device}.delay_s")
     most_n = max(RANGE_N, 3.0 * draft.config.process.force_n)
     draft.put("force_sensor", "range_n", most_n, "at least three times process.force_n")
@@ -394,16 +396,21 @@ def inside(signal: SignalSection) -> float | bool:
     return (high or 0.0) - (ROOM * abs(high or 0.0) or 1.0)
 
 
-def _line(draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str) -> dict[str, Any]:
-    """A small device on a line: its own type, or that which stands in for another; its options."""
+def _line(
+    draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str, *, profile: str = ""
+) -> dict[str, Any]:
+    """A small device on a line: its own type (and profile), or the simulated one in its place; its options."""
     kind = str(draft.config.devices[device].type)
-    if kind != line_type:
-        draft.put(port, "kind", "serial", f"stands in for {kind}")
+    options = draft.options(device) if kind == line_type else {}
+    if kind != line_type or options.get("profile", "") != profile:
+        draft.put(port, "kind", "serial", f"in place of {kind}")
         instead = {"type": line_type, "address": f"serial:{SIM_STATE}/{port}?baud=115200"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
+        named = f"{kind!r} with that profile" if kind == line_type else repr(kind)
+        draft.replace_device(
+            device, instead | ({"profile": profile} if profile else {}), f"there is no simulated {named}"
+        )
         draft.plugin(plugin)
         return {}
-    options = draft.options(device)
     real = wire(draft, device, port, options["address"])
     draft.put(port, "kind", "serial" if isinstance(real, SerialLine) else "tcp", f"{device}.address")
     if isinstance(real, SerialLine):

@@ -15,6 +15,7 @@ from typing import Any
 
 from polishd.commissioning.init.connected import aperture_mm
 from polishd.config.cell import CellConfig, load_config
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.model.errors import DeviceFault, MapError
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import load_own
@@ -115,6 +116,7 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
     files.cell.write_text(with_values(_shipped("cell.toml"), values))
     files.sim.write_text(with_values(_shipped("sim.toml"), {"plant": part, "robot": {"port": port}}))
     files.profile.write_text(_shipped("instrument.toml"))
+    (out / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
     return files

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import Field
@@ -27,6 +28,11 @@ from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, can_address
 
 POLISHD_API = 1
+
+SIMULATED_EDS = Path(__file__).with_name("simulated_drive.eds")
+"""EDS file of the simulated drive (polishd/sim_backends/cia402)."""
+SIMULATED_SPINDLE: Mapping[str, Any] = {"type": "cia402_spindle", "node": 5, "rpm_per_unit": 0.1}
+"""Keys of ``[spindle]`` that the simulated drive needs, besides its address and its EDS file."""
 
 _ACTUATOR, _SPINDLE = ActuatorTimes(), SpindleTimes()
 

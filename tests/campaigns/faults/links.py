@@ -12,7 +12,7 @@ from typing import Any
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
 from tests.system import handover_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
-from tests.system.test_cia402 import ACTUATOR, EDS, SPINDLE
+from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
 
 Fault = Mapping[str, Any]
@@ -120,8 +120,7 @@ def _small(folder: Path, cell: Sections | None = None, sim: Sections | None = No
     """The demo's small cell with other keys."""
     files = write_small(folder, patient=False, **ONE_PASS)
     files.cell.write_text(with_keys(with_keys(files.cell.read_text(), SILENT), cell or {}))
-    spindle = {"spindle": {"watchdog_s": 3.0}}
-    files.sim.write_text(with_keys(with_keys(files.sim.read_text(), spindle), sim or {}))
+    files.sim.write_text(with_keys(files.sim.read_text(), sim or {}))
     return files
 
 
@@ -139,25 +138,24 @@ def _actuator(folder: Path, kind: str) -> DemoFiles:
 def _spindle(folder: Path) -> DemoFiles:
     port = free_port()
     cell = {"spindle": {**SILENT["spindle"], "address": f"socketcand://127.0.0.1:{port}/can0"}}
-    return _small(folder, cell, {"spindle": {"watchdog_s": 3.0, "kind": "socketcand", "port": port}})
+    return _small(folder, cell, {"spindle": {"kind": "socketcand", "port": port}})
 
 
 def _cia402(folder: Path) -> DemoFiles:
     """Both drives off the shelf."""
-    files = _small(folder, sim={"actuator": {"kind": "slcan"}, "spindle": {"drive": "cia402"}})
-    text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
+    files = _small(folder, sim={"actuator": {"kind": "slcan"}})
+    text = files.cell.read_text().replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0, "travel_mm_s": 2.0}, "spindle": SILENT["spindle"]}
     files.cell.write_text(with_keys(text, prompt))
-    (files.out / "drive.eds").write_bytes(EDS.read_bytes())
     return files
 
 
 def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
     """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
+    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "device_profiles", "monitors"') + text
     files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_alarm_delay_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files
@@ -203,10 +201,9 @@ LINKS: Mapping[str, Link] = {
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),
     "actuator beside a force sensor": Link("actuator", _sensed, DRIFT),
-    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}, driver="spindle_can"),
-    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}, driver="spindle_can"),
+    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}, driver="cia402", simulator="cia402"),
+    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}, driver="cia402", simulator="cia402"),
     "actuator, CiA 402": CIA402("actuator", faults={**ALL, **UNIT, **FORCE}),
-    "spindle, CiA 402": CIA402("spindle", faults={**ALL, **UNIT}),
-    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="force_sensor_line"),
+    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="profile_device"),
     "monitor": Link("monitor", _monitored, {**ALL, **REFUSES}, driver="monitor_line"),
 }

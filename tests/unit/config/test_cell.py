@@ -329,7 +329,7 @@ def kind(name: str, port: Any, options: type[BaseModel] = Options) -> DeviceType
     return DeviceType(name, port, options, lambda options, context: None)  # type: ignore[arg-type, return-value]
 
 
-TYPES = {item.name: item for item in (kind("voice_coil_modbus", "actuator"), kind("spindle_can", "spindle"))}
+TYPES = {item.name: item for item in (kind("voice_coil_modbus", "actuator"), kind("cia402_spindle", "spindle"))}
 
 
 def actuator(tmp_path: Path, example: str, lines: str) -> tuple[CellConfig, int]:
@@ -360,7 +360,11 @@ def test_device_options_are_those_of_the_type(tmp_path: Path, example: str) -> N
             1,
             "unknown type 'other'. The loaded plugins have: 'voice_coil_modbus'; a type",
         ),
-        ('type = "spindle_can"\naddress = "x"', 1, "actuator.type: 'spindle_can' is a kind of spindle; use one of"),
+        (
+            'type = "cia402_spindle"\naddress = "x"',
+            1,
+            "actuator.type: 'cia402_spindle' is a kind of spindle; use one of",
+        ),
         ('type = "voice_coil_modbus"', 0, "actuator.address: is missing; add it: address = ..."),
         ('type = "voice_coil_modbus"\naddress = 3', 2, "actuator.address: must be a string"),
         ('type = "voice_coil_modbus"\naddress = "x"\nunti = 3', 3, "actuator.unti: unknown key; did you mean 'unit'?"),
@@ -515,3 +519,10 @@ def test_what_is_wrong_with_a_tools_value_is_said_where_it_was_written(tmp_path:
     assert str(small.error("process.dip_deg", "is odd")) == f"{path}:{other}: process.dip_deg: is odd"
     assert f"tools.small.program: {path.parent}" not in str(small.error("program.path", "is missing"))
     assert "tools.small.program: is missing" in str(small.error("program.path", "is missing"))
+
+
+def test_a_removed_device_type_and_plugin_are_refused_with_what_takes_their_place(tmp_path: Path, example: str) -> None:
+    text = example.replace('type = "cia402_spindle"', 'type = "spindle_can"', 1).replace('"cia402", ', '"spindle", ', 1)
+    said = refused(tmp_path, text).splitlines()
+    assert "spindle.type: 'spindle_can' is removed. Use 'cia402_spindle'" in "\n".join(said)
+    assert "plugins.load: 'spindle' is now 'cia402'" in "\n".join(said)

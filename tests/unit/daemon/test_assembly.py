@@ -179,7 +179,7 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
     ("section", "values", "says"),
     [
         ("robot", {"type": "robot_lnik"}, "robot_link"),
-        ("robot", {"type": "spindle_can"}, "robot"),
+        ("robot", {"type": "cia402_spindle"}, "robot"),
         ("actuator", {"unit": 999}, "unit"),
         ("spindle", {"node": "five"}, "node"),
     ],

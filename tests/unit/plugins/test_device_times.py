@@ -31,7 +31,6 @@ OTHER = {
 """Defaults that are another one on purpose."""
 KINDS = {name: kind for name, kind in load_own().device_types().items() if kind.port in TIMES}
 ADDRESSES = {
-    "spindle_can": "slcan:x?bitrate=500000",
     "cia402_spindle": "slcan:x?bitrate=500000",
     "cia402_actuator": "slcan:x?bitrate=500000",
 }

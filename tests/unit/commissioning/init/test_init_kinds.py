@@ -65,7 +65,7 @@ def test_a_controller_whose_language_polishd_does_not_write_is_left_without_a_pr
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = init(tmp_path, ROUND + '[robot]\ntype = "universal_robots"\naddress = "tcp://ur:30004"\n')
-    assert told["written"] == ["cell.toml", "instrument.toml"]
+    assert told["written"] == ["cell.toml", "drive.eds", "instrument.toml"]
     assert "urscript" in told["program"]
     setup_verb(tmp_path / "cell" / "cell.toml", as_json=True)
     found = {step["what"]: step for step in json.loads(capsys.readouterr().out)["steps"]}
