@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
@@ -21,7 +21,6 @@ from polishd.api import (
     ProtocolError,
     SensedForce,
     SensorTimes,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.transport.address import SerialLine, Tcp, line_address
@@ -121,8 +120,6 @@ class ForceSensorLine(ReadOnlyLineDevice):
 
 # The independent force sensor: the device type ``force_sensor_line``.
 
-POLISHD_API = 1
-
 _TIMES = SensorTimes()
 
 
@@ -144,7 +141,8 @@ def _build(options: ForceSensorLineOptions, context: DeviceContext) -> ForceSens
     return ForceSensorLine(address, SensorTimes(options.silence_s, options.delay_s, options.tare_s))
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``force_sensor_line``."""
-    return [DeviceType("force_sensor_line", "force_sensor", ForceSensorLineOptions, _build)]
+DEVICE_TYPES = [
+    DeviceType(
+        "force_sensor_line", "force_sensor", ForceSensorLineOptions, _build, simulated_by="force_sensor", substitute={}
+    )
+]

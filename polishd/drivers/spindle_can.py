@@ -7,7 +7,7 @@ import contextlib
 import math
 import struct
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
@@ -26,7 +26,6 @@ from polishd.api import (
     SpeedSample,
     Spindle,
     SpindleTimes,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, can_address
@@ -440,8 +439,6 @@ def _faults(fault: int) -> str:
 
 # The bonnet spindle: the device type ``spindle_can``.
 
-POLISHD_API = 1
-
 _TIMES = SpindleTimes()
 
 
@@ -466,7 +463,14 @@ def _build(options: SpindleCanOptions, context: DeviceContext) -> Spindle:
     return SpindleCan(address, times, node=options.node)
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``spindle_can``."""
-    return [DeviceType("spindle_can", "spindle", SpindleCanOptions, _build)]
+DEVICE_TYPES = [
+    DeviceType(
+        "spindle_can",
+        "spindle",
+        SpindleCanOptions,
+        _build,
+        simulated_by="spindle_can",
+        substitute={"silence_s": 1.5},
+        usual_address="slcan:/dev/ttyACM0?bitrate=500000",
+    )
+]

@@ -62,7 +62,7 @@ def watched_cell(
 ) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with more in both files."""
     files = write_small(out, **{**ONE_PASS, **job})
-    text = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"')
+    text = files.cell.read_text()
     text = with_values(text + cell, {"limits": {"force_grace_s": 1.3}})
     files.cell.write_text(text)
     files.sim.write_text(with_faults(files.sim.read_text() + sim, *faults))

@@ -14,11 +14,10 @@ import pytest
 
 from polishd.api import LinkError
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
-from polishd.drivers import spindle_can
 from polishd.interfaces import Device
 from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import ConfigError
-from polishd.plugins import voice_coil
+from polishd.plugins import devices, voice_coil
 from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
 from polishd.util.wire_recording import read_recording
@@ -59,7 +58,7 @@ async def test_a_recorded_probe_is_played_to_the_drivers(
     case, said = probed
     for role, plugin, kind, options in (
         ("actuator", voice_coil, type_of_actuator, ACTUATOR),
-        ("spindle", spindle_can, "spindle_can", SPINDLE),
+        ("spindle", devices, "spindle_can", SPINDLE),
     ):
         async with replayed(case, role) as link:
             device = driver(plugin, kind, options, tmp_path, link.endpoint)

@@ -14,7 +14,6 @@ from polishd.commissioning.rehearsal.devices import (
     add_monitors,
     add_robot,
     add_spindle,
-    speed_of,
 )
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text, usual_folder
 from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_kinematics, add_part, add_process
@@ -141,7 +140,7 @@ def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     """All of a cell that the simulator is to be; ConfigError where it cannot."""
     draft = RehearsalDraft(config, hooks)
     used = _used(draft)
-    add_part(draft, speed_of(config.devices[used["robot"]].type))
+    add_part(draft, draft.device_type(used["robot"]).simulation_speed)
     add_process(draft)
     add_kinematics(draft)
     for port, add in ONE_OF_A_PORT.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 from typing import Annotated, Any, Literal, TypeVar, cast
 
@@ -17,7 +16,6 @@ from polishd.api import (
     Spindle,
     SpindleTimes,
     Unpowered,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
@@ -25,8 +23,6 @@ from polishd.drivers.cia402.drive import CanNodeAddress
 from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, can_address
-
-POLISHD_API = 1
 
 _ACTUATOR, _SPINDLE = ActuatorTimes(), SpindleTimes()
 
@@ -157,10 +153,22 @@ def _build_actuator(options: Cia402ActuatorOptions, context: DeviceContext) -> F
     return Cia402Actuator(place, dictionary, scale, _of(ActuatorTimes, options))
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``cia402_spindle``, ``cia402_actuator``."""
-    return [
-        DeviceType("cia402_spindle", "spindle", Cia402SpindleOptions, _build_spindle),
-        DeviceType("cia402_actuator", "actuator", Cia402ActuatorOptions, _build_actuator),
-    ]
+USUAL_ADDRESS = "slcan:/dev/ttyACM0?bitrate=500000"
+DEVICE_TYPES = [
+    DeviceType(
+        "cia402_spindle",
+        "spindle",
+        Cia402SpindleOptions,
+        _build_spindle,
+        simulated_by="cia402",
+        usual_address=USUAL_ADDRESS,
+    ),
+    DeviceType(
+        "cia402_actuator",
+        "actuator",
+        Cia402ActuatorOptions,
+        _build_actuator,
+        simulated_by="cia402",
+        usual_address=USUAL_ADDRESS,
+    ),
+]

@@ -145,7 +145,7 @@ def _spindle(folder: Path) -> DemoFiles:
 def _cia402(folder: Path) -> DemoFiles:
     """Both drives off the shelf."""
     files = _small(folder, sim={"actuator": {"kind": "slcan"}, "spindle": {"drive": "cia402"}})
-    text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
+    text = files.cell.read_text().replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0, "travel_mm_s": 2.0}, "spindle": SILENT["spindle"]}
@@ -157,7 +157,7 @@ def _cia402(folder: Path) -> DemoFiles:
 def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
     """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
+    cell = files.cell.read_text() + text
     files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files
