@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator import FaultSection, SimSpindleSection
 from polishd.sim_backends.common.can import CanWire, Frame
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.profile_device.device import main as inverter
 
@@ -166,3 +167,16 @@ async def main(runtime: SimRuntime) -> None:
         runtime.link.samples(drive.samples, drive.now_s)
         drive.samples = []
         await asyncio.sleep(TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="spindle_can",
+        device="spindle",
+        section=SimSpindleSection,
+        links={"slcan": {"": "slcan"}, "socketcand": {"": "socketcand"}},
+        main=main,
+        faults=("reverse",),
+        drive="spindle_can",
+    )
+]

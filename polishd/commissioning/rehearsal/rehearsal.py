@@ -19,7 +19,6 @@ from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, req
 from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_kinematics, add_part, add_process
 from polishd.commissioning.rehearsal.simulated_cell import measure_artefact, run_simulator
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.simulator import load_simulator
 from polishd.maps.commission import prove_profile
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -126,13 +125,12 @@ def _write(draft: RehearsalDraft, folder: Path, own: str) -> None:
     texts = {SIM: sim_text(draft), own: cell_text(draft)}
     for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
         write_atomic(folder / name, content)
-    try:
-        load_simulator(folder / SIM)
-    except ConfigError as error:
-        wrong = "; ".join(line.split(": ", 1)[-1] for line in str(error).splitlines())
-        raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
     load_config(folder / own)
-    measure_artefact(folder / SIM, folder / ARTEFACT)
+    try:
+        measure_artefact(folder / SIM, folder / ARTEFACT)
+    except ConfigError as error:
+        wrong = "; ".join(line.split(f"{SIM}:", 1)[-1].split(": ", 1)[-1] for line in str(error).splitlines())
+        raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
     prove_profile(folder / PROFILE, folder / ARTEFACT)
 
 
