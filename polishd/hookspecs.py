@@ -66,6 +66,17 @@ class DeviceType:
     own_lines: Callable[[Any, DeviceContext], OwnLines] | None = None
     """Of a robot: (validated options, context) -> the lines that its driver adds to a program; None: it adds none.
     ``polishd check`` refuses a program in whose format these lines mean something else."""
+    program_format: str = ""
+    """Robot: the only program format that its controller reads; empty: several."""
+    usual_address: str = ""
+    """Address that ``polishd init`` proposes."""
+    simulated_by: str = ""
+    """``SimDevice.name`` of the simulated device that speaks the same protocol; empty: there is none."""
+    simulation_speed: float = 10.0
+    """Robot: process seconds per wall second that its simulated controller and its driver can keep up with."""
+    substitute: Mapping[str, Any] | None = None
+    """The simulated device can take the place of any device of this port: keys of its section besides ``type`` and
+    ``address``, for a busy computer. None: it cannot. One device type a port has them."""
 
 
 @dataclass(frozen=True, slots=True)

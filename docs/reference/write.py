@@ -26,6 +26,7 @@ from polishd.config.sweep import SweepSection
 from polishd.config.toml_loader import meanings, section_of, toml_type, variants
 from polishd.plugin_loader import load_own
 from polishd.reports.certificate.model import schema
+from polishd.sim_backends.common.registry import sim_devices
 
 
 class Swept(ConfigSection):
@@ -179,10 +180,18 @@ def files() -> dict[str, list[Table]]:
         "study": [*kinds.items(), *(table for table in below if table not in of_cell), *tables(Swept)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
         "device": [("", DeviceProfile), *tables(DeviceProfile)],
-        "simulator": list(tables(SimConfig)),
+        "simulator": simulator(),
         "shop": list(tables(ShopFile)),
         "controller": _each_once([("", ControllerProfile), *tables(ControllerProfile)]),
     }
+
+
+def simulator() -> list[Table]:
+    """The tables of SIM.toml: those that simulated devices share, and those that a device declares."""
+    shared = list(tables(SimConfig))
+    known = {model for _, model in shared}
+    declared = [(f'[{one.device}] kind = "{one.name}"', one.section) for one in sim_devices()]
+    return shared + [table for table in declared if table[1] not in known]
 
 
 def _each_once(found: list[Table]) -> list[Table]:

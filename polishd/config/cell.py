@@ -376,7 +376,7 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
         raise config.error(
             f"{device}.type",
             f"unknown type {named!r}{did_you_mean(named, fitting)} The loaded plugins have: {join_words(fitting)}; "
-            "a type of another plugin needs that plugin in plugins.load",
+            "plugins.load must name its plugin, for polishd's own 'devices'",
         )
     if kind.port != port:
         raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {join_words(fitting)}")

@@ -81,6 +81,13 @@ def _build_serial(options: VoiceCoilOptions, context: DeviceContext) -> ForceAct
 def polishd_device_types() -> Sequence[DeviceType]:
     """``voice_coil_modbus``, ``voice_coil_serial``."""
     return [
-        DeviceType("voice_coil_modbus", "actuator", ModbusOptions, _build_modbus),
-        DeviceType("voice_coil_serial", "actuator", VoiceCoilOptions, _build_serial),
+        DeviceType(
+            "voice_coil_modbus",
+            "actuator",
+            ModbusOptions,
+            _build_modbus,
+            simulated_by="actuator",
+            substitute={"silence_s": 1.0, "watchdog_ms": 2000},
+        ),
+        DeviceType("voice_coil_serial", "actuator", VoiceCoilOptions, _build_serial, simulated_by="actuator"),
     ]

@@ -11,6 +11,7 @@ from urllib.parse import quote, unquote
 
 from polishd.config.simulator import LoaderFaults, SimLoaderSection
 from polishd.sim_backends.common.numbered_lines import Answer, serve
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 
 # The loader's behaviour, whatever it is asked in. Pure of I/O; wall times are handed in.
@@ -186,3 +187,14 @@ async def main(runtime: SimRuntime) -> None:
     runtime.on_again.append(lambda: setattr(arm, "faults", (runtime.start.config.loader or config).faults))
     runtime.button(signal.SIGUSR1, arm.reset)
     await serve(runtime, config, arm, answering(arm, runtime.boot_count), TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="loader",
+        device="loader",
+        section=SimLoaderSection,
+        links={"tcp": {"": "numbered lines"}, "serial": {"": "numbered lines"}},
+        main=main,
+    )
+]

@@ -13,6 +13,7 @@ from polishd.config.simulator import SEVEN, SimMonitorSection, SimSignal
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.numbered_lines import Answer, serve
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 
 # The inputs' behaviour. Pure of I/O; wall times are handed in.
@@ -101,3 +102,14 @@ async def main(runtime: SimRuntime) -> None:
     runtime.link.on_message = on_message
     runtime.button(signal.SIGUSR1, inputs.press)
     await serve(runtime, config, inputs, answering(inputs, runtime.boot_count), TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="monitor",
+        device="monitor",
+        section=SimMonitorSection,
+        links={"tcp": {"": "numbered lines"}, "serial": {"": "numbered lines"}},
+        main=main,
+    )
+]

@@ -19,15 +19,16 @@ import pytest
 
 from polishd.config.cell import PORTS, CellConfig, load_config
 from polishd.config.fields import as_keys
+from polishd.config.toml_loader import join_words
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell.cell import OPEN_S
 from polishd.daemon.cell.recorder import place, recording_to
 from polishd.daemon.runtime.exit_record import locked
-from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
+from polishd.hookspecs import DeviceType
 from polishd.interfaces import Device
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, DeviceClaimed, DeviceFault, PolishdError
-from polishd.plugin_loader import Hooks, plugins_of
+from polishd.plugin_loader import Hooks, load_own, plugins_of
 from polishd.testing.device_rig import Rig, TestScope
 from polishd.util.address_claims import KeptClaims
 from polishd.util.threads import run_loop
@@ -48,24 +49,20 @@ port = 0
 watchdog_s = 60.0
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
 """
-"""The robot stands with the tool's tip on the part, so that there is something to press on."""
-PATIENT: Mapping[str, Mapping[str, Any]] = {
-    "robot": {"type": "robot_link", "watchdog_s": 60.0},
-    "actuator": {"type": "voice_coil_modbus", "silence_s": 1.0, "watchdog_ms": 2000},
-    "spindle": {**SIMULATED_SPINDLE, "eds": str(SIMULATED_EDS), "silence_s": 1.5},
-    "loader": {"type": "loader_line"},
-}
-"""By port: the section of a simulated one, less its address. The computer that simulates may be busy."""
-PLUGINS = {"robot": "rnc_robot", "actuator": "voice_coil", "spindle": "cia402", "loader": "loader"}
+"""The robot holds the tool's tip on the part, so that the actuator has something to press on."""
+ALWAYS = ("robot", "actuator", "spindle")
+"""Sections that SIM.toml has by default."""
 
 
 def require_simulated(config: CellConfig, names: Sequence[str]) -> None:
-    """ConfigError where one of these devices is not in the cell, or has no stand-in."""
+    """ConfigError where one of these devices is not in the cell, or no simulated device can take its place."""
+    own = load_own()
     for name in names:
         if name not in config.devices:
             raise ConfigError(f"--simulate {name}: the cell has {', '.join(config.devices)}")
-        if port_of(name) not in PATIENT:
-            raise ConfigError(f"--simulate {name}: only {', '.join(PATIENT)} are simulated")
+        if _substitute(own, port_of(name)) is None:
+            simulated = join_words(port for port in PORTS if _substitute(own, port))
+            raise ConfigError(f"--simulate {name}: only {simulated} are simulated")
     ports = [port_of(name) for name in names]
     if len(set(ports)) < len(ports):
         raise ConfigError(f"--simulate {','.join(names)}: one device of a port is simulated, not several")
@@ -77,19 +74,28 @@ def stand_ins(config: CellConfig, names: Sequence[str], folder: Path) -> Iterato
     if not names:
         yield {}
         return
-    part = config.part
+    part, own = config.part, load_own()
     sim = folder / "sim.toml"
     written = {"part_id": part.id}
     outline = "\n".join(f"{key} = {json.dumps(value)}" for key, value in as_keys(config.outline()).items())
     placed = {"origin_mm": list(part.origin_mm), "rotation_rpy_deg": list(part.rotation_rpy_deg)}
     text = SIM.format(outline=outline, **{key: json.dumps(value) for key, value in {**written, **placed}.items()})
     ports = [port_of(name) for name in names]
-    sim.write_text(text + ("[loader]\n" if "loader" in ports else ""))
+    sim.write_text(text + "".join(f"[{port}]\n" for port in ports if port not in ALWAYS))
     only = [word for port in ports for word in ("--only", port)]
     with _running([str(sim), "--state", str(folder / "sim"), *only]) as endpoints:
-        devices = {name: {**PATIENT[port_of(name)], "address": endpoints[port_of(name)]} for name in names}
-        plugins = dict.fromkeys([*config.plugins.load, *(PLUGINS[port] for port in ports)])
-        yield {**devices, "plugins.load": list(plugins)}
+        laid_over, plugins = dict[str, Any](), list(config.plugins.load)
+        for name, port in zip(names, ports, strict=True):
+            if kind := _substitute(own, port):
+                laid_over[name] = {"type": kind.name, **(kind.substitute or {}), "address": endpoints[port]}
+                plugins.append(own.plugin_of("polishd_device_types", kind.name))
+        yield {**laid_over, "plugins.load": list(dict.fromkeys(plugins))}
+
+
+def _substitute(own: Hooks, port: str) -> DeviceType | None:
+    """The port's substitute, where it is reached at an address."""
+    kind = own.substitute(port)
+    return kind if kind is not None and "address" in kind.options.model_fields else None
 
 
 @contextmanager

@@ -140,7 +140,7 @@ def write_shop_cell(out: Path, name: str, shop: Shop) -> DemoFiles:
     """The small cell's files, with a loader, and a token of the shop."""
     files = write_small(out)
     port = free_port()
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     cell += f'\n[shop]\nurl = "{shop.url}"\ntoken = "file:shop.token"\nevery_s = {EVERY_S}\n'
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 20.0}, "cell": {"name": name}}))

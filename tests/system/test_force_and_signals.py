@@ -63,8 +63,7 @@ def watched_cell(
 ) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with more in both files."""
     files = write_small(out, **{**ONE_PASS, **job})
-    text = files.cell.read_text().replace('"interferometer"', '"interferometer", "device_profiles", "monitors"')
-    text = with_values(text + cell, {"limits": {"force_alarm_delay_s": 1.3}})
+    text = with_values(files.cell.read_text() + cell, {"limits": {"force_alarm_delay_s": 1.3}})
     files.cell.write_text(text)
     files.sim.write_text(with_faults(files.sim.read_text() + sim, *faults))
     options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", str(speed)]

@@ -33,7 +33,7 @@ def write_queue_cell(out: Path, **faults: list[str]) -> DemoFiles:
     """The small cell's files, with a loader."""
     files = write_small(out)
     port = free_port()
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 8.0}}))
     told = "".join(f"{name} = {json.dumps(parts)}\n" for name, parts in faults.items())

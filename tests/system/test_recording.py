@@ -14,12 +14,11 @@ import pytest
 
 from polishd.api import LinkError
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
-from polishd.drivers.cia402 import device_types as cia402
 from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.interfaces import Device
 from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import ConfigError
-from polishd.plugins import voice_coil
+from polishd.plugins import devices, voice_coil
 from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
 from polishd.util.wire_recording import read_recording
@@ -60,7 +59,7 @@ async def test_a_recorded_probe_is_played_to_the_drivers(
     case, said = probed
     for role, plugin, kind, options in (
         ("actuator", voice_coil, type_of_actuator, ACTUATOR),
-        ("spindle", cia402, "cia402_spindle", {**SPINDLE, "eds": str(SIMULATED_EDS), "node": 5, "rpm_per_unit": 0.1}),
+        ("spindle", devices, "cia402_spindle", {**SPINDLE, "eds": str(SIMULATED_EDS), "node": 5, "rpm_per_unit": 0.1}),
     ):
         async with replayed(case, role) as link:
             device = driver(plugin, kind, options, tmp_path, link.endpoint)

@@ -27,7 +27,7 @@ from polishd.process.robot.serial import chain
 from polishd.process.toolpath.apertures import on_optic
 from polishd.util.serialization import toml
 
-ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report")
+ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_checks", "run_report")
 """Plugins that every cell needs."""
 PROGRAM = "program.rnc"
 PROFILE = "instrument.toml"
@@ -43,8 +43,6 @@ BLANK_ARM = ("dh", "joint_limits_deg", "home_deg")
 STIFFNESS = "kinematics.joint_stiffness_n_mm_per_rad"
 NOT_MEASURED = "not the arm's: as if nearly rigid; polishd calibrate stiffness fits them"
 
-LANGUAGES = {"universal_robots": "urscript"}
-"""Of robots whose controllers take one language only."""
 DATA_SHEET = "from the machine's data sheet, on the safe side"
 PAPER = "the paper's; your tool's is another"
 UNMEASURED = (
@@ -166,7 +164,8 @@ def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap |
             raise answers.own.error(section, f"must be a section of its own, [{section}], not {given!r}; mend it")
     _assume_names(draft, sample)
     _assume_robot(draft)
-    draft.assume("program.format", LANGUAGES.get(draft.raw["robot"].get("type"), "rs274"))
+    robot = draft.hooks.device_types().get(draft.raw["robot"].get("type"))
+    draft.assume("program.format", (robot and robot.program_format) or "rs274")
     for key, (value, why) in ASSUMED.items():
         port, _, name = key.partition(".")
         if name in OF_A_TYPE and f"{port}.type" not in draft.assumed and not _is_usual(draft, port):

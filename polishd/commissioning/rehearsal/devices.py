@@ -16,6 +16,7 @@ from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
 from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, address_of, profile_of
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp
+from polishd.model.devices import port_of
 from polishd.util.serialization import toml
 
 MOST_N = 50.0
@@ -41,11 +42,11 @@ def add_actuator(draft: RehearsalDraft, device: str) -> None:
     kind = str(draft.config.devices[device].type)
     if kind in kinds:
         times = kinds[kind](draft, device, draft.options(device))
+    elif _is_simulated(draft, device):
+        times = draft.options(device)
     else:
-        draft.put("actuator", "kind", "modbus_rtu", f"stands in for {kind}")
-        instead = {"type": "voice_coil_modbus", "address": f"serial:{SIM_STATE}/actuator?baud=115200"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("voice_coil")
+        draft.put("actuator", "kind", "modbus_rtu", f"replaces {kind}")
+        draft.replace_device(device, address=f"serial:{SIM_STATE}/actuator?baud=115200")
         times = {}
     _add_times(draft, device, times)
 
@@ -111,12 +112,10 @@ def add_spindle(draft: RehearsalDraft, device: str) -> None:
         options = {**table.model_dump(), **{key: value for key, value in options.items() if value is not None}}
         draft.put("spindle", "unit", options.get("unit"), f"{device}.unit")
         draft.put("spindle", "pole_pairs", options["pole_pairs"], draft.origin(f"{device}.pole_pairs"))
-    else:
-        draft.put("spindle", "kind", "slcan", f"stands in for {kind}")
+    elif not _is_simulated(draft, device):
+        draft.put("spindle", "kind", "slcan", f"replaces {kind}")
         address = f"slcan:{SIM_STATE}/spindle?bitrate=500000"
-        instead = {**SIMULATED_SPINDLE, "address": address, "eds": str(SIMULATED_EDS)}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("cia402")
+        draft.replace_device(device, address=address, eds=str(SIMULATED_EDS), **SIMULATED_SPINDLE)
         options = {}
     rpm = draft.config.process.rpm
     most_rpm = max(float(options.get("max_rpm", USUAL_RPM)), rpm)
@@ -126,6 +125,15 @@ def add_spindle(draft: RehearsalDraft, device: str) -> None:
     if "spin_s" in options:
         spin_s = min(SPINS_S, DRIVE_TIME_SHARE * options["spin_s"] * 1000.0 / rpm)
         draft.put("spindle", "spin_s", spin_s, f"process.rpm in at most {DRIVE_TIME_SHARE:g} x {device}.spin_s")
+
+
+def _is_simulated(draft: RehearsalDraft, device: str) -> bool:
+    """Add a device whose type names its simulated device. False: it names none."""
+    simulated_by, port = draft.device_type(device).simulated_by, port_of(device)
+    if simulated_by:
+        draft.put(port, "kind", simulated_by, f"{device}.type")
+        wire(draft, device, port, draft.options(device)["address"])
+    return bool(simulated_by)
 
 
 def _add_baud(draft: RehearsalDraft, device: str, real: object) -> None:
@@ -166,9 +174,6 @@ def _add_profile(draft: RehearsalDraft, device: str, port: str, options: Mapping
 
 # The robot of a cell, as the simulator has it: which controller, its limits and its watchdog.
 
-SPEED = {"linuxcnc": 1.0, "universal_robots": 4.0, "handover": 8.0}
-USUAL_SPEED = 10.0
-"""Process seconds per wall second: what each controller's own clock, and the daemon's looks at it, bear."""
 NOT_SIMULATED = (
     "controller_dir", "user", "password", "certificate", "private_key", "server_certificate", "delivery_password",
     "known_hosts",
@@ -185,11 +190,6 @@ TIMES = (
 )  # fmt: skip
 
 
-def speed_of(type_name: str | None) -> float:
-    """At which a cell with such a robot is rehearsed, where nobody says another."""
-    return SPEED.get(type_name or "", USUAL_SPEED)
-
-
 def add_robot(draft: RehearsalDraft, device: str) -> None:
     """``[robot]``; ConfigError where no simulated controller reads the cell's program."""
     kinds: dict[str, Callable[[RehearsalDraft, str], None]] = {
@@ -199,23 +199,23 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
         "handover": _handover,
     }
     kind = str(draft.config.devices[device].type)
-    _require_language(draft, kind)
+    _require_language(draft, device)
     if kind in kinds:
         kinds[kind](draft, device)
-    else:
-        _stand_in(draft, device, kind)
+    elif not _is_simulated(draft, device):
+        _replace_robot(draft, device, kind)
     machine = draft.config.machine
     draft.take("robot", ("corner_deg", "max_feed_mm_s", "x_mm", "y_mm", "z_mm"), "machine", machine)
     draft.put("robot", "a_deg", (-most_a_deg(draft), most_a_deg(draft)), "process.dip_deg, the part's slope, and room")
     draft.put("robot", "home", home(draft), "over the part's centre, at the top of machine.z_mm")
 
 
-def _require_language(draft: RehearsalDraft, kind: str) -> None:
-    """Only an arm of Universal Robots reads another language than G-code."""
-    named = draft.config.program.format
-    if kind == "universal_robots":
-        if named != "urscript":
-            raise draft.config.error("program.format", f"is {named!r}; the simulated controller reads urscript only")
+def _require_language(draft: RehearsalDraft, device: str) -> None:
+    """ConfigError where no simulated controller of that type reads the cell's program."""
+    named, kind = draft.config.program.format, str(draft.config.devices[device].type)
+    if only := draft.device_type(device).program_format:
+        if named != only:
+            raise draft.config.error("program.format", f"is {named!r}; the simulated controller reads {only} only")
     elif named in OTHER_LANGUAGES:
         raise draft.config.error(
             "program.format",
@@ -242,14 +242,12 @@ def _add_window(draft: RehearsalDraft) -> None:
     draft.put("robot", "window", window, f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}")
 
 
-def _stand_in(draft: RehearsalDraft, device: str, kind: str) -> None:
+def _replace_robot(draft: RehearsalDraft, device: str, kind: str) -> None:
     port = free_port()
-    draft.put("robot", "kind", "link", f"stands in for {kind}")
+    draft.put("robot", "kind", "link", f"replaces {kind}")
     draft.put("robot", "port", port, "free on this computer")
     _add_window(draft)
-    address = f"tcp://{LOOPBACK}:{port}"
-    draft.replace_device(device, {"type": "robot_link", "address": address}, f"there is no simulated {kind!r}")
-    draft.plugin("rnc_robot")
+    draft.replace_device(device, address=f"tcp://{LOOPBACK}:{port}")
 
 
 def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
@@ -337,7 +335,7 @@ _NO_NAME = re.compile(r"[^A-Za-z0-9._-]")
 
 def add_loader(draft: RehearsalDraft, device: str) -> None:
     """``[loader]``."""
-    options = _line(draft, device, "loader", "loader_line", "loader")
+    options = _line(draft, device, "loader")
     change_s = float(options.get("change_s", 120.0))
     for key, usual_s in (("load_s", LOADS_S), ("unload_s", UNLOADS_S)):
         draft.put(
@@ -350,8 +348,7 @@ def add_loader(draft: RehearsalDraft, device: str) -> None:
 
 def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
     """``[force_sensor]``."""
-    profile = "force_sensor_line"
-    options = _line(draft, device, "force_sensor", "force_sensor_profile", "device_profiles", profile=profile)
+    options = _line(draft, device, "force_sensor", profile="force_sensor_line")
     latency_s = min(FILTER_S, float(options.get("delay_s") or 0.1) / 2)
     draft.put("force_sensor", "latency_s", latency_s, f"at most half of {device}.delay_s")
     most_n = max(RANGE_N, 3.0 * draft.config.process.force_n)
@@ -361,14 +358,13 @@ def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
 def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
     """``[monitor]``: one box tells what all of the cell's monitors do, each signal well inside its bounds."""
     first, *others = devices
-    _line(draft, first, "monitor", "monitor_line", "monitors")
+    _line(draft, first, "monitor")
     address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
     for device in others:
-        if draft.config.devices[device].type == "monitor_line":
+        if draft.device_type(device).simulated_by == draft.device_type(first).simulated_by:
             draft.laid[f"{device}.address"] = address
         else:
-            why = f"there is no simulated {draft.config.devices[device].type!r}"
-            draft.replace_device(device, {"type": "monitor_line", "address": address}, why)
+            draft.replace_device(device, address=address)
     if others:
         draft.notes.append(f"{', '.join(devices)}: one simulated monitor tells the signals of all, at one address")
     for name, signal in draft.config.signals.items():
@@ -396,20 +392,17 @@ def inside(signal: SignalSection) -> float | bool:
     return (high or 0.0) - (ROOM * abs(high or 0.0) or 1.0)
 
 
-def _line(
-    draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str, *, profile: str = ""
-) -> dict[str, Any]:
-    """A small device on a line: its own type (and profile), or the simulated one in its place; its options."""
-    kind = str(draft.config.devices[device].type)
-    options = draft.options(device) if kind == line_type else {}
-    if kind != line_type or options.get("profile", "") != profile:
-        draft.put(port, "kind", "serial", f"in place of {kind}")
-        instead = {"type": line_type, "address": f"serial:{SIM_STATE}/{port}?baud=115200"}
-        named = f"{kind!r} with that profile" if kind == line_type else repr(kind)
-        draft.replace_device(
-            device, instead | ({"profile": profile} if profile else {}), f"there is no simulated {named}"
-        )
-        draft.plugin(plugin)
+def _line(draft: RehearsalDraft, device: str, port: str, *, profile: str = "") -> dict[str, Any]:
+    """Add a device on a line, simulated as its type (and profile) says or replaced. Return its options."""
+    kind = draft.device_type(device)
+    options = draft.options(device)
+    if kind.simulated_by not in {"", port}:
+        _is_simulated(draft, device)
+        return options
+    if not kind.simulated_by or options.get("profile", "") != profile:
+        draft.put(port, "kind", "serial", f"replaces {kind.name}")
+        keys = {"profile": profile} if profile else {}
+        draft.replace_device(device, address=f"serial:{SIM_STATE}/{port}?baud=115200", **keys)
         return {}
     real = wire(draft, device, port, options["address"])
     draft.put(port, "kind", "serial" if isinstance(real, SerialLine) else "tcp", f"{device}.address")

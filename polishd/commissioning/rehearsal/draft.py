@@ -14,9 +14,10 @@ import tomlkit
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.cell import FILES, CellConfig, device_options, overlay
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
+from polishd.hookspecs import DeviceType
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
-from polishd.plugin_loader import Hooks
+from polishd.plugin_loader import Hooks, load_own
 from polishd.util.files import require_writable
 from polishd.util.serialization import toml
 
@@ -65,12 +66,24 @@ class RehearsalDraft:
         _, options = device_options(self.config, device, self.hooks.device_types())
         return dict(options)
 
-    def replace_device(self, device: str, section: Mapping[str, Any], why: str) -> None:
-        """Another type of device stands in for one that the simulator has not; keys of the port stay."""
-        raw = self.config.devices[device]
+    def device_type(self, device: str) -> DeviceType:
+        """The device's type. ConfigError as of the cell."""
+        return device_options(self.config, device, self.hooks.device_types())[0]
+
+    def replace_device(self, device: str, **keys: Any) -> None:
+        """Replace a device that has no simulated one by the port's substitute with these keys. Keys of the port stay.
+
+        Raises:
+            ConfigError: no simulated device can take its place.
+        """
+        own, raw = load_own(), self.config.devices[device]
+        substitute = own.substitute(port_of(device))
+        if substitute is None:
+            raise self.config.error(f"{device}.type", f"{raw.type!r} has no simulated device, and no other replaces it")
         kept = {key: getattr(raw, key) for key in type(raw).model_fields if key != "type"}
-        self.laid[device] = {**kept, **section}
-        self.notes.append(f"{device}: {why}; {section['type']} stands in for it")
+        self.laid[device] = {**kept, "type": substitute.name, **keys}
+        self.notes.append(f"{device}: there is no simulated {raw.type!r}; {substitute.name} replaces it")
+        self._load_plugin(own.plugin_of("polishd_device_types", substitute.name))
 
     def instead(self, key: str, value: Any, why: str) -> None:
         """The rehearsal's cell has another value than the cell, and says so; None: none."""
@@ -78,8 +91,7 @@ class RehearsalDraft:
         said = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
         self.notes.append(f"{key}: {why}; it {said}")
 
-    def plugin(self, name: str) -> None:
-        """A stand-in needs this plugin."""
+    def _load_plugin(self, name: str) -> None:
         loaded = self.laid.get("plugins.load", list(self.config.plugins.load))
         if name not in loaded:
             self.laid["plugins.load"] = [*loaded, name]

@@ -202,11 +202,9 @@ def add_instrument(draft: RehearsalDraft, device: str) -> None:
 
 def _add_folder(draft: RehearsalDraft, device: str) -> None:
     kind, folder = draft.config.devices[device].type, f"{SIM_STATE}/maps"
-    if kind != "watched_folder":
-        instead = {"type": "watched_folder", "folder": folder, "request_file": REQUEST, "stable_s": 0.3, "poll_s": 0.1}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("interferometer")
-        draft.put("interferometer", "request_file", REQUEST, f"stands in for {kind}")
+    if not draft.device_type(device).simulated_by:
+        draft.replace_device(device, folder=folder, request_file=REQUEST, stable_s=0.3, poll_s=0.1)
+        draft.put("interferometer", "request_file", REQUEST, f"replaces {kind}")
         return
     options = draft.options(device)
     draft.laid[f"{device}.folder"] = folder

@@ -14,13 +14,11 @@ from polishd.commissioning.rehearsal.devices import (
     add_monitors,
     add_robot,
     add_spindle,
-    speed_of,
 )
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text, usual_folder
 from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_kinematics, add_part, add_process
 from polishd.commissioning.rehearsal.simulated_cell import measure_artefact, run_simulator
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.simulator import load_simulator
 from polishd.maps.commission import prove_profile
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -127,13 +125,12 @@ def _write(draft: RehearsalDraft, folder: Path, own: str) -> None:
     texts = {SIM: sim_text(draft), own: cell_text(draft)}
     for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
         write_atomic(folder / name, content)
-    try:
-        load_simulator(folder / SIM)
-    except ConfigError as error:
-        wrong = "; ".join(line.split(": ", 1)[-1] for line in str(error).splitlines())
-        raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
     load_config(folder / own)
-    measure_artefact(folder / SIM, folder / ARTEFACT)
+    try:
+        measure_artefact(folder / SIM, folder / ARTEFACT)
+    except ConfigError as error:
+        wrong = "; ".join(line.split(f"{SIM}:", 1)[-1].split(": ", 1)[-1] for line in str(error).splitlines())
+        raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
     prove_profile(folder / PROFILE, folder / ARTEFACT)
 
 
@@ -141,7 +138,7 @@ def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     """All of a cell that the simulator is to be; ConfigError where it cannot."""
     draft = RehearsalDraft(config, hooks)
     used = _used(draft)
-    add_part(draft, speed_of(config.devices[used["robot"]].type))
+    add_part(draft, draft.device_type(used["robot"]).simulation_speed)
     add_process(draft)
     add_kinematics(draft)
     for port, add in ONE_OF_A_PORT.items():

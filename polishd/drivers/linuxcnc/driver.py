@@ -434,4 +434,15 @@ def _own_lines(_options: LinuxCncOptions, _context: DeviceContext) -> OwnLines:
     return OwnLines("LinuxCNC, which runs RS274", {}, ("M0", "M2"))
 
 
-LINUXCNC = DeviceType("linuxcnc", "robot", LinuxCncOptions, _build, own_lines=_own_lines)
+DEVICE_TYPES = [
+    DeviceType(
+        "linuxcnc",
+        "robot",
+        LinuxCncOptions,
+        _build,
+        own_lines=_own_lines,
+        simulated_by="linuxcnc",
+        simulation_speed=1.0,
+        usual_address="tcp://robot-controller:5007",
+    )
+]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, OwnLines, hookimpl, read_secret
+from polishd.api import ConfigError, DeviceContext, DeviceType, OwnLines, read_secret
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.config.fields import ConfigSection
 from polishd.drivers.plc_robot.ads import Ads
@@ -50,15 +50,6 @@ class HandoverOptions(ConfigSection):
     """That of the user in ``delivery``."""
     known_hosts: str = "~/.ssh/known_hosts"
     """The file with the host key that sftp is to find: a host without one is refused."""
-
-
-POLISHD_API = 1
-
-
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``handover``."""
-    return [DeviceType("handover", "robot", HandoverOptions, build, own_lines=own_lines)]
 
 
 # From the options to a closed robot. What they name is looked at, and nothing is opened.
@@ -167,3 +158,17 @@ def _ads_address(address: str) -> tuple[str, str, int]:
 def _require(extra: str, what: str) -> None:
     if importlib.util.find_spec(EXTRAS[extra]) is None:
         raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed: pip install 'polishd[{extra}]'")
+
+
+DEVICE_TYPES = [
+    DeviceType(
+        "handover",
+        "robot",
+        HandoverOptions,
+        build,
+        own_lines=own_lines,
+        simulated_by="plc_robot",
+        simulation_speed=8.0,
+        usual_address="opc.tcp://robot-controller:4840",
+    )
+]

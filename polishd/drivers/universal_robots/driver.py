@@ -24,7 +24,6 @@ from polishd.api import (
     Plan,
     ProtocolError,
     RobotTimes,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.transport.address import Tcp, tcp_address
@@ -395,8 +394,6 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
 
 # The device type ``universal_robots``: a robot on a Universal Robots controller (docs/universal-robots.md).
 
-POLISHD_API = 1
-
 WAY_S = 0.02
 """Longest that a sample is under way."""
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -443,7 +440,16 @@ def _takes(blocks: Sequence[bytes]) -> str:
     return ""
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """One."""
-    return [DeviceType("universal_robots", "robot", UniversalRobotsOptions, _build, _takes)]
+DEVICE_TYPES = [
+    DeviceType(
+        "universal_robots",
+        "robot",
+        UniversalRobotsOptions,
+        _build,
+        _takes,
+        program_format="urscript",
+        simulated_by="universal_robots",
+        simulation_speed=4.0,
+        usual_address="tcp://robot-controller:30004",
+    )
+]

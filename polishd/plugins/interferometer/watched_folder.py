@@ -601,4 +601,6 @@ def _advice(error: SurfaceError, rules: MapAcceptanceRules) -> str:
             return "Correct what the reason names, then measure and export again."
 
 
-WATCHED_FOLDER = DeviceType(name="watched_folder", port="metrology", options=FolderOptions, build=WatchedFolder)
+WATCHED_FOLDER = DeviceType(
+    "watched_folder", "metrology", FolderOptions, WatchedFolder, simulated_by="interferometer", substitute={}
+)

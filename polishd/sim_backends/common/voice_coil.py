@@ -28,6 +28,10 @@ MOST_DRIFT_N = 4.0
 Refusal = Literal["", "range", "fault"]
 
 
+COIL_FAULTS = ("freeze", "drift", "stick", "spike", "press", "lie")
+"""States of ``[[fault]]`` that it can be in."""
+
+
 @dataclass(frozen=True, slots=True)
 class CoilDynamics:
     """How fast it moves, wall time, and what its tool weighs."""

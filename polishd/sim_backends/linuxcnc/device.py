@@ -11,9 +11,12 @@ import time
 from functools import partial
 from pathlib import Path
 
+from polishd.config import simulator
+from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ConfigError, DeviceFault
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.faults import SpeedOverride
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime
 from polishd.sim_backends.linuxcnc import pendant
 from polishd.sim_backends.linuxcnc.machine import (
@@ -178,3 +181,15 @@ async def main(runtime: SimRuntime) -> None:
     if shutil.which("linuxcnc") is None:
         raise ConfigError("linuxcnc is not installed. To do: apt-get install linuxcnc-uspace")
     await LinuxCncServer(runtime).run()
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="linuxcnc",
+        device="robot",
+        section=SimRobotSection,
+        links={"linuxcnc": {}},
+        main=main,
+        faults=simulator.MOTION,
+    )
+]

@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Protocol
 
+from polishd.config.simulator import SimSpindleSection
 from polishd.sim_backends.common import framing as numbered
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
 from polishd.sim_backends.common.framing import RtuSlave, TcpSlave
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 from polishd.sim_backends.profile_device.machine import Inverter, ProfileDeviceModel
@@ -335,3 +337,15 @@ async def _tick(runtime: SimRuntime, drive: Inverter) -> None:
         runtime.link.samples(drive.samples, drive.now_s)
         drive.samples = []
         await asyncio.sleep(TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="profile_device",
+        device="spindle",
+        section=SimSpindleSection,
+        links={"profile": {"": "profile"}, "profile_tcp": {"": "profile_tcp"}},
+        main=main,
+        faults=("reverse",),
+    )
+]

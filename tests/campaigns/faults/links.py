@@ -155,7 +155,7 @@ def _cia402(folder: Path) -> DemoFiles:
 def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
     """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "device_profiles", "monitors"') + text
+    cell = files.cell.read_text() + text
     files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_alarm_delay_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files

@@ -105,7 +105,7 @@ def _linuxcnc(folder: Path) -> DemoFiles:
 
 def _profiled(folder: Path) -> DemoFiles:
     files = write_small(folder, **JOB)
-    cell = files.cell.read_text().replace('"spindle", ', '"spindle", "device_profiles", ')
+    cell = files.cell.read_text()
     files.cell.write_text(with_section(cell, "actuator", ACTUATOR))
     files.sim.write_text(with_section(files.sim.read_text(), "actuator", SIMULATED["actuator"]))
     return files

@@ -184,7 +184,7 @@ def write_cell(folder: Path) -> DemoFiles:
     """A small cell's files, with a loader; nothing is proved yet."""
     files = write_small(folder, patient=False)
     port = free_port()
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
     sim = with_faults(files.sim.read_text()) + f"\n[loader]\nport = {port}\n\n[loader.faults]\n"

@@ -18,7 +18,7 @@ from tests.unit.said import Polishd
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "notifications.md"
 SECRET = "hunter2-and-more"
-LOAD = '"plan_guard"'
+LOAD = '"plan_checks"'
 PAGER = """
 from pydantic import BaseModel
 

@@ -368,7 +368,7 @@ def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
 def test_plugins(polishd: Polishd) -> None:
     said = json.loads(polishd("plugins", "--json").out)
     names = [plugin["name"] for plugin in said["loaded"]]
-    assert {"rnc_robot", "voice_coil", "spindle", "interferometer", "run_report"} <= set(names)
+    assert {"rnc_robot", "devices", "voice_coil", "interferometer", "run_report"} <= set(names)
     assert said["refused"] == []
     brings = {plugin["name"]: plugin["brings"] for plugin in said["loaded"]}
     solvers = brings["dwell_solvers"]["polishd_dwell_solvers"]

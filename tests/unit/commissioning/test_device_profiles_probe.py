@@ -25,8 +25,8 @@ from tests.fakes.wires import Peer
 from tests.unit.said import Polishd
 
 LOADED = [
-    "rnc_robot", "voice_coil", "device_profiles", "cia402", "loader", "monitors",
-    "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report",
+    "rnc_robot", "devices", "voice_coil", "interferometer",
+    "removal_models", "dwell_solvers", "plan_checks", "run_report",
 ]  # fmt: skip
 LINE = SerialLine(Path(), 9600)
 

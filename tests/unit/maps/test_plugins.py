@@ -25,7 +25,7 @@ def read(path):
 def polishd_surface_readers():
     return [SurfaceReader("acme", sniff, read, (".csv", ".dat"))]
 """
-OWN = ["rnc_robot", "voice_coil", "cia402", "interferometer", "removal_models", "dwell_solvers", "plan_guard"]
+OWN = ["rnc_robot", "devices", "voice_coil", "interferometer", "removal_models", "dwell_solvers", "plan_checks"]
 
 
 @pytest.fixture

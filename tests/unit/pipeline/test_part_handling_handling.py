@@ -160,7 +160,7 @@ def test_other_dialects_say_it_too(cell: Cell, hooks: Hooks, format_: str) -> No
 
 def test_a_place_beyond_the_machine_is_refused(cell: Cell, hooks: Hooks) -> None:
     recipe, asked = asked_by(cell(machine={"y_mm": [-90.0, 40.0]}), hooks)
-    with pytest.raises(PlanRefused, match=r"touch-off, place 1: plan_guard: .* y = 48\.5 mm, outside -90 to 40"):
+    with pytest.raises(PlanRefused, match=r"touch-off, place 1: plan_checks: .* y = 48\.5 mm, outside -90 to 40"):
         part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
 
 

@@ -22,11 +22,7 @@ from polishd.api import (
     SensorTimes,
     Spindle,
 )
-from polishd.drivers import monitor_line
-from polishd.drivers.cia402 import device_types
-from polishd.drivers.profile_device import device_types as device_profiles
-from polishd.drivers.universal_robots import driver
-from polishd.plugins import rnc_robot, voice_coil
+from polishd.plugins import devices, voice_coil
 from tests.fakes.cia402 import EDS
 
 PRESS = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "balance_n": 2.0}
@@ -90,14 +86,7 @@ BAD_ADDRESSES = [
 def types() -> dict[str, DeviceType]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    for plugin in (
-        device_types,
-        device_profiles,
-        rnc_robot,
-        driver,
-        voice_coil,
-        monitor_line,
-    ):
+    for plugin in (devices, voice_coil):
         assert plugin.POLISHD_API == hookspecs.API_VERSION
         manager.register(plugin)
     manager.check_pending()

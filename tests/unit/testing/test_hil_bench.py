@@ -66,7 +66,10 @@ def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
         ({"level": Level.CONTACT}, "--max-force NEWTONS is needed"),
         ({"level": Level.CONTACT, "max_force_n": float("nan")}, "more than 0"),
         ({"simulate": ("robto",)}, "--simulate robto: the cell has actuator, robot"),
-        ({"simulate": ("metrology",)}, "only robot, actuator, spindle, loader are simulated"),
+        (
+            {"simulate": ("metrology",)},
+            "only 'actuator', 'force_sensor', 'loader', 'monitor'",
+        ),
         ({"simulate": ("robot", "robot")}, "one device of a port"),
     ],
 )

@@ -90,7 +90,7 @@ def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> Non
     assert person.problems == [("robot.profile", "cannot be left out")]
     assert answers.cell["robot"]["address"] == "opc.tcp://robot-controller:4840"
     config = draft_cell(answers, tmp_path / "cell", load_own()).judged()
-    assert {"handover", "device_profiles"} <= set(config.plugins.load)
+    assert {"devices"} <= set(config.plugins.load)
 
 
 @pytest.mark.full

@@ -41,10 +41,10 @@ ARM = {
 }
 
 
-def made(folder: Path, text: str, plugins: str = "") -> RehearsalDraft:
+def made(folder: Path, text: str) -> RehearsalDraft:
     """What is gathered of such a cell; nothing is written."""
     cell = folder / "cell.toml"
-    cell.write_text(text.replace('load = ["rnc_robot"', f'load = ["rnc_robot"{plugins}'))
+    cell.write_text(text)
     (folder / "program.rnc").write_text("G21 G90 G94\nM2\n")
     return draft_rehearsal(*load_cell(cell))
 
@@ -163,7 +163,7 @@ def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None
 def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: str, kind: str) -> None:
     keys = f'type = "handover"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
     secrets = 'delivery_password = "env:SECRET"\nserver_certificate = "plc.der"'
-    draft = made(tmp_path, robot(f"{keys}\n{secrets}"), ', "handover"')
+    draft = made(tmp_path, robot(f"{keys}\n{secrets}"))
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert sim.robot.kind == kind
     assert "127." in other["robot.address"]
@@ -177,7 +177,7 @@ def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: st
 def test_an_arm_of_universal_robots(tmp_path: Path) -> None:
     text = robot('type = "universal_robots"\naddress = "tcp://10.0.0.2:30004"\nfirst_register = 30\nrate_hz = 500.0')
     text = with_keys(text.replace('"rs274"', '"urscript"'), {"kinematics": ARM})
-    draft = made(tmp_path, text, ', "universal_robots"')
+    draft = made(tmp_path, text)
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert (sim.robot.kind, sim.robot.cycle_hz, sim.plant.speed) == ("universal_robots", 500, 4.0)
     assert isinstance(sim.robot_model(), SerialRobot)
@@ -207,7 +207,7 @@ def test_drives_by_profile_and_on_canopen_and_what_the_simulated_ones_count_in(t
     spindle += "pole_pairs = 2\n"
     head, _, rest = CELL.partition("[actuator]")
     text = head + actuator + spindle + "[metrology]" + rest.partition("[metrology]")[2]
-    draft = made(tmp_path, text, ', "cia402", "device_profiles"')
+    draft = made(tmp_path, text)
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert (sim.actuator.kind, sim.actuator.node) == ("slcan", 9)
     assert (sim.spindle.kind, sim.spindle.unit, sim.spindle.pole_pairs) == ("profile", 3, 2)
