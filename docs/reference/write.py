@@ -79,9 +79,9 @@ bring others.""",
 comments; how it is proved: [instruments.md](../instruments.md).""",
     "device": """A profile of a drive or a sensor; how one is made and tried: [devices.md](../devices.md). It has one
 of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`.""",
-    "controller": """The profile of a robot controller that loads files (`[robot] type = "handover"`), as
+    "controller": """The profile of a robot controller that loads files (`[robot] type = "plc_robot"`), as
 [the shipped ones](../../polishd/config/controller_profiles) show it; what each variable is for:
-[handover.md](../protocols/handover.md).""",
+[plc-robot.md](../protocols/plc_robot.md).""",
     "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
 key may be left out.""",
     "shop": """The file of a shop of several cells; how one is set up: [shop.md](../shop.md).""",

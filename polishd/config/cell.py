@@ -300,23 +300,11 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
             yield f"tools.{name}.position_mm", "is of [touch_off], and the cell has none; add it, or remove the line"
 
 
-REMOVED_TYPES = {
-    "spindle_can": "is removed. Use 'cia402_spindle' of the plugin 'cia402' (docs/protocols/cia402.md)",
-    "force_sensor_line": "is removed. Use 'force_sensor_profile' of the plugin 'device_profiles', with profile = "
-    "'force_sensor_line'",
-}
-"""Device types of earlier versions, and what takes their place."""
-REMOVED_PLUGINS = {"spindle": "'cia402'", "force_sensor": "'device_profiles'"}
-
-
 def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """(key, what is wrong) of device types and plugins that are no more."""
+    """(key, what is wrong) of device types of earlier versions."""
     for name, section in config.devices.items():
-        if section.type in REMOVED_TYPES:
-            yield f"{name}.type", f"{section.type!r} {REMOVED_TYPES[section.type]}"
-    for name in config.plugins.load:
-        if name in REMOVED_PLUGINS:
-            yield "plugins.load", f"{name!r} is now {REMOVED_PLUGINS[name]}"
+        if section.type in RENAMED_TYPES:
+            yield f"{name}.type", f"{section.type!r} was removed or renamed. Write type = {RENAMED_TYPES[section.type]}"
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
@@ -370,8 +358,6 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
     raw, port, named = config.devices[device], port_of(device), str(config.devices[device].type)
     fitting = {name for name, kind in device_types.items() if kind.port == port}
     kind = device_types.get(named)
-    if kind is None and named in RENAMED_TYPES:
-        raise config.error(f"{device}.type", f'{named!r} was renamed: write type = "{RENAMED_TYPES[named]}"')
     if kind is None:
         raise config.error(
             f"{device}.type",

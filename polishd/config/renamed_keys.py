@@ -63,7 +63,12 @@ RENAMED_KEYS = {
     "loops": "controllers",
     "*.unreached": "unreachable",
 }
-RENAMED_TYPES = {"handover": "plc_robot"}
+RENAMED_TYPES = {
+    "handover": '"plc_robot"',
+    "spindle_can": '"cia402_spindle" (docs/protocols/cia402.md)',
+    "force_sensor_line": '"force_sensor_profile" and profile = "force_sensor_line"',
+}
+"""Device types of before release 1.0, and what to write for them."""
 
 
 def renamed_key(dotted: str) -> str | None:

@@ -220,7 +220,7 @@ class SimRobotSection(ConfigSection):
 
     kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
     """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
-    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/handover.md)."""
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md)."""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
     28500 = 111 * 256 + 84 is the address 127.111.84.1. [1]"""

@@ -196,7 +196,7 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
         "robot_link": _link,
         "linuxcnc": _linuxcnc,
         "universal_robots": _universal_robots,
-        "handover": _handover,
+        "plc_robot": _handover,
     }
     kind = str(draft.config.devices[device].type)
     _require_language(draft, device)

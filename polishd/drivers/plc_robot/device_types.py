@@ -1,4 +1,4 @@
-"""The device type ``handover``: a robot whose controller loads a file and is ordered by its variables."""
+"""The device type ``plc_robot``: a robot whose controller loads a file and is ordered by its variables."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Vari
 from polishd.drivers.transport.address import tcp_address
 from polishd.util.secret_files import SecretPlace, require_private
 
-# The keys of ``[robot]`` with ``type = "handover"``: docs/handover.md.
+# The keys of ``[robot]`` with ``type = "plc_robot"``: docs/plc-robot.md.
 
 
-class HandoverOptions(ConfigSection):
-    """Keys of ``[robot]`` with ``type = "handover"``."""
+class PlcRobotOptions(ConfigSection):
+    """Keys of ``[robot]`` with ``type = "plc_robot"``."""
 
     profile: str
     """The controller's profile: a shipped one by its name, or the path of a ``.toml``."""
@@ -59,7 +59,7 @@ EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh
 """Extras of polishd, and the library that each brings."""
 
 
-def build(options: HandoverOptions, context: DeviceContext) -> PlcRobot:
+def build(options: PlcRobotOptions, context: DeviceContext) -> PlcRobot:
     """The robot. ConfigError where the controller must not polish, or a library is missing."""
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
@@ -74,14 +74,14 @@ def build(options: HandoverOptions, context: DeviceContext) -> PlcRobot:
     )
 
 
-def own_lines(options: HandoverOptions, context: DeviceContext) -> OwnLines:
+def own_lines(options: PlcRobotOptions, context: DeviceContext) -> OwnLines:
     """Pauses, dwells and the end, as the controller's profile writes them."""
     table = load_controller_profile(options.profile, context.base_dir).program
     dwells = {seconds: table.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
     return OwnLines(f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end))
 
 
-def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceContext) -> Callable[[], Variables]:
+def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceContext) -> Callable[[], Variables]:
     table, silence_s = profile.variables, profile.silence_s
     match profile.link:
         case "opcua":
@@ -102,7 +102,7 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             return make
 
 
-def _papers(options: HandoverOptions, base_dir: Path) -> OpcUaCertificates | None:
+def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | None:
     """All three files, or None where none is named."""
     names = {key: getattr(options, key) for key in ("certificate", "private_key", "server_certificate")}
     if not any(names.values()):
@@ -110,12 +110,12 @@ def _papers(options: HandoverOptions, base_dir: Path) -> OpcUaCertificates | Non
     for key, name in names.items():
         if not (name and (base_dir / Path(name).expanduser()).is_file()):
             said = f"{name!r} is no file" if name else "is missing"
-            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
+            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/plc-robot.md)")
     require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
     return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 
-def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
+def _delivery(options: PlcRobotOptions, context: DeviceContext) -> Delivery:
     kind, _, rest = options.delivery.partition(":")
     match kind:
         case "folder" if rest:
@@ -137,7 +137,7 @@ def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
             )
 
 
-def _place(options: HandoverOptions, context: DeviceContext, port: int) -> RemoteFolder:
+def _place(options: PlcRobotOptions, context: DeviceContext, port: int) -> RemoteFolder:
     url = urlsplit(options.delivery)
     if not url.hostname or not url.username or url.password is not None or url.query or url.fragment:
         raise ConfigError(
@@ -162,9 +162,9 @@ def _require(extra: str, what: str) -> None:
 
 DEVICE_TYPES = [
     DeviceType(
-        "handover",
+        "plc_robot",
         "robot",
-        HandoverOptions,
+        PlcRobotOptions,
         build,
         own_lines=own_lines,
         simulated_by="plc_robot",

@@ -206,7 +206,6 @@ SIM_DEVICES = [
         links=CAN_LINKS,
         main=spindle,
         faults=("reverse",),
-        drive="cia402",
     ),
     SimDevice(
         name="cia402",

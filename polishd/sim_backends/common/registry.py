@@ -37,19 +37,16 @@ class SimDevice:
     """Coroutine of its process. Takes a ``SimRuntime``."""
     faults: Sequence[str] = ()
     """States of ``[[fault]]`` that it can be in."""
-    drive: str = ""
-    """Value of the section's ``drive``, where two devices have the same ``kind``."""
 
     def fits(self, device: str, section: Any) -> bool:
         """The section of SIM.toml describes this device."""
-        drive = getattr(section, "drive", self.drive)
-        return self.device == device and getattr(section, "kind", "") in self.links and self.drive in {"", drive}
+        return self.device == device and getattr(section, "kind", "") in self.links
 
 
 def find_device(config: SimConfig, device: str) -> SimDevice:
     """The simulated device that a section of SIM.toml describes."""
     section = getattr(config, device)
-    hints = (device, getattr(section, "kind", ""), getattr(section, "drive", ""))
+    hints = (device, getattr(section, "kind", ""))
     return next(found for found in sim_devices(hints) if found.fits(device, section))
 
 

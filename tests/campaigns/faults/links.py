@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from tests.system import handover_rig, universal_robots_rig
+from tests.system import plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
@@ -171,7 +171,7 @@ def _monitored(folder: Path) -> DemoFiles:
 
 
 def _plc(folder: Path, kind: str) -> DemoFiles:
-    files = handover_rig.write_files(folder, kind, 30.0, **ONE_PASS)
+    files = plc_robot_rig.write_files(folder, kind, 30.0, **ONE_PASS)
     profile = files.out / "controller.toml"
     profile.write_text(profile.read_text().replace("silence_s = 6.0", f"silence_s = {PLC_SILENCE_S}"))
     return files
@@ -192,8 +192,8 @@ CIA402 = partial(Link, write=_cia402, driver="cia402", simulator="cia402")
 ASIDE: Mapping[str, Fault] = {name: LOST[name] for name in ("hangs", "unplugged")}
 LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
-    "handover over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
-    "handover over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
+    "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
+    "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),

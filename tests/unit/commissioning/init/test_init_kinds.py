@@ -53,7 +53,7 @@ def test_a_cell_of_each_kind_passes_its_check(tmp_path: Path, kind: str) -> None
 @pytest.mark.full
 def test_what_is_about_the_parts_safety_is_not_assumed_away(tmp_path: Path) -> None:
     """How deep a feed hold digs follows from times that only a person can state."""
-    robot = 'type = "handover"\nprofile = "plc-opcua"\naddress = "opc.tcp://plc:4840"\ndelivery = "folder:nc"'
+    robot = 'type = "plc_robot"\nprofile = "plc-opcua"\naddress = "opc.tcp://plc:4840"\ndelivery = "folder:nc"'
     told = init(tmp_path, f"{ROUND}[robot]\n{robot}\n")
     assert "program.rnc" in told["written"]
     with pytest.raises(ConfigError, match=r"limits\.max_stall_removal_nm: a feed hold at the controller would dig"):

@@ -80,7 +80,7 @@ def test_a_wrong_answer_is_told_at_once_and_asked_again(
 @pytest.mark.full
 def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> None:
     person = Person(
-        robot__type=["handover"],
+        robot__type=["plc_robot"],
         robot__profile=["", "plc-opcua"],
         robot__delivery=["folder:programs"],
         spindle__type=["spindle_profile"],

@@ -161,7 +161,7 @@ def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None
     ],
 )
 def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: str, kind: str) -> None:
-    keys = f'type = "handover"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
+    keys = f'type = "plc_robot"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
     secrets = 'delivery_password = "env:SECRET"\nserver_certificate = "plc.der"'
     draft = made(tmp_path, robot(f"{keys}\n{secrets}"))
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)

@@ -45,7 +45,7 @@ def hand_over(files: DemoFiles, kind: Kind) -> None:
         "modbus": f"tcp://127.0.0.1:{port}",
     }
     keys = {
-        "type": "handover",
+        "type": "plc_robot",
         "profile": "controller.toml",
         "address": addresses[kind],
         "delivery": "folder:sim/programs",

@@ -15,7 +15,7 @@ from asyncua import Client, ua
 from polishd.sim_backends.plc_robot.servers import NAMESPACE
 from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import Daemon, account, events, summary
-from tests.system.handover_rig import running, write_files
+from tests.system.plc_robot_rig import running, write_files
 from tests.system.sim_rig import wait_for
 
 pytestmark = pytest.mark.system
