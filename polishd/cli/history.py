@@ -190,7 +190,7 @@ def _monday(at_s: float) -> float:
     return day - (day + 3) % 7
 
 
-# ``polishd beliefs``: what a cell has learned and the next job begins with; and how it is forgotten.
+# ``polishd estimates``: what a cell has learned and the next job begins with; and how it is forgotten.
 
 ESTIMATE_COLUMNS = ("tool", "job", "pass", "taught, UTC", "rate", "+-", "ms a block", "more")
 PARAMETERS = ("parameter", "value", "+-", "plans count with")

@@ -69,7 +69,7 @@ def quoted(word: str, *, executable: bool = False) -> str:
 
 # Units of systemd for what runs beside a cell's daemon, and for a shop's server: each a process of its own.
 
-Beside = Literal["web", "opcua", "shop-link", "shop-serve"]
+Beside = Literal["web", "opcua", "shop-connect", "shop-serve"]
 
 WRONG_USE = 2
 """Exit code of a command line that is wrong."""
@@ -127,7 +127,7 @@ def _link(path: Path) -> str:
 PROCESSES: Mapping[Beside, _Process] = {
     "web": _Process(("web",), lambda path: load_config(path).cell.name),
     "opcua": _Process(("opcua",), _opcua),
-    "shop-link": _Process(("shop", "link"), _link),
+    "shop-connect": _Process(("shop", "link"), _link),
     "shop-serve": _Process(("shop", "serve"), lambda path: load_shop(path).shop.name),
 }
 

@@ -154,7 +154,7 @@ def _why(one: Mapping[str, Any]) -> str:
 
 def _heard(cell: Mapping[str, Any]) -> str:
     if cell["heard_s"] is None:
-        return "never: polishd shop link CELL.toml runs there?"
+        return "never: polishd shop connect CELL.toml runs there?"
     return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"
 
 

@@ -125,7 +125,7 @@ def _give_text(text: str, *, as_json: bool) -> None:
         stdout.print(text, markup=False, highlight=False, soft_wrap=True, end="")
 
 
-# ``polishd device find``: at which settings of the line a device answers. Reads only.
+# ``polishd device scan``: at which settings of the line a device answers. Reads only.
 
 BAUDS = (9600, 19_200, 38_400, 57_600, 115_200, 4800)
 Place = tuple[SerialLine | Tcp, int | None]

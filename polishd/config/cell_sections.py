@@ -340,8 +340,8 @@ class CertificateSection(ConfigSection):
     shop: str = ""
     """The shop's name, as a certificate has it."""
     key: Text | None = None
-    """File of the shop's private key, made by `polishd report key`: certificates are signed with it; left out: they are
-    not signed."""
+    """File of the shop's private key, made by `polishd report keygen`, which signs certificates. Left out: they are not
+    signed."""
 
 
 class LimitsSection(ConfigSection):

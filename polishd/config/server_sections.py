@@ -54,7 +54,7 @@ def _address(url: str) -> str:
 
 
 class ShopLinkSection(ConfigSection):
-    """The shop that this cell belongs to; `polishd shop link` tells it what happens here, and asks it for parts."""
+    """The shop that this cell belongs to; `polishd shop connect` tells it what happens here, and asks it for parts."""
 
     url: Annotated[Text, AfterValidator(_address)]
     """Its address: `https://HOST:PORT`; `http://` on this computer only."""

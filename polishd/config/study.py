@@ -32,7 +32,7 @@ from polishd.model.outline import Outline
 
 Taken = Literal["rate", "spot", "touch"]
 """What a loop takes over from a witness part: a spot's volume rate alone, or its shape with it, or all that a first
-touch teaches (`polishd calibrate cell`)."""
+touch teaches (`polishd calibrate first-touch`)."""
 Poses = tuple[tuple[float, float, float], ...]
 """(angle_deg, x_mm, y_mm) of the part in maps: counter-clockwise as displayed, then further right and up."""
 _POSES: TypeAdapter[list[tuple[float] | tuple[float, float, float]]] = TypeAdapter(
@@ -74,7 +74,7 @@ class LoopStudy(TomlDocument):
     controllers: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
     """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
     or `"spot"`: what it begins with of a spot that the same machine has polished on another part; `"touch"`: it
-    begins with what the first touch of `polishd calibrate cell` has taught there. `poses`: how the part lies
+    begins with what the first touch of `polishd calibrate first-touch` has taught there. `poses`: how the part lies
     (angle_deg, x_mm, y_mm) in maps before the first pass, which tell the instrument's own error. `learns = false`:
     what its passes teach is judged, and not taken over."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20

@@ -279,7 +279,7 @@ def _journal(config: CellConfig, program: Program) -> Journal:
         if (other := Queue(cell.store).under_way()) is not None:
             raise ConfigError(
                 f"{config.state_dir}: the job {other.name!r} of the queue is under way; go on with it: polishd run "
-                f"{config.path} --queue; or put it aside: polishd job remove {config.path} {other.name}"
+                f"{config.path} --queue; or put it aside: polishd queue remove {config.path} {other.name}"
             )
         journal = cell.of_job(config.job.id, config.part.id, terms)
         require_same(config, terms, journal)

@@ -125,7 +125,7 @@ class JobRunner:
         """Handlers of the verbs of the socket."""
         found = status_snapshot(self._cell, self._health, self.bus, self._now)
         orders = {verb.value: partial(self._order, verb) for verb in ORDERS}
-        own: dict[str, Handler] = {"status": self.status, **found, **orders, "job_remove": self._remove}
+        own: dict[str, Handler] = {"status": self.status, **found, **orders, "queue_remove": self._remove}
         return {**self._requests.handlers, **self.jobs.handlers(), **own}
 
     async def status(self) -> Mapping[str, Any]:
@@ -255,7 +255,7 @@ class JobRunner:
     async def _go_on(self) -> StateResult:
         """Go on with the job under way, once it is sure that no other cell has its part meanwhile."""
         if lost := await self._queued().claims.settled(self.jobs.entry):
-            return await self._ended(JobResult("put aside", lost, ""))
+            return await self._ended(JobResult("set aside", lost, ""))
         return StateResult(StateEvent.NEXT, self._to_change())
 
     async def _begin(self) -> StateResult:
@@ -384,19 +384,19 @@ class JobRunner:
         if failure is not None:
             self.bus.publish(events.CellHeld(error=str(failure), kind=type(failure).__name__))
             self._error = failure  # published with the job that is still under way
-        if verdict.how == "put aside":
+        if verdict.how == "set aside":
             self._part_in = ""  # it may be another part, or be fixed wrongly: an operator puts it in again
         last = self.last_words(result.outcome, failure)
         name = entry.name if entry else ""
         facts = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
-        outcome = "failed" if failure else "put aside" if verdict.how == "put aside" else result.outcome.value
-        notes = [*last["notes"], *([verdict.reason] if verdict.how == "put aside" else [])]
+        outcome = "failed" if failure else "set aside" if verdict.how == "set aside" else result.outcome.value
+        notes = [*last["notes"], *([verdict.reason] if verdict.how == "set aside" else [])]
         await self._queued().end(verdict, {**last, **figures(self.job), **facts, "outcome": outcome, "notes": notes})
         gc.collect()  # its passes froze their garbage: the maps and plans of hundreds of parts would stay
         return _after(verdict, name, result)
 
     async def _wait(self) -> StateResult:
-        """Until a command changes something or is refused, or the job is put aside over which the cell is held."""
+        """Until a command changes something or is refused, or the job is set aside over which the cell is held."""
         done: list[StateResult] = []
 
         async def obey() -> None:
@@ -406,7 +406,7 @@ class JobRunner:
         if aside is not None:
             kind = type(self._error).__name__ if self._error else ""
             reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
-            verdict = JobResult("put aside", reason, kind)
+            verdict = JobResult("set aside", reason, kind)
             if self.jobs.entry is None and (begun := self.jobs.queue.under_way()) is not None:
                 return self._refused(begun, verdict)
             return await self._ended(verdict)
@@ -513,7 +513,7 @@ class JobRunner:
             raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
         aside = OperatorCommand(StateEvent.ENDED, " ".join(reason.split()))
         self.bus.publish(
-            events.CommandReceived(order="job_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by)
+            events.CommandReceived(order="queue_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by)
         )
         self._asides.put_nowait((entry, aside))
         async with self._changed:

@@ -141,7 +141,7 @@ class SingleJob(JobSource):
 
 MakeJob = Callable[[QueueEntry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
 """Makes an entry's job, journals it as under way, and makes its run folder; see ``assembly.JobMaker``."""
-EMPTY = "the queue is empty: polishd job add CELL.toml JOB.toml adds to it, polishd run CELL.toml --queue goes on"
+EMPTY = "the queue is empty: polishd queue add CELL.toml JOB.toml adds to it, polishd run CELL.toml --queue goes on"
 GOES_ON = "no job was under way: polishd run CELL.toml --queue goes on with those that wait; held, if it was held"
 
 
@@ -185,7 +185,7 @@ class QueuedJobs(JobSource):
         try:
             await self.begin(entry)
         except PolishdError as error:
-            aside = f"or put it aside: polishd job remove CELL.toml {entry.name}"
+            aside = f"or put it aside: polishd queue remove CELL.toml {entry.name}"
             raise type(error)(
                 f"{error}\nthe job {entry.name!r} of the queue is under way; mend that, {aside}"
             ) from error
@@ -277,4 +277,4 @@ class QueuedJobs(JobSource):
 
 def _outcome(verdict: JobResult) -> str:
     """As the journal's jobs have it."""
-    return {"accepted": "in_tolerance", "put aside": "put aside"}.get(verdict.how, verdict.fault)
+    return {"accepted": "in_tolerance", "set aside": "set aside"}.get(verdict.how, verdict.fault)

@@ -7,7 +7,7 @@ The first condition that holds decides:
    reports the finding about the tool, and the queue stops over it (`polishd.daemon.queue.queue.judge`).
 3. `ToolWorn`. The next part would get the same tool, so an unattended cell stops for an operator. This comes before
    all ends that let the queue go on with the next part.
-4. `Stalled`. Passes remove less error than planned, for a cause that an operator can find: the part is put aside. This
+4. `Stalled`. Passes remove less error than planned, for a cause that an operator can find: the part is set aside. This
    comes before `PassesUsed`, so that a stall on the last allowed pass does not reject the part.
 5. `PassesUsed`. The job may make no more passes.
 6. `AnotherPass`.

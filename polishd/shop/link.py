@@ -1,4 +1,4 @@
-"""``polishd shop link``: a cell's side of the shop, a separate process beside the daemon.
+"""``polishd shop connect``: a cell's side of the shop, a separate process beside the daemon.
 
 Its outbox is the cell's journal: it reads the events that the shop does not have, by their numbers. It sends requests
 to the daemon over the daemon's socket, as the command line does.
@@ -382,13 +382,13 @@ class ShopLink:
         word = {key: list(answer[key]) for key in ("stands", "back", "lost")}
         self._open = [*word["stands"], *word["back"]]
         if "waiting" in status:
-            self._daemon("shop_word", word)
+            self._daemon("shop_assignments", word)
             self._offer([one for one in answer["offers"] if tuple(one.values()) not in self._seen])
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
         """Send the rates of other cells to the daemon where it needs them; consider each offer once."""
         if offers and (wanted := wanted_rates(self._config.state_dir, offers)):
-            self._daemon("shop_offer", {"offers": wanted})
+            self._daemon("shop_rates", {"offers": wanted})
         self._seen |= {tuple(one.values()) for one in offers}
 
     # parts
@@ -422,7 +422,7 @@ class ShopLink:
     def _add(self, request: str, path: Path, content: str) -> None:
         """Add the part to the cell's queue and journal. LinkError where the result is unknown."""
         job = {"path": str(path), "content": content}
-        answer = self._daemon("job_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
+        answer = self._daemon("queue_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
         if not answer.get("ok"):
             known = answer.get("exit_code") == ConfigError.exit_code
             raise (ConfigError if known else LinkError)(str(answer.get("error")))

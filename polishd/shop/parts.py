@@ -1,6 +1,6 @@
 """The shop's queue: parts and their cells. Each function is one step of a transaction.
 
-A claim does not expire: the cell ends it (the part is done, put aside, or given back), or a person does, when the cell
+A claim does not expire: the cell ends it (the part is done, set aside, or given back), or a person does, when the cell
 is gone.
 """
 
@@ -145,7 +145,7 @@ def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool
         _free(sql, found["request"], "gone", by, why)
         return f"{job} waits again; {cell} must not begin it any more and gets this answer when it reconnects"
     if part["state"] == "begun":
-        todo = "put it aside there (polishd hold, polishd job remove), or say that the cell is gone: --cell-is-gone"
+        todo = "put it aside there (polishd hold, polishd queue remove), or say that the cell is gone: --cell-is-gone"
         raise ConfigError(f"{job!r}: {cell} has begun it; {todo}")
     sql.run("UPDATE claim SET back = ? WHERE request = ?", by, found["request"])
     sql.word(by, "wanted back", job, cell, why)
@@ -153,9 +153,9 @@ def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool
 
 
 def remove(sql: DatabaseTransaction, job: str, by: str, why: str) -> None:
-    """Remove a part that waits or was put aside. ConfigError where a cell has it."""
+    """Remove a part that waits or was set aside. ConfigError where a cell has it."""
     if _part(sql, job)["state"] not in {"waiting", "aside"}:
-        raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was put aside, can be taken out")
+        raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was set aside, can be taken out")
     sql.run("UPDATE part SET state = 'removed', reason = ?, ended = ? WHERE job = ?", why, time.time(), job)
     sql.word(by, "removed", job, "", why)
 

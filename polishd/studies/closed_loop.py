@@ -159,7 +159,7 @@ TOOL = "tool"
 """... or a finding of the tool."""
 ERROR = "error"
 TOUCH_S = 1200.0
-"""Most contact of a first touch, as of `polishd calibrate cell`."""
+"""Most contact of a first touch, as of `polishd calibrate first-touch`."""
 
 
 @dataclass(frozen=True, slots=True)

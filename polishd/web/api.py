@@ -148,7 +148,7 @@ class Api:
 
     async def queue(self, _request: Request, _session: HttpSession) -> Any:
         """Jobs of the daemon's queue."""
-        return await self._asked("job_list")
+        return await self._asked("queue_list")
 
     async def jobs(self, _request: Request, _session: HttpSession) -> Any:
         """All jobs."""
@@ -240,13 +240,13 @@ class Api:
         """Move a waiting job."""
         said = await _json(request)
         args = {"job": _text(said, "job"), "where": _text(said, "where"), "other": _text(said, "other", "")}
-        return await self._ordered("job_move", {**args, "by": _by(session)})
+        return await self._ordered("queue_move", {**args, "by": _by(session)})
 
     async def remove(self, request: Request, session: HttpSession) -> Any:
         """Remove a waiting job, or the job over which the cell is held."""
         said = await _json(request)
         args = {"job": _text(said, "job"), "reason": _reason(said)}
-        return await self._ordered("job_remove", {**args, "by": _by(session)})
+        return await self._ordered("queue_remove", {**args, "by": _by(session)})
 
     async def _ordered(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> Any:
         try:

@@ -25,14 +25,14 @@ MOST_POINTS = 4000
 MOST_ROWS = 500
 """Most events in an answer."""
 ALARMS: Mapping[str, tuple[str, str, str]] = {
-    "held": ("warning", "error", "mend what it names, then resume"),
-    "failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
-    "found": ("warning", "what", "look at the tool and the last pass"),
-    "signal_wrong": ("warning", "what", "see to that signal"),
+    "cell_held": ("warning", "error", "mend what it names, then resume"),
+    "daemon_failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
+    "finding_reported": ("warning", "what", "look at the tool and the last pass"),
+    "signal_out_of_range": ("warning", "what", "see to that signal"),
     "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
-    "gate_stopped": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
-    "part_wanted": ("warning", "part_id", "put that part in, then resume"),
-    "plan_waits": ("warning", "program_sha256", "look at the plan, then approve it"),
+    "removal_check_failed": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
+    "part_requested": ("warning", "part_id", "put that part in, then resume"),
+    "plan_awaiting_approval": ("warning", "program_sha256", "look at the plan, then approve it"),
     "notification_failed": ("warning", "error", "mend that notifier"),
 }
 """By event: severity, key of the detail, and default advice."""
@@ -121,12 +121,12 @@ class RunData:
         found: list[dict[str, Any]] = []
         before, full = None, True
         while full:
-            older = read_events(self._state_dir, MOST_ROWS, before, (*ALARMS, "acknowledged"))
+            older = read_events(self._state_dir, MOST_ROWS, before, (*ALARMS, "alarm_acknowledged"))
             full = len(older) == MOST_ROWS
             found = [*older, *found]
             before = found[0]["number"] if found else None
         with naming_damage(self._state_dir):
-            seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
+            seen = {number for one in found if one["name"] == "alarm_acknowledged" for number in one["data"]["alarms"]}
             open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
             return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
 

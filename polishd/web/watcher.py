@@ -128,7 +128,7 @@ class Watcher:
     def _happened(self, event: dict[str, Any]) -> None:
         self.number += 1
         self._send(_message("happened", event))
-        if event.get("name") != "progress":
+        if event.get("name") != "pass_progressed":
             self._look.set()
 
     def _send(self, message: str) -> None:

@@ -109,7 +109,7 @@ class ShopCell:
     def __init__(self, name: str, files: DemoFiles) -> None:
         self.name, self.files = name, files
         self.daemon = Process(files.daemon_log, "run", files.cell, "--queue")
-        self.link = Process(files.out / "link.log", "shop", "link", files.cell)
+        self.link = Process(files.out / "link.log", "shop", "connect", files.cell)
 
     def status(self) -> dict[str, Any]:
         """What the daemon says; empty where none answers."""
@@ -127,7 +127,7 @@ class ShopCell:
         """A person gives a job up over which the cell is held."""
         with contextlib.suppress(PolishdError):
             args = {"job": job, "reason": "it does not go on", "by": "the campaign"}
-            client.request(self.files.state_dir, "job_remove", 60.0, args)
+            client.request(self.files.state_dir, "queue_remove", 60.0, args)
 
     def rows(self, sql: str) -> list[tuple[Any, ...]]:
         """Of its journal."""

@@ -95,7 +95,7 @@ def test_the_file_names_devices_links_and_ends(probed: tuple[Path, dict[str, Any
 
 @pytest.mark.full
 def test_the_links_are_shown(probed: tuple[Path, dict[str, Any]]) -> None:
-    told = json.loads(polishd("record", "show", probed[0], "--json"))
+    told = json.loads(polishd("recording", "show", probed[0], "--json"))
     links = {link["device"]: link for link in told["links"]}
     assert set(links) == {"actuator", "robot", "spindle"}
     assert told["missing"] == []
@@ -103,7 +103,7 @@ def test_the_links_are_shown(probed: tuple[Path, dict[str, Any]]) -> None:
         assert link["out"] <= link["bytes_out"]
         assert 0 < link["in"] <= link["bytes_in"]
         assert 0.0 <= link["first_s"] <= link["first_s"] + link["longest_silence_s"] <= link["last_s"]
-    assert "spindle" in polishd("record", "show", probed[0])
+    assert "spindle" in polishd("recording", "show", probed[0])
 
 
 def mutilated(case: Path, folder: Path, change: Callable[[list[bytes]], list[bytes]]) -> Path:

@@ -1,4 +1,4 @@
-"""A whole job, rehearsed: ``polishd sim --from`` a cell, then ``polishd run`` on the file that it wrote."""
+"""A whole job, rehearsed: ``polishd rehearse`` a cell, then ``polishd run`` on the file that it wrote."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def arm(out: Path) -> DemoFiles:
 @contextlib.contextmanager
 def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
     """The rehearsal of a cell, its simulator running."""
-    command = [sys.executable, "-m", "polishd", "sim", "--from", str(cell), *options]
+    command = [sys.executable, "-m", "polishd", "rehearse", str(cell), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
         try:
             assert simulator.stdout is not None

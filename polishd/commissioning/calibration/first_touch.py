@@ -1,4 +1,4 @@
-"""``polishd calibrate cell``: a first touch on a witness part, planned to teach the most in the least contact time."""
+"""``polishd calibrate first-touch``: a touch on a witness part, planned for the most information per contact time."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def _in_order(pool: Sequence[Track], seconds: FloatArray) -> list[int]:
 NOT_IN_MINUTES = {"wear": "a tool wears in hours: passes tell", "exponent": "it is not told from rate and compliance"}
 JOB, FRAGMENT, PICTURE, FIGURES = "job.toml", "fragment.toml", "touch.png", "touch.json"
 JOB_TEXT = """\
-# A first touch, made by polishd calibrate cell: {use}.
+# A first touch, made by polishd calibrate first-touch: {use}.
 [job]
 id = "first-touch-{part}"
 max_cycles = 1
@@ -368,7 +368,7 @@ def _table(touch: FirstTouchPlan, rows: Sequence[Mapping[str, Any]]) -> Table:
 def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
     short = "not all that is wanted will be known: no more contact was worth its time, or allowed (--minutes)"
     place = "put a witness part of the same shape, glass and slurry in"
-    queue = f"polishd job add {config.path} {out / JOB} in a cell with a queue"
+    queue = f"polishd queue add {config.path} {out / JOB} in a cell with a queue"
     include = f'include = ["{config.relative(out / FRAGMENT)}"]'
     single = f"{include} in the first line of a copy of {config.path.name}, and polishd run of that"
     return [
@@ -382,7 +382,7 @@ def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping
     single = JOB_TEXT.format(use="a fragment that a cell includes", part=part, program=config.relative(out / NAME))
     made = {
         NAME: touch.text,
-        JOB: JOB_TEXT.format(use="a job for polishd job add", part=part, program=NAME).encode(),
+        JOB: JOB_TEXT.format(use="a job for polishd queue add", part=part, program=NAME).encode(),
         FRAGMENT: single.encode(),
         PICTURE: program_picture(touch.program),
         FIGURES: (json.dumps(answer, indent=1) + "\n").encode(),

@@ -131,7 +131,7 @@ COLUMN = 45
 def sim_text(draft: RehearsalDraft) -> str:
     """SIM.toml."""
     lines = [
-        f"# Made by polishd sim --from {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
+        f"# Made by polishd rehearse {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
         "# Behind each value: the key of the cell that it comes from. All keys: docs/reference/simulator.md",
         *(f"# {note}" for note in draft.notes),
     ]
@@ -149,9 +149,7 @@ def cell_text(draft: RehearsalDraft) -> str:
         overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
     for key, value in {**_files(draft), **draft.laid}.items():
         _set(document, key.split("."), value)
-    head = (
-        f"# Made by polishd sim --from {config.path}: the same cell, with simulated devices and folders of its own.\n"
-    )
+    head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and folders of its own.\n"
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
 
 

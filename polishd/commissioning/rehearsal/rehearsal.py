@@ -1,4 +1,4 @@
-"""``polishd sim --from CELL.toml``: the simulated cell of that very cell, and the cell's file with its addresses."""
+"""``polishd rehearse CELL.toml``: the simulated cell of that very cell, and the cell's file with its addresses."""
 
 from __future__ import annotations
 

@@ -16,10 +16,10 @@ from polishd.daemon.journal.store import EVENTS_RENAMED, SCHEMA_VERSION, require
 from polishd.model.errors import ConfigError, JournalDamage, ToolStop
 from polishd.model.tolerance import LineResult, line_results, worst_line
 
-FAULTS = ("held", "failed", "found")
+FAULTS = ("cell_held", "daemon_failed", "finding_reported")
 """Events that somebody had to see to."""
 TOLD = ToolStop.__name__
-"""An error whose cause is an event of its own, ``found``."""
+"""An error whose cause is the event ``finding_reported``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def read_events(
     """
     if not (state_dir / JOURNAL_NAME).exists():
         return []
-    kinds = f"name IN ({', '.join('?' * len(names))})" if names else "name != 'progress'"
+    kinds = f"name IN ({', '.join('?' * len(names))})" if names else "name != 'pass_progressed'"
     sql = f"SELECT id, at, cycle, name, data FROM event WHERE {kinds} AND id < ? ORDER BY id DESC LIMIT ?"  # noqa: S608
     with read_only(state_dir) as journal:
         rows = journal.execute(sql, (*names, 1 << 60 if before is None else before, count)).fetchall()
@@ -207,8 +207,8 @@ def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[FaultEvent]:
     last = ("", "")
     for at_s, name, data in events:
         said = json.loads(data)
-        fault = FaultEvent(at_s, said["kind"], said["what" if name == "found" else "error"])
-        again = name == "failed" and last == (fault.kind, fault.what)
+        fault = FaultEvent(at_s, said["kind"], said["what" if name == "finding_reported" else "error"])
+        again = name == "daemon_failed" and last == (fault.kind, fault.what)
         last = (fault.kind, fault.what)
         if fault.kind != TOLD and not again:
             yield fault

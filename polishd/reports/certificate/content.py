@@ -99,7 +99,9 @@ def _taught(run: CertificateRun, done: Row, after: Row | None) -> PassEstimate:
     """Return the result of a pass. No parameter is estimated from an interrupted pass."""
     shown = done["facts"].get("shown") or {}
     rate, expected, seen_nm = shown.get("rate") or {}, shown.get("expected_nm"), shown.get("seen_nm")
-    events = [row for row in run.rows.events if row["name"] == "learned" and row["cycle"] == done["cycle"] + 1]
+    events = [
+        row for row in run.rows.events if row["name"] == "estimates_updated" and row["cycle"] == done["cycle"] + 1
+    ]
     findings = [one["what"] for one in done["facts"].get("findings") or ()]
     return PassEstimate(
         measured_rms_nm=None if after is None else after["stats"]["rms_nm"],
@@ -112,7 +114,7 @@ def _taught(run: CertificateRun, done: Row, after: Row | None) -> PassEstimate:
 
 # Anomalies and the action after each: from the journal's events and passes.
 
-REPORTED = {"gate_stopped": "stop", "signal_wrong": "what", "found": "what"}
+REPORTED = {"removal_check_failed": "stop", "signal_out_of_range": "what", "finding_reported": "what"}
 """Events that are reported, and the field with the description."""
 ERRORS = ("failed", "held")
 """An error that held the cell and then ended the daemon is reported once."""
@@ -136,9 +138,9 @@ def event_anomalies(events: Sequence[Row], end: str) -> Iterator[Anomaly]:
             kind, what = data.get("kind") or name.replace("_", " "), data[REPORTED[name]]
         elif name in ERRORS:
             kind, what = data["kind"], data["error"]
-        elif name == "state" and data["state"] == "held" and data["reason"]:
+        elif name == "state_changed" and data["state"] == "held" and data["reason"]:
             kind, what = "hold", data["reason"]
-        elif name == "ordered" and data["order"] != "resume":
+        elif name == "command_received" and data["order"] != "resume":
             kind, what = "command", f"{data['order']} was ordered" + (f": {data['reason']}" if data["reason"] else "")
         else:
             continue
@@ -156,18 +158,18 @@ def _action(later: Sequence[Row]) -> str:
     steps = []
     for event in later:
         name, data, when = event["name"], event["data"], f"{at(event['at']):%Y-%m-%d %H:%M:%S}"
-        if name == "ordered":
+        if name == "command_received":
             reason = f" ({data['reason']})" if data["reason"] else ""
             steps.append(f"{data['order']} was ordered{reason}, {when}")
-        elif name == "state" and data["state"] == "finished":
+        elif name == "state_changed" and data["state"] == "finished":
             steps.append(f"the daemon ended, {when}")
-        elif name == "state" and data["state"] == "starting":
+        elif name == "state_changed" and data["state"] == "starting":
             steps.append(f"the daemon was started again, {when}")
-        elif name == "measured":
+        elif name == "map_measured":
             return "; ".join([*steps, f"the part was measured first: RMS {data['rms_nm']:.2f} nm"])
         elif name == "pass_ended":
             return "; ".join([*steps, f"the pass was continued to its end, {when}"])
-        elif name in {"pass_begun", "job_ended"}:
+        elif name in {"pass_started", "queue_job_ended"}:
             break
     return "; ".join(steps)
 
@@ -506,7 +508,7 @@ def _journal(run: CertificateRun) -> model.JournalFacts:
     events = [
         model.CertificateEvent(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_plain(row["data"]))
         for row in run.rows.events
-        if row["name"] != "progress"
+        if row["name"] != "pass_progressed"
     ]
     return model.JournalFacts(sha256=run.rows.sha256, rows=dict(run.rows.counts), events=events)
 

@@ -66,7 +66,7 @@ function watch() {
   });
   stream.addEventListener("happened", (event) => {
     const { name } = JSON.parse(event.data);
-    if (name !== "progress") refresh();
+    if (name !== "pass_progressed") refresh();
   });
   stream.addEventListener("error", () => { known.heard = -Infinity; show(); });
   stream.addEventListener("open", refresh);

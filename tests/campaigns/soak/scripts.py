@@ -15,7 +15,7 @@ from tests.campaigns.soak.cell import SoakCell
 Strike = Callable[[SoakCell], None]
 When = Literal["", "between jobs", "in contact", "solving"]
 
-ACCEPTED, ASIDE = "accepted", "put aside"
+ACCEPTED, ASIDE = "accepted", "set aside"
 THIS = "THE PART"
 """In a simulator's section: the name of the part itself."""
 

@@ -98,7 +98,7 @@ class Running:
             await asyncio.sleep(0)
 
     def states(self) -> list[str]:
-        return [event.data["state"] for event in self.told if event.name == "state"]
+        return [event.data["state"] for event in self.told if event.name == "state_changed"]
 
 
 def begin_earlier(tmp_path: Path, *, interrupted: bool) -> None:
@@ -551,9 +551,9 @@ async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
     assert (site.config.run_dir / "cell.toml").read_text() == "# a cell"
     assert (site.config.run_dir / "journal.sqlite").stat().st_size > 0
     assert not (site.config.state_dir / "polishd.sock").exists()
-    finished = next(event for event in site.told if event.name == "job_finished")
+    finished = next(event for event in site.told if event.name == "run_folder_completed")
     assert finished.data["run_dir"] == str(site.config.run_dir)
-    assert [e.data["state"] for e in site.told if e.name == "state"][-1] == "finished"
+    assert [e.data["state"] for e in site.told if e.name == "state_changed"][-1] == "finished"
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert not journal.resumed, "the job is over: the next one is a new one"
 
@@ -571,7 +571,7 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         ("MapError", "all holes", True)
     ]
     assert summary["notes"][0].endswith(" ended: MapError: all holes")
-    failed = next(event for event in site.told if event.name == "failed")
+    failed = next(event for event in site.told if event.name == "daemon_failed")
     assert (failed.data["error"], failed.data["kind"], failed.data["tool_off"]) == ("all holes", "MapError", "yes")
     assert failed.data["next"] == summary["next"]
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:

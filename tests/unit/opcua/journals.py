@@ -12,7 +12,7 @@ from polishd.daemon.journal.store import Store, connect
 JOBS = ((1, "lens", "A-1", 100.0, 200.0, "in_tolerance"), (2, "mirror", "A-2", 300.0, 400.0, "cycles_used"),
         (3, "flat", "A-3", 500.0, None, None), (4, "wedge", "A-4", 600.0, None, None))  # fmt: skip
 QUEUE = ((1, "lens", "A-1", 1, 200.0, "accepted", ""), (2, "mirror", "A-2", 2, 400.0, "rejected", "all used"),
-         (3, "flat", "A-3", 3, 550.0, "put aside", "cut off"), (4, "wedge", "A-4", 4, None, None, ""),
+         (3, "flat", "A-3", 3, 550.0, "set aside", "cut off"), (4, "wedge", "A-4", 4, None, None, ""),
          (5, "prism", "A-5", None, None, None, ""))  # fmt: skip
 RMS_NM = {1: 1.5, 2: 3.5}
 

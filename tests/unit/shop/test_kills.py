@@ -217,7 +217,7 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
         found = content(shop)
         with closing(sqlite3.connect(config.state_dir / "journal.sqlite")) as own:
             queue = own.execute("SELECT name, claim FROM queue").fetchall()
-            recorded = own.execute("SELECT id FROM event WHERE name != 'progress' ORDER BY id").fetchall()
+            recorded = own.execute("SELECT id FROM event WHERE name != 'pass_progressed' ORDER BY id").fetchall()
         with closing(sqlite3.connect(shop.state_dir / DATABASE_NAME)) as database:
             claims = database.execute("SELECT request, ended FROM claim").fetchall()
             states = dict(database.execute("SELECT job, state FROM part"))

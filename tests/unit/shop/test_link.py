@@ -86,7 +86,7 @@ class Desk:
         if verb == "status":
             return {"ok": True, "state": self.state, "waiting": len(self.waiting())}
         self.asked.append((verb, dict(args)))
-        if verb == "job_add":
+        if verb == "queue_add":
             if self.refuses:
                 return {"ok": False, "error": self.refuses[0], "exit_code": self.refuses[1]}
             with Queue.at_rest(self._config.state_dir) as queue:
@@ -240,10 +240,10 @@ def test_a_part_that_this_cell_cannot_work_is_refused_with_the_reason(
 def test_it_is_refused_only_where_it_is_sure_that_the_daemon_has_not_taken_it(rig: Rig) -> None:
     rig.happens(HELD)
     rig.office.parts = ["lens"]
-    rig.desk.silent = "job_add"
+    rig.desk.silent = "queue_add"
     with pytest.raises(LinkError):
         rig.link.turn()
-    rig.desk.silent, rig.desk.refuses = "", ("job_add failed inside the daemon", 1)
+    rig.desk.silent, rig.desk.refuses = "", ("queue_add failed inside the daemon", 1)
     with pytest.raises(LinkError):
         rig.link.turn()
     assert rig.office.of("refuse") == []
@@ -256,11 +256,11 @@ def test_the_daemon_hears_the_shops_word_and_what_others_have_learned(rig: Rig) 
     rig.happens(HELD)
     rig.office.word = {"stands": ["a"], "back": ["b"], "lost": ["c"], "offers": [OFFER]}
     rig.link.turn()
-    assert rig.desk.asked[0] == ("shop_word", {"stands": ["a"], "back": ["b"], "lost": ["c"]})
-    assert rig.desk.asked[1] == ("shop_offer", {"offers": [OFFER]})
+    assert rig.desk.asked[0] == ("shop_assignments", {"stands": ["a"], "back": ["b"], "lost": ["c"]})
+    assert rig.desk.asked[1] == ("shop_rates", {"offers": [OFFER]})
     rig.happens(events.ShopRateReceived(**OFFER))  # type: ignore[arg-type]
     rig.link.turn()
-    assert [verb for verb, _ in rig.desk.asked].count("shop_offer") == 1, "it was offered"
+    assert [verb for verb, _ in rig.desk.asked].count("shop_rates") == 1, "it was offered"
     claims = rig.office.of("report")[-1]["claims"]
     assert claims == {"a": {"state": "unknown"}, "b": {"state": "unknown"}}, "its queue has none of them"
 
@@ -362,7 +362,7 @@ def test_what_this_cell_has_learned_itself_needs_no_offer(rig: Rig) -> None:
         own.begin_pass(0, "ab", "boot", 10, facts={"taught": {"recipe": "r1"}, "measured": float("nan")})
     rig.office.word["offers"] = [OFFER, {**OFFER, "recipe": "r2"}]
     rig.link.turn()
-    (said,) = [args for verb, args in rig.desk.asked if verb == "shop_offer"]
+    (said,) = [args for verb, args in rig.desk.asked if verb == "shop_rates"]
     assert [one["recipe"] for one in said["offers"]] == ["r2"]
 
 

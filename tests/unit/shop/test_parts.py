@@ -216,7 +216,7 @@ def test_what_was_put_aside_waits_for_a_person(shop: Database) -> None:
     add(shop, "a", "b")
     claim(shop, "north", "1")
     claim(shop, "north", "2")
-    report(shop, "north", **{"1": "put aside", "2": "removed"})
+    report(shop, "north", **{"1": "set aside", "2": "removed"})
     assert states(shop) == {"a": "aside", "b": "aside"}
     assert claim(shop, "south", "3") is None
     assert release(shop, "a") == "a waits again"

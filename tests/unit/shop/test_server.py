@@ -99,7 +99,7 @@ def test_a_cell_that_has_a_token_and_was_never_heard_is_told(shop: Asked, tmp_pa
     assert (north["cell"], north["state"], north["away"]) == ("north", "idle", False)
     assert south == {"cell": "south", "heard_s": None, "away": True, "claims": 0, "passes": 0}
     said = polishd("shop", "status", tmp_path / "shop.toml")
-    assert (said.code, "never: polishd shop link" in said.out) == (0, True), said.out
+    assert (said.code, "never: polishd shop connect" in said.out) == (0, True), said.out
 
 
 def test_a_token_is_for_its_own_side_alone(shop: Asked) -> None:

@@ -48,7 +48,7 @@ JUDGED = [
     {"what": "slope RMS over 2 mm", "value": 3.0, "limit": 1.0, "unit": "urad"},
 ]
 TALLY = {
-    "parts": {"in_tolerance": 3, "put aside": 1},
+    "parts": {"in_tolerance": 3, "set aside": 1},
     "passes": {"done": 8},
     "measured": {"rms_nm": 1.5, "judged": JUDGED},
 }

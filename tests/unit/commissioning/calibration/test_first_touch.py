@@ -1,4 +1,4 @@
-"""``polishd calibrate cell``: the files that it leaves, and what it refuses."""
+"""``polishd calibrate first-touch``: the files that it leaves, and what it refuses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``polishd sim --from``: what of a cell the simulator becomes, what it is not, and what is never touched."""
+"""``polishd rehearse``: what of a cell the simulator becomes, what it is not, and what is never touched."""
 
 from __future__ import annotations
 
@@ -322,7 +322,7 @@ def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) 
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))
     before = cell.read_bytes()
-    said = CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only"])
+    said = CliRunner().invoke(app, ["rehearse", str(cell), "--write-only"])
     assert said.exit_code == 0, said.output
     folder = tmp_path / "lens-rehearsal"
     assert load_simulator(folder / "sim.toml").plant.curvature_radius_mm == 800.0
@@ -337,7 +337,7 @@ def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) 
 def test_speed_and_seed_are_written_with_write_only(tmp_path: Path) -> None:
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))
-    words = ["sim", "--from", str(cell), "--write-only", "--speed", "20", "--seed=7"]
+    words = ["rehearse", str(cell), "--write-only", "--speed", "20", "--seed=7"]
     said = CliRunner().invoke(app, words)
     assert said.exit_code == 0, said.output
     plant = load_simulator(tmp_path / "lens-rehearsal" / "sim.toml").plant
@@ -355,7 +355,7 @@ def test_an_option_that_would_be_dropped_is_refused(tmp_path: Path, options: lis
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))
     with pytest.raises(ConfigError, match=said):
-        CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only", *options], catch_exceptions=False)
+        CliRunner().invoke(app, ["rehearse", str(cell), "--write-only", *options], catch_exceptions=False)
     assert [path.name for path in tmp_path.iterdir()] == ["lens.toml"]
 
 
@@ -366,4 +366,4 @@ def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
 
 def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--state and --artefact go without --from"):
-        CliRunner().invoke(app, ["sim", "--from", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)
+        CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)

@@ -408,7 +408,7 @@ INSERT INTO map VALUES (1, 1, 0, 'aa', 'x', '{}', 1.5), (2, 2, 0, 'bb', 'y', '{"
 INSERT INTO phase VALUES (1, 2, 0, 'measure', 3.0, 3.6, 'done', NULL);
 INSERT INTO pass VALUES (2, 0, 'prog', 'boot', 5, 1, 4, '{"rate": 0.9}', 4.0, NULL, NULL);
 INSERT INTO segment VALUES (2, 0, 1, 10.0, 10.5, 1, 0), (2, 0, 2, 10.5, 11.5, 1, 0);
-INSERT INTO event VALUES (1, 2, 4.0, 0, 'pass_begun', '{}');
+INSERT INTO event VALUES (1, 2, 4.0, 0, 'pass_started', '{}');
 PRAGMA user_version = 1;
 """  # noqa: E501
 

@@ -107,7 +107,7 @@ def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
 
 
 def test_from_a_cell_with_its_key(polishd: Polishd, whole_files: DemoFiles, tmp_path: Path) -> None:
-    assert polishd("report", "key", tmp_path / "shop.key", "--json").answer["private"] == str(tmp_path / "shop.key")
+    assert polishd("report", "keygen", tmp_path / "shop.key", "--json").answer["private"] == str(tmp_path / "shop.key")
     text = whole_files.cell.read_text() + f'\n[certificate]\nshop = "Example Optics"\nkey = "{tmp_path}/shop.key"\n'
     cell = tmp_path / "cell.toml"
     cell.write_text(text.replace('state_dir = "state"', f'state_dir = "{whole_files.state_dir}"'))
