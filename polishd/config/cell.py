@@ -302,9 +302,12 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
     """(key, what is wrong) of device types of earlier versions."""
-    for name, section in config.devices.items():
-        if section.type in RENAMED_TYPES:
-            yield f"{name}.type", f"{section.type!r} was removed or renamed. Write type = {RENAMED_TYPES[section.type]}"
+    for port, section in ((port, getattr(config, port)) for port in PORTS):
+        several = {} if section is None else section.tables
+        types = {f"{port}.{name}": keys.get("type") for name, keys in several.items()}
+        for name, kind in (types or {port: getattr(section, "type", None)}).items():
+            if kind in RENAMED_TYPES:
+                yield f"{name}.type", f"{kind!r} was removed or renamed. Write type = {RENAMED_TYPES[kind]}"
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:

@@ -68,8 +68,8 @@ async def run_command(name: str, step: HandlingStep, environment: Mapping[str, s
         done = True
     except TimeoutError:
         raise HandlingError(
-            f"{name}: {step.command[0]} was not done after {step.timeout_s:g} s (between.{name}.within_s), and was "
-            "killed; see to it, then polishd resume runs it again"
+            f"{name}: {step.command[0]} was not done after {step.timeout_s:g} s (part_handling.{name}.timeout_s), "
+            "and was killed; see to it, then polishd resume runs it again"
         ) from None
     finally:
         if not done:
@@ -98,7 +98,7 @@ async def _started(name: str, step: HandlingStep, environment: Mapping[str, str]
         return await asyncio.shield(starting)
     except (OSError, ValueError) as error:
         raise HandlingError(
-            f"{name}: {step.command[0]}: cannot be run: {error}; mend between.{name}.command"
+            f"{name}: {step.command[0]}: cannot be run: {error}; mend part_handling.{name}.command"
         ) from error
     except asyncio.CancelledError:
         await asyncio.wait({starting})  # it may run already, and asyncio by itself would kill nothing that it started

@@ -692,7 +692,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     assert (hall.tmp_path / "runs" / "a" / "journal.sqlite").exists()
     assert [event["outcome"] for event in hall.events("run_folder_completed")] == [outcome]
     assert [event["outcome"] for event in hall.events("queue_stopped")] == ["stopped"] * (ends is None)
-    concerns = [event for event in hall.told if event.name in {"queue_stopped", "failed"}]
+    concerns = [event for event in hall.told if event.name in {"queue_stopped", "daemon_failed"}]
     assert [concern.severity for event in concerns if (concern := event.concern())] == [
         Severity.INFO if ends is None else Severity.ALARM
     ]

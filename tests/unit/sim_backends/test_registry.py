@@ -47,7 +47,7 @@ def test_a_section_finds_its_device(device: SimDevice, kind: str, tmp_path: Path
 def test_the_default_cell_has_all_its_devices() -> None:
     config = SimConfig()
     found = [find_device(config, name).name for name in ("robot", "actuator", "spindle", "interferometer")]
-    assert found == ["robot_link", "actuator", "cia402_spindle", "interferometer"]
+    assert found == ["robot_link", "actuator", "cia402", "interferometer"]
 
 
 def test_an_unknown_kind_is_refused_with_its_key(tmp_path: Path) -> None:

@@ -294,7 +294,7 @@ async def test_the_place_of_the_actuator_may_be_said(bench: Bench) -> None:
 
 def between(bench: Bench, what: BetweenPasses, **job: Any) -> Any:
     bench.rate = 0.9
-    return bench.job(recipe=small_recipe(between=what, tolerance_nm=1e-6), **{"max_cycles": 2, **job})
+    return bench.job(recipe=small_recipe(part_handling=what, tolerance_nm=1e-6), **{"max_cycles": 2, **job})
 
 
 def said(path: Path, code: str = "") -> tuple[str, ...]:
