@@ -90,7 +90,7 @@ def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -
     with PlantProcess() as plant:
         for seed in range(PLANTS):
             rate = float(np.clip(np.random.default_rng([seed, 5]).normal(0.0, 0.15), -0.3, 0.35))
-            truth = {**PLANT["truth"], "rate": [rate, rate]}
+            truth = {**PLANT["hidden_truth"], "rate": [rate, rate]}
             plant.new(tomllib.loads(with_keys(plain, {**PLANT, "hidden_truth": truth})), seed)
             _, begun = loop._begun(plant, _Account())
             assert isinstance(begun, EstimatesInUse), begun

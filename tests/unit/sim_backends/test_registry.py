@@ -40,15 +40,14 @@ def test_a_port_has_one_substitute_at_most() -> None:
 
 @pytest.mark.parametrize(("device", "kind"), KINDS, ids=[f"{device.name}-{kind}" for device, kind in KINDS])
 def test_a_section_finds_its_device(device: SimDevice, kind: str, tmp_path: Path) -> None:
-    drive = f'drive = "{device.drive}"\n' if device.drive else ""
-    (tmp_path / "sim.toml").write_text(f'[{device.device}]\nkind = "{kind}"\n{drive}')
+    (tmp_path / "sim.toml").write_text(f'[{device.device}]\nkind = "{kind}"\n')
     assert find_device(read_config(tmp_path / "sim.toml"), device.device) is device
 
 
 def test_the_default_cell_has_all_its_devices() -> None:
     config = SimConfig()
     found = [find_device(config, name).name for name in ("robot", "actuator", "spindle", "interferometer")]
-    assert found == ["robot_link", "actuator", "spindle_can", "interferometer"]
+    assert found == ["robot_link", "actuator", "cia402", "interferometer"]
 
 
 def test_an_unknown_kind_is_refused_with_its_key(tmp_path: Path) -> None:
