@@ -1,1 +1,1 @@
-"""LinuxCNC: docs/protocols/linuxcnc.md. ``driver`` moves it over linuxcncrsh, ``interpreter`` only reads programs."""
+"""LinuxCNC: docs/protocols/linuxcnc.md. ``driver`` runs it over linuxcncrsh, ``interpreter`` only reads programs."""
