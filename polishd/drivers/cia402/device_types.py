@@ -115,9 +115,9 @@ class Cia402ActuatorOptions(DriveOptions):
     lift_mm_s: Positive = 10.0
     """Lifting speed, with `position`: 6081h."""
     silence_s: Annotated[float, Field(ge=0.3, le=5.0)] = 0.5
-    """Longest time without an answer or a heartbeat; then the spindle is switched off and the robot lifts the tool."""
+    """Longest time without an answer or a heartbeat; then the spindle stops and the robot lifts the tool."""
     watchdog_s: Annotated[float, Field(ge=0.2, le=5.0)] = _ACTUATOR.watchdog_s
-    """The drive's watchdog (1016h): after this time without polishd's heartbeat the current is off and the tool lifts."""
+    """The drive's watchdog (1016h): after this time without polishd's heartbeat its current is off, the tool lifts."""
     landing_s: Seconds = _ACTUATOR.landing_s
     """Longest time of landing; no contact by then is a fault."""
     release_s: Seconds = _ACTUATOR.release_s

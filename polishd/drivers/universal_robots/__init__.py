@@ -1,1 +1,1 @@
-"""Universal Robots: docs/protocols/universal_robots.md. The program goes up as URScript and is followed over RTDE."""
+"""Universal Robots: docs/protocols/universal_robots.md. The program is sent as URScript and tracked over RTDE."""
