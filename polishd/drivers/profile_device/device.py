@@ -98,7 +98,7 @@ class RequestChannel:
 
     async def identify(self) -> DeviceIdentity:
         """Return the identity of the device that answers."""
-        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.told)))
+        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identity_values)))
 
     async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
         """Run ``work`` in its turn, on an open link."""
