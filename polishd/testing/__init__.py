@@ -1,1 +1,1 @@
-"""For whoever writes a driver: the ports' suites as a pytest plugin (docs/drivers.md). Needs ``polishd[testing]``."""
+"""Test suites of the ports for driver authors, as a pytest plugin (docs/drivers.md). Needs ``polishd[testing]``."""

@@ -1,4 +1,4 @@
-"""What each port demands, as tests: a test's docstring is the demand, and is told with its failure.
+"""Requirements of each port as tests: a test's docstring is the requirement, and is shown with its failure.
 
-A test module imports all of ``device`` and of its port's suite, and names its drivers in ``CASES``.
+A test module imports all of ``device`` and of its port's suite, and lists its drivers in ``CASES``.
 """

@@ -10,7 +10,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.model.errors import ConfigError
-from polishd.testing.hil_bench import HilRequest, Level, foreseen, stand_ins, words
+from polishd.testing.hil_bench import HilRequest, Level, foreseen, simulated_devices, words
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 PRESSES = {"level": Level.CONTACT, "max_force_n": 5.0}
@@ -110,6 +110,6 @@ def test_of_a_cell_what_acts_is_tried_and_never_harder_than_allowed(cell: Path) 
     assert foreseen(HilRequest(cell=cell, level=Level.CONTACT, max_force_n=50.0)).scope().force_n == 12.0
 
 
-def test_without_stand_ins_nothing_is_laid_over(cell: Path, tmp_path: Path) -> None:
-    with stand_ins(load_config(cell), (), tmp_path) as laid_over:
+def test_without_simulated_devices_nothing_is_overridden(cell: Path, tmp_path: Path) -> None:
+    with simulated_devices(load_config(cell), (), tmp_path) as laid_over:
         assert laid_over == {}
