@@ -44,5 +44,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 async def seen(condition: Callable[[], bool]) -> None:
     """Look at the machine itself until it is so: pytest's timeout is the limit."""
-    while not condition():  # noqa: ASYNC110 -- the machine tells nobody
+    while not condition():  # noqa: ASYNC110 -- the machine sends no event
         await asyncio.sleep(0.01)

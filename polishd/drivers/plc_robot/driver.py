@@ -93,7 +93,7 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
         await link.close()
 
     def _stands(self, recent: Sequence[ControllerReport]) -> bool:
-        return all(report.stands for report in recent)
+        return all(report.stands_still for report in recent)
 
     async def _snapshots(self, link: Variables) -> AsyncIterator[ControllerReport]:
         timer = PeriodicTimer(self._look_s)

@@ -205,7 +205,7 @@ class ControllerReport:
         return "running" in self.states
 
     @property
-    def stands(self) -> bool:
+    def stands_still(self) -> bool:
         """Whether all values report standstill."""
         return not self.running and not self.moving
 

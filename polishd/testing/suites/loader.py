@@ -26,7 +26,7 @@ async def opened(loader: LoaderRig) -> PartLoader:
 async def moving(rig: LoaderRig) -> None:
     """Wait until the loader moves; TimeoutError if its status stays safe for too long."""
     async with asyncio.timeout(rig.soon_s):
-        while (await rig.device.status()).safe:  # noqa: ASYNC110 -- the machine tells nobody
+        while (await rig.device.status()).safe:  # noqa: ASYNC110 -- the machine sends no event
             await asyncio.sleep(0)
 
 

@@ -1,4 +1,4 @@
-"""A driver of one's own for the suites: what is wrong with it is said, and its simulator never outlives its test."""
+"""A user's driver under the suites: its errors are reported, and its simulator ends with its test."""
 
 from __future__ import annotations
 

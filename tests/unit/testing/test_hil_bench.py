@@ -1,4 +1,4 @@
-"""A real cell under the suites: what is said before, and what is not done."""
+"""A real cell under the suites: its description, and its limits."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def test_a_robot_moves_only_where_somebody_says(cell: Path, tmp_path: Path) -> N
 
 
 def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
-    told = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
-    assert any(line.startswith("spindle (simulated, in place of cia402_spindle") for line in told)
-    assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in told)
+    lines = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
+    assert any(line.startswith("spindle (simulated, in place of cia402_spindle") for line in lines)
+    assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in lines)
 
 
 @pytest.mark.parametrize(

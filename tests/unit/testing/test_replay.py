@@ -69,9 +69,9 @@ def test_an_order_is_not_passed_over() -> None:
 
 
 def test_a_modbus_transaction_has_the_number_of_its_request() -> None:
-    ask, told = bytes.fromhex("0007 0000 0006 01 03 0000 0001"), bytes.fromhex("0007 0000 0005 01 03 02 1234")
-    said = script(("out", ask), ("in", told))
-    assert answer(said, b"\x00\x63" + ask[2:]) == b"\x00\x63" + told[2:]
+    ask, reply = bytes.fromhex("0007 0000 0006 01 03 0000 0001"), bytes.fromhex("0007 0000 0005 01 03 02 1234")
+    said = script(("out", ask), ("in", reply))
+    assert answer(said, b"\x00\x63" + ask[2:]) == b"\x00\x63" + reply[2:]
     assert said.dialect.cut(ask + ask[:5]) == len(ask)
     assert said.dialect.cut(ask[:7]) is None
 

@@ -54,7 +54,7 @@ async def executed(robot: LinuxCnc, count: int = len(BLOCKS)) -> list[ExecutedBl
 
 
 async def until(robot: LinuxCnc, state: str) -> None:
-    while (await robot.progress()).state != state:  # noqa: ASYNC110 -- progress is all that the port tells
+    while (await robot.progress()).state != state:  # noqa: ASYNC110 -- the port has only progress
         await asyncio.sleep(0.005)
 
 
@@ -241,7 +241,7 @@ async def test_a_hold_at_such_a_stop_stays_a_hold(rig: Rig) -> None:
 async def test_what_is_told_to_stay_while_it_is_being_started_stays(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, how: str, approach_blocks: int
 ) -> None:
-    """By order, and past a stop that nobody asked for: the stay overtakes the start, which then counts no more."""
+    """By command, and past an unwanted stop: the hold overtakes the start, which is then dropped."""
     await load(rig.robot, approach_blocks)
     stays: asyncio.Queue[asyncio.Task[None]] = asyncio.Queue()
     plain = RshConnection.set_if
