@@ -53,7 +53,7 @@ def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Pat
         found = re.findall(rf"^\S+\[{device}\] (\w+)", done.stdout, re.MULTILINE)
         assert len(found) > 10
         assert set(found) == {"PASSED"}
-    assert "what the port demands" in done.stdout
+    assert "requirement of the port" in done.stdout
     found = read_recording(case)
     assert {one.role for one in found.passed} == {"robot", "spindle"}, "the actuator has no line to open"
     assert {one.way for one in found.passed} == {"open", "out", "in", "end"}

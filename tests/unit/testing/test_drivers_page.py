@@ -116,7 +116,7 @@ def test_a_driver_that_breaks_a_demand_is_told_which(
     assert FILES[DRIVER].count(right) == 1
     done = suite(written(tmp_path, FILES[DRIVER].replace(right, wrong)), "-k", test)
     assert done.returncode == 1, done.stdout
-    assert demand in done.stdout.partition("what the port demands")[2], done.stdout
+    assert demand in done.stdout.partition("requirement of the port")[2], done.stdout
 
 
 def test_the_ports_are_what_the_code_says() -> None:

@@ -63,8 +63,8 @@ def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
 @pytest.mark.parametrize(
     ("asked", "problem"),
     [
-        ({"level": Level.CONTACT}, "--max-force NEWTONS is needed"),
-        ({"level": Level.CONTACT, "max_force_n": float("nan")}, "more than 0"),
+        ({"level": Level.CONTACT}, "need --max-force NEWTONS"),
+        ({"level": Level.CONTACT, "max_force_n": float("nan")}, "greater than 0"),
         ({"simulate": ("robto",)}, "--simulate robto: the cell has actuator, robot"),
         (
             {"simulate": ("metrology",)},
@@ -83,7 +83,7 @@ def test_a_motion_without_blocks_is_said_before(cell: Path, tmp_path: Path, text
     motion = tmp_path / "air.nc"
     if text is not None:
         motion.write_text(text)
-    with pytest.raises(ConfigError, match=r"--motion .*air\.nc: (No such file|it has no blocks)"):
+    with pytest.raises(ConfigError, match=r"--motion .*air\.nc: (No such file|the program has no blocks)"):
         said(cell, motion=motion)
 
 

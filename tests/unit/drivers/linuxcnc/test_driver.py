@@ -123,7 +123,7 @@ async def test_a_machine_that_is_off_is_neither_switched_on_nor_moved(
     status = await rig.robot.status()
     assert (status.ready, status.safe) == (False, True)
     assert why in status.detail
-    with pytest.raises(DeviceRefused, match=f"{why}.*To do"):
+    with pytest.raises(DeviceRefused, match=why):
         await rig.robot.prepare(plan_of(BLOCKS))
     await rig.robot.make_safe()
     assert not [said for said in rig.fake.heard if said.startswith(("set estop", "set machine", "set home", "set run"))]

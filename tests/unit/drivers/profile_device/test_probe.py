@@ -61,26 +61,25 @@ async def test_it_answers_as_it_should(bench: Bench) -> None:
 
 async def test_the_wrong_baud_rate(bench: Bench) -> None:
     assert await bench.message(bench.spindle(baud=19_200)) == (
-        "serial:PORT unit 1: no answer within 0.8 s at 19200 8N1; "
-        "see whether it has power, and this baud rate, parity and unit number"
+        "serial:PORT unit 1: no answer within 0.8 s at 19200 8N1. Check power, baud rate, parity and unit number."
     )
 
 
 async def test_the_wrong_parity(bench: Bench) -> None:
     bench.peer.silent = True  # a terminal has no parity: a device that hears none it understands is silent
-    assert "no answer within 0.8 s at 9600 8E1; see whether" in await bench.message(bench.spindle(parity="even"))
+    assert "no answer within 0.8 s at 9600 8E1" in await bench.message(bench.spindle(parity="even"))
 
 
 async def test_the_wrong_unit(bench: Bench) -> None:
     said = await bench.message(bench.spindle(unit=7))
-    assert said.startswith("serial:PORT unit 7: no answer within 0.8 s at 9600 8N1; see whether it has power, and this")
+    assert said.startswith("serial:PORT unit 7: no answer within 0.8 s at 9600 8N1.")
 
 
 async def test_bytes_that_are_no_answer(bench: Bench) -> None:
     bench.peer.filter = lambda data: [bytes(byte << 1 & 0xFF | 1 for byte in data)]
     said = await bench.message(bench.spindle())
-    assert "bytes within 0.8 s at 9600 8N1 are no answer" in said
-    assert said.endswith("see whether baud rate, parity and stop bits are the device's")
+    assert "bytes within 0.8 s at 9600 8N1 are not an answer" in said
+    assert said.endswith("Check baud rate, parity and stop bits.")
 
 
 async def test_the_profile_of_another_device(bench: Bench) -> None:
@@ -119,19 +118,19 @@ async def test_a_port_that_is_open_elsewhere(bench: Bench) -> None:
     first = bench.spindle()
     await first.open()
     said = await bench.message(bench.spindle())
-    assert said == "serial:PORT: another program has the port open; end it (lsof names it)"
+    assert said == "serial:PORT: another program has the port open. End that program (lsof names it)."
     await first.close()
 
 
 async def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     device = build.spindle(shipped("delta_ms300"), SerialLine(tmp_path / "none"))
-    with pytest.raises(LinkError, match=r"none: there is no such port; plug the adapter in, or mend the path$"):
+    with pytest.raises(LinkError, match="none: the port does not exist"):
         await device.open()
 
 
 async def test_a_path_that_is_no_port(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(LinkError, match="it is no serial port"):
+    with pytest.raises(LinkError, match="it is not a serial port"):
         await build.spindle(shipped("delta_ms300"), SerialLine(tmp_path / "file")).open()
 
 
@@ -140,9 +139,7 @@ async def test_a_port_that_may_not_be_opened(tmp_path: Path, monkeypatch: pytest
         raise PermissionError(13, "could not open port: Permission denied")
 
     monkeypatch.setattr(streams.serial, "Serial", type("Serial", (), {"__init__": forbidden, "close": None}))
-    with pytest.raises(
-        LinkError, match=r"no permission to open the port; add the user to the group .* \(often dialout"
-    ):
+    with pytest.raises(LinkError, match="no permission to open the port"):
         await build.spindle(shipped("delta_ms300"), SerialLine(tmp_path / "port")).open()
 
 
@@ -159,13 +156,13 @@ async def test_something_else_on_the_tcp_port() -> None:
     peer = ProfiledPeer(file_of("hitachi_wj200"), inverter, tcp=True)
     wire = await TcpWire(peer).start()
     peer.filter = lambda data: [b"HTTP/1.1 400 Bad Request\r\n\r\n"]
-    with pytest.raises(DeviceError, match="does not speak Modbus TCP"):
+    with pytest.raises(DeviceError, match="is not Modbus TCP"):
         await build.spindle(shipped("hitachi_wj200"), Tcp("127.0.0.1", wire.port)).open()
     await wire.close()
 
 
-async def test_nobody_on_the_tcp_port() -> None:
-    with pytest.raises(LinkError, match="nobody listens there; see the port"):
+async def test_a_closed_tcp_port() -> None:
+    with pytest.raises(LinkError, match="the port is closed"):
         await build.spindle(shipped("hitachi_wj200"), Tcp("127.0.0.1", 1)).open()
 
 
