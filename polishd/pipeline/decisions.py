@@ -36,7 +36,7 @@ class Accept:
 
 @dataclass(frozen=True, slots=True)
 class Diverge:
-    """The surface is clearly worse than the best one so far."""
+    """The surface is significantly worse than the best one so far."""
 
     outcome: Outcome = Outcome.DIVERGED
 

@@ -179,7 +179,7 @@ async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_
 async def test_another_edge_is_refused_before_anything_is_opened(site: Rerun) -> None:
     await stopped_after_a_pass(site)
     site.part["edge_mm"] = 3.5
-    with pytest.raises(ConfigError, match=r"part.edge_mm: is 3.5, the job 'small' was begun with 2.0\n"):
+    with pytest.raises(ConfigError, match=r"part.edge_mm: is 3.5, the job 'small' began with 2.0\n"):
         await run_cell(site.config, site.hooks)
     assert site.bench is not None
     assert site.bench.fake.events == []

@@ -104,7 +104,7 @@ def test_a_prior_above_the_tolerance_demands_a_reference(surface: SurfaceMap) ->
     recipe = of(system=power, tolerance_nm=2.0)
     (one,) = acceptance.demanded(recipe)
     assert (one.name, one.prior_nm) == ("power", 5.0)
-    with pytest.raises(ConfigError, match=r"power, 5 nm by itself: a reference of known radius.*bound_without_power"):
+    with pytest.raises(ConfigError, match=r"power, alone 5 nm: a reference of known radius.*bound_without_power"):
         acceptance.require_acceptable(recipe)
     assert acceptance.acceptance_words(recipe).startswith("run will refuse")
     for mended in (

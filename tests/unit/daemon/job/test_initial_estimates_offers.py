@@ -1,4 +1,4 @@
-"""What another cell has learned: a job begins with it where this cell has no lesson of its own, and less sure."""
+"""Rate of another cell: a job starts with it, less certain, where this cell has no estimates of the series."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ async def test_a_cell_without_a_lesson_begins_with_what_another_one_has_learned_
     rate = job.tools.believed.removal.rate
     assert rate.value == 0.9
     assert rate.sigma == pytest.approx((0.01**2 + (REMEMBERS.max_rate_change / 6) ** 2) ** 0.5, rel=1e-3)
-    (note,) = [one for one in notes(job) if "has taught" in one]
-    assert note.startswith("begins with what pass 2 of job 'lens' of the cell 'north' (20")
+    (note,) = [one for one in notes(job) if "estimates after" in one]
+    assert note.startswith("starts with the estimates after pass 2 of job 'lens' of the cell 'north' (20")
     assert "another machine, offered by the shop" in note
 
 

@@ -69,8 +69,8 @@ async def test_a_job_begins_with_the_rate_of_the_last_one_and_says_so(tmp_path: 
     rate = await taught(tmp_path)
     job = await begun(tmp_path)
     assert job.tools.believed.rate == rate
-    (note,) = [one for one in notes(job) if "has taught" in one]
-    assert note.startswith("begins with what pass 1 of job 'first' (20")
+    (note,) = [one for one in notes(job) if "estimates after" in one]
+    assert note.startswith("starts with the estimates after pass 1 of job 'first' (20")
     assert re.search(rf"rate {rate:.2f}\d* \+- ", note)
     with closing(Store.open(tmp_path / JOURNAL_NAME)) as store:
         (stats,) = store.read("SELECT stats FROM map WHERE job = 2")[0]
@@ -90,8 +90,8 @@ async def test_its_plan_counts_with_it_and_its_pass_keeps_it(
         assert journal.passes[0].facts["rate"] == rate
         measured = await job.measured(1, surface)
         alone = await first_pass_nm(without)
-        assert measured.stats.rms_nm < alone / 2, "what the rate costs that nobody knows"
-        assert not [one for one in notes(job) if "has taught" in one], "said once"
+        assert measured.stats.rms_nm < alone / 2, "the error without the estimate"
+        assert not [one for one in notes(job) if "estimates after" in one], "the note is given once"
 
 
 async def first_pass_nm(state_dir: Path) -> float:
@@ -170,8 +170,8 @@ async def test_nothing_is_remembered(tmp_path: Path, why: str, caplog: pytest.Lo
             recipe = replace(REMEMBERS, model=replace(REMEMBERS.model, later=later))
     job = await begun(tmp_path, recipe=recipe)
     assert job.tools.believed.rate == 1.0
-    assert not [one for one in notes(job) if "has taught" in one]
-    assert ("is of no use: other parameters" in caplog.text) is (why == "of no use")
+    assert not [one for one in notes(job) if "estimates after" in one]
+    assert ("are not used: other parameters" in caplog.text) is (why == "of no use")
 
 
 @pytest.mark.full

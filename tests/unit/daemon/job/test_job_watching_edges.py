@@ -85,7 +85,7 @@ def test_a_job_of_which_nobody_wrote_down_the_process_is_followed_too(tmp_path: 
 def test_what_a_person_was_told_of_stays_told_beside_what_is_new(tmp_path: Path) -> None:
     assert passed(tmp_path, "a", 1.0, 1.0, 1.0, 0.6, ends=False) == ["drift"]
     with Journal.open(tmp_path, job="a", part_id="P", terms=TERMS) as journal:
-        journal.add_facts(3, {"findings": [{"kind": "wear", "stops": "", "text": "told"}]})
+        journal.add_facts(3, {"findings": [{"kind": "wear", "stops": "", "text": "reported"}]})
         again = watch(journal, 3, shown(0.6), FindingLimits())
         assert [one.kind for one in again] == ["drift"]
         assert [one["kind"] for one in journal.passes[-1].facts["findings"]] == ["wear", "drift"]

@@ -37,21 +37,21 @@ async def waits(running: Running) -> PlanAwaitingApproval:
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)
-    (told,) = (one for one in running.daemon.job.told if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
-    return told
+    (waiting,) = (one for one in running.daemon.job.told if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
+    return waiting
 
 
 async def test_nothing_moves_before_the_plan_that_waits_is_approved(bench: Bench) -> None:
     async with Running(bench, recipe=small_recipe(tolerance_nm=1.5, approve=True)) as running:
-        told = await waits(running)
-        assert told.predicted_rms_nm > 0
-        assert told.concern().severity == "warning"
+        waiting = await waits(running)
+        assert waiting.predicted_rms_nm > 0
+        assert waiting.concern().severity == "warning"
         handlers = running.daemon.handlers
-        assert (await handlers["live"]())["approval"] == told.program_sha256
+        assert (await handlers["live"]())["approval"] == waiting.program_sha256
         with pytest.raises(DeviceRefused, match="another plan waits"):
             await handlers["approve"](program_sha256="ff" * 32)
         assert "robot.resume" not in " ".join(bench.fake.events)
-        await handlers["approve"](program_sha256=told.program_sha256, by=MINE)
+        await handlers["approve"](program_sha256=waiting.program_sha256, by=MINE)
         await running.in_contact()
         assert [one.by for one in running.told if isinstance(one, PlanApproved)] == [MINE]
         assert bench.fake.cell.approval.wanted == ""
@@ -73,7 +73,7 @@ async def test_what_leads_to_motion_is_refused_until_the_cell_is_clear(bench: Be
     async with Running(bench) as running:
         await running.in_contact()
         await running.daemon.handlers["hold"]()
-        with pytest.raises(DeviceRefused, match="clear is off, must be on when motion is ordered"):
+        with pytest.raises(DeviceRefused, match=r"clear is off, must be on\."):
             await running.daemon.handlers["resume"]()
         assert running.daemon.state == "held"
         with pytest.raises(DeviceRefused, match="approve is refused: clear is off"):
@@ -86,7 +86,7 @@ async def test_what_leads_to_motion_is_refused_until_the_cell_is_clear(bench: Be
 
 
 async def test_a_signal_that_nobody_tells_is_not_clear(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(part_handling, "TOLD_S", 0.0)
+    monkeypatch.setattr(part_handling, "FIRST_VALUE_S", 0.0)
     bench.fake.with_monitor(CLEAR, clear=True)
     with pytest.raises(SignalFault, match="clear is not known"):
         await require_clear(bench.fake.cell)

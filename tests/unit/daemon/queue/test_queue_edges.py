@@ -1,4 +1,4 @@
-"""The queue of parts, row by row: who is next, what was worked last, and what is said of each."""
+"""The queue of jobs, row by row: the next job, the last one, and the values of each."""
 
 from __future__ import annotations
 

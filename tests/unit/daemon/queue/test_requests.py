@@ -95,7 +95,7 @@ async def test_what_the_shop_wants_back_or_has_given_away_is_taken_out_while_it_
     for name in ("a", "b", "c"):
         given(cell.queue, name, f"claim {name}")
     await cell.start(until_empty=True)
-    await cell.daemon.handlers["shop_assignments"](back=["claim a"], lost=["claim b", "of nobody"])
+    await cell.daemon.handlers["shop_assignments"](back=["claim a"], lost=["claim b", "of no job"])
     assert verdicts(cell.queue) == {"a": "removed", "b": "removed", "c": "waiting"}
     assert [entry.reason for entry in cell.queue.entries()][:2] == [BACK, LOST]
     await cell.daemon.handlers["shop_assignments"](stands=["claim b"], lost=["claim c"])
@@ -170,6 +170,6 @@ async def test_what_is_offered_is_an_event_of_the_journal(hall: Callable[..., Ha
     assert [json.loads(data) for (data,) in rows] == [OFFER]
     wrong: list[Any] = [{}, {**OFFER, "rate": "1"}, {**OFFER, "more": 1}, "x"]
     for one in wrong:
-        with pytest.raises(ConfigError, match="an offer has recipe, cell"):
+        with pytest.raises(ConfigError, match="an offer must have the fields recipe, cell"):
             await cell.daemon.handlers["shop_rates"](offers=[one])
     await stopped(cell)
