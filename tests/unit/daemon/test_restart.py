@@ -170,7 +170,7 @@ async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_
     name = site.arrays("map" if what == "arrays" else "pass", what)[0]
     path = site.config.state_dir / "store" / f"{name}.npz"
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(ConfigError, match=rf"{name}\.npz: is not what the journal names"):
+    with pytest.raises(ConfigError, match=rf"{name}\.npz: the content has another hash"):
         await run_cell(site.config, site.hooks)
     assert site.bench is not None
     assert site.bench.fake.events == []

@@ -48,7 +48,7 @@ def test_what_is_not_what_the_journal_names_is_refused(store: ArrayStore, harm: 
 
 def test_a_disk_that_takes_nothing_stops_the_job(store: ArrayStore, tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file in its way")
-    with pytest.raises(SafetyStop, match=r"store/.*cannot be written: .*mend the disk"):
+    with pytest.raises(SafetyStop, match=r"store/.*cannot be written: .*Repair the disk"):
         store.put({"a": np.arange(9)})
 
 

@@ -120,8 +120,8 @@ def test_another_job_takes_the_place_of_one_that_was_not_finished(
         assert not journal.resumed
         assert journal.unfinished() is None
         assert list(journal.remaining(2)) == [0, 1]
-    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "other took its place")]
-    assert "the job 'job' was not finished; 'other' takes its place" in caplog.text
+    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "other replaced it")]
+    assert "the unfinished job 'job' ends: the job 'other' replaces it" in caplog.text
 
 
 def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
     )
     journal.record_executed(2, [BlockRecord(block(5), None)])
     again = BlockRecord(ExecutedBlock(2, 99.0, 100.0), True)
-    journal.record_executed(2, [again])  # told again after a reconnect: the first word stands
+    journal.record_executed(2, [again])  # reported again after a reconnect: the first record stays
     found = journal.executed(2)
     np.testing.assert_array_equal(found.seq, [0, 1, 2, 4, 5])
     assert found.seq.dtype == np.int64
@@ -272,7 +272,7 @@ def test_a_disk_that_does_not_keep_up_is_told(journal: Journal, monkeypatch: pyt
     monkeypatch.setattr(store, "LATE_S", 0.0)
     journal.record_executed(0, touched(0))
     assert stalled.wait(30)
-    with pytest.raises(SafetyStop, match=r"a commit has taken 0\.\d s, and no more than 0 s may go unrecorded"):
+    with pytest.raises(SafetyStop, match=r"a commit takes 0\.\d s, the limit is 0 s"):
         journal.require_in_time()
     journal.record_executed(0, touched(1))
     release.set()
@@ -413,7 +413,7 @@ PRAGMA user_version = 1;
 """  # noqa: E501
 
 
-# what the polishd of format 2 had beside that, and a pass of which the robot told the rest
+# additions of format 2, and a pass whose last blocks the robot reported after an interruption
 FORMAT_2 = f"""
 {FORMAT_1} {store.FROM_1}
 UPDATE job SET terms = '{{}}' WHERE id = 2;
@@ -448,7 +448,7 @@ def of_format_2(tmp_path: Path) -> Path:
 
 
 def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
-    """Contact of what the robot told after an interruption was marked by its place in the program: nobody knew."""
+    """Format 2 derived the contact of recovered blocks from their position in the program; it was unknown."""
     for _ in range(2):
         with opened(of_format_2) as journal:
             assert journal.resumed

@@ -140,7 +140,7 @@ def tried(left: Mapping[str, Path], state: Path, flips: int, seed: int) -> dict[
         said = refusal(state)
         if said:
             assert "\n" not in said, where
-            assert "To do: " in said or "move the file aside" in said or "format" in said, where
+            assert "Check the disk" in said or "Move the file" in said or "format" in said, where
             assert files(state) == before, f"{where}: what was found is left as it is"
         else:
             assert content(state) == wanted[name], where
@@ -182,8 +182,8 @@ def test_a_damaged_row_is_named_with_what_to_do(left: Mapping[str, Path], tmp_pa
         used(state)
     assert str(found.value) == (
         f"{state / JOURNAL_NAME}: the journal is damaged: the row job = 2 AND cycle = 0 of pass does not match its "
-        f"checksum. To do: check the disk and the memory of this computer, then restore {state} from a backup, or move "
-        "journal.sqlite, journal.sqlite-wal and journal.commits aside to begin with an empty journal"
+        f"checksum. Check the disk and the memory of this computer, then restore {state} from a backup, or move "
+        "journal.sqlite, journal.sqlite-wal and journal.commits to another folder to begin an empty journal"
     )
 
 
@@ -242,7 +242,7 @@ def test_a_journal_of_an_earlier_format_with_broken_json_is_not_brought_up_to_da
     with closing(sqlite3.connect(path, isolation_level=None)) as file:
         file.executescript(f"PRAGMA journal_mode=WAL; {FORMAT_5}")
         file.execute("INSERT INTO event (job, at, name, data) VALUES (0, 1.0, 'held', '{\"a\": ')")
-    with pytest.raises(JournalDamage, match=r"data of the row rowid = 1 of event is no JSON\. To do: "):
+    with pytest.raises(JournalDamage, match=r"data of the row rowid = 1 of event is not JSON\. Check "):
         Store.open(path)
     with closing(sqlite3.connect(path)) as file:
         assert file.execute("PRAGMA user_version").fetchone() == (5,)
@@ -356,7 +356,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     assert site.bench is not None
     assert site.bench.fake.events == [], "no device was opened"
     assert [event.data["kind"] for event in site.told if event.name == "cell_held"] == ["JournalDamage"]
-    assert files(state) == before, "it is left as it is, for whoever mends it"
+    assert files(state) == before, "the damaged journal does not change"
     assert last_ending(state)["reason"].startswith("JournalDamage: ")
 
 

@@ -36,7 +36,7 @@ ACCEPTED = JobResult("accepted", "the part is in tolerance", "")
         (RemovalCheckStop("x"), False, "set aside", "instrument or alignment is wrong"),
         (SafetyStop("x"), True, "set aside", ""),
         (LinkError("x"), True, "set aside", ""),
-        (SafetyStop("x"), False, "set aside", "a person's to judge"),
+        (SafetyStop("x"), False, "set aside", "an operator has to decide"),
     ],
 )
 def test_each_ending_has_its_verdict(end: Outcome | PolishdError, torn: bool, how: str, stops: str) -> None:

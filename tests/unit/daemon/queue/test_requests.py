@@ -68,7 +68,7 @@ async def test_a_part_of_the_shop_begins_once_the_shop_has_said_that_it_may(hall
     await turns()
     assert not cell.task.done(), "the queue is not empty: it waits for the shop's word"
     assert cell.polished == []
-    assert "these are ours: lens" in (await cell.daemon.status())["shop"]
+    assert "not confirmed since this start: lens" in (await cell.daemon.status())["shop"]
     await cell.daemon.handlers["shop_assignments"](stands=["c1"])
     await cell.until("changing")
     await cell.order("resume")

@@ -75,7 +75,7 @@ def test_a_journal_without_memory_is_lost_and_says_so(tmp_path: Path) -> None:
 
     store = Store.open(tmp_path / "journal.sqlite", connect)
     kept[-1].out = True
-    said = r"journal lost: .*the daemon has run out of memory; .* give it more memory"
+    said = r"journal lost: .*the daemon has run out of memory; .* Increase its memory limit"
     with pytest.raises(SafetyStop, match=said):
         store.write(("INSERT INTO nothing VALUES (1)", ()))
     assert not kept[-1].in_transaction
