@@ -39,7 +39,7 @@ def test_a_lock_that_has_no_room_for_its_pid(tmp_path: Path, monkeypatch: pytest
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(ConfigError, match=r"the state folder cannot be used: No space left on device; mend it, or"):
+    with pytest.raises(ConfigError, match=r"the state folder cannot be used: No space left on device\. Repair it, or"):
         locked(tmp_path).__enter__()
     monkeypatch.undo()
     with locked(tmp_path):

@@ -42,7 +42,7 @@ def test_what_is_not_what_the_journal_names_is_refused(store: ArrayStore, harm: 
         path.write_bytes(
             content[:-1] if harm == "cut short" else content[:40] + bytes([content[40] ^ 1]) + content[41:]
         )
-    with pytest.raises(ConfigError, match=r"\.npz: .*(No such file|another hash).*or give job.id a new name"):
+    with pytest.raises(ConfigError, match=r"\.npz: .*(No such file|another hash).*or set a new job.id"):
         store.get(name)
 
 

@@ -345,7 +345,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
         status = await asyncio.to_thread(request, state, "status")
         assert (status["state"], status["job"]) == ("held", "small")
         assert "JournalDamage: " in status["reason"]
-        assert "does not match its checksum. To do: " in status["reason"]
+        assert "does not match its checksum. Check " in status["reason"]
         for verb in ("resume", "queue_list"):
             refused = await asyncio.to_thread(request, state, verb)
             assert refused["error"].startswith("the cell stays held: JournalDamage: "), verb

@@ -213,7 +213,7 @@ async def test_a_file_that_was_changed_meanwhile_is_noticed(cell: CellConfig, tm
     with pytest.raises(ConfigError) as caught:
         require_unchanged(cell, entry)
     assert str(caught.value).startswith(f"{tmp_path}/a.toml:6: program.path: {program} (sha256 ")
-    assert str(caught.value).endswith("): add it again")
+    assert str(caught.value).endswith("). Add the job again")
     program.unlink()
     with pytest.raises(ConfigError, match=r"lens.rnc: cannot be read"):
         require_unchanged(cell, entry)

@@ -46,7 +46,7 @@ def test_a_disk_that_takes_no_pid_is_told_and_nothing_stays_locked(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, call, full)
-    said = f"{tmp_path}: the state folder cannot be used: No space left on device; mend it, or change cell.state_dir"
+    said = f"{tmp_path}: the state folder cannot be used: No space left on device. Repair it, or set cell.state_dir"
     with pytest.raises(ConfigError, match=re.escape(said)):
         locked(tmp_path).__enter__()
     monkeypatch.undo()
