@@ -135,7 +135,7 @@ class JournalledEstimates:
 class InitialEstimates:
     """Estimates at the begin of a job, and a note on their source."""
 
-    believed: EstimatesInUse
+    estimates: EstimatesInUse
     note: str
 
 

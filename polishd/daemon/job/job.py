@@ -29,7 +29,7 @@ from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.acceptance import forecast_of
-from polishd.pipeline.decisions import Decision, decide, worthless_pass
+from polishd.pipeline.decisions import Decision, decide, small_gain_finding
 from polishd.pipeline.disk_space import require_room
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import (
@@ -158,11 +158,11 @@ class Job:
     handled: set[tuple[int, str]] = field(init=False, default_factory=set)
     """Cycles and steps of part handling that were done, or that the daemon requested from the operator."""
 
-    people: RunFolderWriter = field(init=False)
+    writer: RunFolderWriter = field(init=False)
     """Writer of its run folder."""
 
     def __post_init__(self) -> None:
-        self.people = RunFolderWriter(self.folder, self.journal)
+        self.writer = RunFolderWriter(self.folder, self.journal)
 
     @property
     def recipe(self) -> Recipe:
@@ -196,8 +196,8 @@ class Job:
             planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
             self._planned = {record.cycle: planned}
-            self.tools.believe(planned.believed)
-        await self.people.remake()
+            self.tools.update_estimates(planned.believed)
+        await self.writer.remake()
 
     @property
     def last_cycle(self) -> int:
@@ -217,9 +217,9 @@ class Job:
         self.journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
         self._masks, self._lay = measured.masks, measured.registration
         folder = self.folder.cycle(cycle)
-        await self.people.keep(folder.map_file, surface)
-        await self.people.keep(folder.write, files)
-        await self.people.remake()
+        await self.writer.keep(folder.map_file, surface)
+        await self.writer.keep(folder.write, files)
+        await self.writer.remake()
         stats, notes = measured.stats, list(measured.notes)
         values = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
         self.publish(events.MapMeasured(cycle=cycle, stats=stats, notes=notes, **values))
@@ -244,15 +244,15 @@ class Job:
         planned = self._planned[cycle - 1]
         expected_nm = planned.certificate.predicted_rms_nm
         last = ExecutedPass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
-        taught: LearnResult = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.believed)
+        taught: LearnResult = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.estimates)
         if taught.doubted:
             return True
         folder = self.folder.cycle(cycle)
-        await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
+        await self.writer.keep(folder.write, await asyncio.to_thread(taught.files))
         if taught.verdict.stop:
             self.publish(events.RemovalCheckFailed(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise RemovalCheckStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
-        self.tools.believe(taught.believed)
+        self.tools.update_estimates(taught.believed)
         self.journal.add_facts(cycle - 1, initial_estimates.facts(self.tools.terms, taught.believed))
         self.publish(events.EstimatesUpdated(cycle=cycle, notes=taught.notes, beliefs=taught.believed.facts()))
         if taught.shown is not None:
@@ -274,7 +274,7 @@ class Job:
         warm = last.kept if last is not None and last.tool == self.tool else None
         within = {"within_s": dwell_step.limit(self.recipe)}
         solved = await self.compute(dwell_step.solve_first, self.tools.to_solve(), surface, warm, **within)
-        await self.people.keep(self.folder.cycle(cycle).write, solved.files())
+        await self.writer.keep(self.folder.cycle(cycle).write, solved.files())
         self.publish(events.DwellSolved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
@@ -287,7 +287,7 @@ class Job:
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
         self._stored = StoredArrays(*names)
         self._planned[cycle] = planned
-        await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
+        await self.writer.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
     def pass_not_worthwhile(self, cycle: int) -> bool:
@@ -297,7 +297,7 @@ class Job:
         """
         if self.tools.left:
             return False
-        if found := worthless_pass(self.recipe, self._planned[cycle].forecast):
+        if found := small_gain_finding(self.recipe, self._planned[cycle].forecast):
             self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
 
@@ -315,7 +315,7 @@ class Job:
     @property
     def knows_overhead(self) -> bool:
         """The overhead of a block is an estimate from a pass, not the configured value."""
-        return self.tools.believed.block_overhead_s != self.recipe.envelope.block_overhead_s
+        return self.tools.estimates.block_overhead_s != self.recipe.envelope.block_overhead_s
 
     async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress, reach_s: float) -> None:
         """Record the begin of the pass, durable before any motion. ``reach_s``: as of ``PassRecord``."""
@@ -345,13 +345,13 @@ class Job:
     async def end_pass(self, cycle: int) -> None:
         """Record the end of the pass: the tool is lifted and the robot at rest."""
         self.journal.end_pass(cycle, "done")
-        await self.people.executed(cycle)
+        await self.writer.executed(cycle)
         self.publish(events.PassEnded(cycle=cycle, executed_s=self.journal.contact_s(cycle)))
 
     async def cut_off(self, cycle: int) -> None:
         """Write ``executed.csv`` of an interrupted pass, unless the journal is lost."""
         with suppress(SafetyStop):
-            await self.people.executed(cycle)
+            await self.writer.executed(cycle)
 
     def executed_s(self, cycle: int) -> FloatArray:
         """(n,) executed process time of each timed point in that cycle's pass, s; 0 where it was not executed."""

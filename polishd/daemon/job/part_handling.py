@@ -160,7 +160,7 @@ class PartHandling:
                 values = {"change_nm": changes[-1], "limit_nm": residual_diagnosis.LEAST_NM}
                 job.publish(events.MapRepeated(cycle=cycle, maps=maps, notes=notes, **values))
                 content = {"settled": not moves, **values, "change_nm": changes, "notes": notes}
-                await job.people.leave(cycle, "again.json", content)
+                await job.writer.leave(cycle, "again.json", content)
                 if not residual_diagnosis.is_settling(moves, last):
                     break
             if restless := steps.harmful_changes(job.recipe, moves):
@@ -229,7 +229,7 @@ class PartHandling:
             values = {"change_nm": changes[-1], "limit_nm": limit_nm}
             job.publish(events.MapRepeated(cycle=cycle, maps=maps, notes=notes, **values))
             content = {"settled": agree, **values, "change_nm": changes, "notes": notes}
-            await job.people.leave(cycle, "settling.json", content)
+            await job.writer.leave(cycle, "settling.json", content)
             if agree:
                 return later
             surface = later
@@ -242,7 +242,7 @@ class PartHandling:
     async def _another(self, cycle: int, number: int, wait_s: float) -> MeasureResult:
         """Return a later map of the same cycle; the run folder keeps the one before under that number."""
         await self._cell.clock.sleep(wait_s)
-        await self._job.people.set_aside(cycle, number)
+        await self._job.writer.set_aside(cycle, number)
         surface = await next_map(self._cell, self._job.publish, cycle, self._journal.last_map_id)
         return await self._job.measured(cycle, surface)
 
@@ -255,7 +255,7 @@ class PartHandling:
         seat = seat_of(touch_off, nominal_mm - np.array(contact_mm))
         facts, notes = facts_of(touch_off, seat), [] if seat.is_level else [f"the part sits {seat}"]
         job.publish(events.PartTouchedOff(cycle=cycle, seat=seat, max_offset_mm=touch_off.max_offset_mm, notes=notes))
-        await job.people.leave(cycle, "touch_off.json", {**facts, "notes": notes})
+        await job.writer.leave(cycle, "touch_off.json", {**facts, "notes": notes})
         if seat.worst_mm > touch_off.max_offset_mm:
             raise WrongSeat(_wrong(touch_off, seat))
 
@@ -280,11 +280,11 @@ class PartHandling:
             try:
                 async with contact(cell, limits, ContactRecord(_no_block, cell.limits.robot.silence_s)) as forces:
                     position_mm = await self._position_mm(limits, forces)
-            except WrongSeat as nothing:
-                message, stays = _nothing(touch_off, point, str(nothing)), await self._stays(stream)
+            except WrongSeat as error:
+                message, stays = _no_part(touch_off, point, str(error)), await self._stays(stream)
                 if stays:
-                    raise SeatNotLeft(f"{message}. The robot still stands at that point: {stays}") from nothing
-                raise WrongSeat(message) from nothing
+                    raise SeatNotLeft(f"{message}. The robot still stands at that point: {stays}") from error
+                raise WrongSeat(message) from error
             await stream.retreat()
         return position_mm
 
@@ -341,7 +341,7 @@ def _wrong(touch_off: TouchOff, seat: PartSeat) -> str:
     )
 
 
-def _nothing(touch_off: TouchOff, point: int, cause: str) -> str:
+def _no_part(touch_off: TouchOff, point: int, cause: str) -> str:
     x, y, _ = touch_off.points_mm[point].tolist()
     return (
         f"no part was found at x {x:.1f}, y {y:.1f} mm down to {touch_off.max_offset_mm:g} mm below its nominal height "

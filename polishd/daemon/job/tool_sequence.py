@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from polishd.daemon.contact.safety import ContactLimits
-from polishd.daemon.job import initial_estimates as remembering
+from polishd.daemon.job import initial_estimates as from_journal
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import PassRecord
 from polishd.model.events import ToolMounted
@@ -44,16 +44,16 @@ class ToolSequence:
         self._journal = journal
         self.now = self._turns[0]
         """The current tool."""
-        self._believed = {turn.tool: initial_estimates(turn.recipe) for turn in turns}
+        self._estimates = {turn.tool: initial_estimates(turn.recipe) for turn in turns}
 
     @property
-    def believed(self) -> EstimatesInUse:
+    def estimates(self) -> EstimatesInUse:
         """Estimates of the current tool."""
-        return self._believed[self.now.tool]
+        return self._estimates[self.now.tool]
 
-    def believe(self, known: EstimatesInUse) -> None:
+    def update_estimates(self, estimates: EstimatesInUse) -> None:
         """Replace the estimates of the current tool."""
-        self._believed[self.now.tool] = known
+        self._estimates[self.now.tool] = estimates
 
     @property
     def left(self) -> tuple[ToolStepState, ...]:
@@ -68,7 +68,7 @@ class ToolSequence:
     def to_solve(self) -> list[ToolProblem]:
         """Return this tool and those after it, each with its estimates."""
         left = (self.now, *self.left)
-        return [ToolProblem(turn.recipe, turn.program, self._believed[turn.tool]) for turn in left]
+        return [ToolProblem(turn.recipe, turn.program, self._estimates[turn.tool]) for turn in left]
 
     def of(self, record: PassRecord) -> ToolStepState:
         """Return the tool of a pass."""
@@ -76,7 +76,7 @@ class ToolSequence:
 
     def take(self) -> None:
         """Make the tool of the next pass the current one. An interrupted pass is repeated with its tool."""
-        self.now = self._turns[turn_now(self._turns, self._journal.passes)]
+        self.now = self._turns[current_step(self._turns, self._journal.passes)]
 
     def take_of(self, record: PassRecord) -> None:
         """Make the tool of that pass the current one."""
@@ -86,18 +86,18 @@ class ToolSequence:
         """Load the estimates of each tool from the job's passes or from its series; return notes on the latter."""
         notes = []
         for turn in self._turns:
-            known = taught_of(turn, self._journal.passes)
+            known = estimates_of(turn, self._journal.passes)
             if known is None:
                 terms = turn.terms or self._journal.terms
-                found = await asyncio.to_thread(remembering.initial_estimates_of, self._journal, turn.recipe, terms)
-                known = None if found is None else found.believed
+                found = await asyncio.to_thread(from_journal.initial_estimates_of, self._journal, turn.recipe, terms)
+                known = None if found is None else found.estimates
                 notes += [] if found is None else [f"{turn.tool} {found.note}".lstrip()]
             if known is not None:
-                self._believed[turn.tool] = known
+                self._estimates[turn.tool] = known
         return tuple(notes)
 
 
-def turn_now(turns: Sequence[ToolStepState], passes: Sequence[PassRecord]) -> int:
+def current_step(turns: Sequence[ToolStepState], passes: Sequence[PassRecord]) -> int:
     """Return the number of the tool of the next pass. An interrupted pass is repeated with its tool."""
     done, upto = sum(record.how == "done" for record in passes), 0
     for number, turn in enumerate(turns):
@@ -112,7 +112,7 @@ def tool_of(facts: Mapping[str, Any]) -> str:
     return str(facts.get("tool", ""))
 
 
-def taught_of(turn: ToolStepState, passes: Sequence[PassRecord]) -> EstimatesInUse | None:
+def estimates_of(turn: ToolStepState, passes: Sequence[PassRecord]) -> EstimatesInUse | None:
     """Return the estimates after the last pass of the job with that tool; None where there was none."""
     for record in reversed(passes):
         if tool_of(record.facts) == turn.tool:

@@ -140,14 +140,14 @@ class SystemdNotifier:
         """Report that the end begins."""
         self._send("STOPPING=1")
 
-    def hears(self, cell: str) -> Callable[[Event], None]:
+    def status_sink(self, cell: str) -> Callable[[Event], None]:
         """Return a sink for that cell's bus, which reports its state and the reason."""
 
-        def hear(event: Event) -> None:
+        def report(event: Event) -> None:
             if isinstance(event, StateChanged):
                 self.status(cell, f"{cell}: {event.state}{f': {event.reason}' if event.reason else ''}")
 
-        return hear
+        return report
 
     def status(self, cell: str, text: str) -> None:
         """Report a line on a cell. The process is ready when each cell has a line: all answer, or have ended."""

@@ -125,7 +125,9 @@ async def test_another_tilt_in_each_map_ends_in_tolerance_all_the_same(bench: Be
 
 async def test_a_pass_that_will_hardly_gain_is_not_made(bench: Bench) -> None:
     job = bench.job()
-    job.tools.believe(replace(job.tools.believed, unexplained=9.0))  # passes left nine times what they removed
+    job.tools.update_estimates(
+        replace(job.tools.estimates, unexplained=9.0)
+    )  # passes left nine times what they removed
     assert await bench.polish(job) is Outcome.STALLED
     assert not bench.journal.passes
     assert not bench.fake.of("robot.resume", "actuator.set_force")

@@ -143,7 +143,7 @@ async def test_what_a_pass_taught_of_one_tool_is_believed_of_that_tool_alone(ben
     assert restarted.tool == "narrow"
     restarted.tools.take_of(bench.journal.passes[0])
     job.tools.take_of(bench.journal.passes[0])
-    assert restarted.tools.believed.rate == pytest.approx(job.tools.believed.rate)
+    assert restarted.tools.estimates.rate == pytest.approx(job.tools.estimates.rate)
 
 
 @pytest.mark.full

@@ -59,7 +59,7 @@ def systemd(request: pytest.FixtureRequest) -> Iterator[Systemd]:
 
 def test_ready_is_said_once_when_the_last_cell_has_spoken(systemd: Systemd) -> None:
     supervisor = SystemdNotifier(2, systemd.environment)
-    left, right = supervisor.hears("left"), supervisor.hears("right")
+    left, right = supervisor.status_sink("left"), supervisor.status_sink("right")
     left(CellOpened(devices={}))
     left(StateChanged(state="starting", reason="", standing=NOT_ASKED))
     left(StateChanged(state="held", reason="late\nmap", standing=NOT_ASKED))
