@@ -1,4 +1,4 @@
-"""What a job begins with of what the jobs before it have taught."""
+"""Initial estimates of a job from earlier jobs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def journal_of(state_dir: Path, job: str, terms: Mapping[str, Any] = TERMS) -> J
 
 
 async def taught(state_dir: Path, name: str = "first", rate: float = RATE, terms: Mapping[str, Any] = TERMS) -> float:
-    """A job whose second map has shown that rate; what it believed then."""
+    """Run a job whose second map shows that rate; return its estimate."""
     with journal_of(state_dir, name, terms) as journal:
         job = small_job(state_dir / name, journal, recipe=REMEMBERS)
         await job.load()

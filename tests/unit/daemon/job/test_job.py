@@ -1,4 +1,4 @@
-"""A job: what it keeps, what it makes of what was executed, and what it knows again after a restart."""
+"""A job: its records, its use of executed times, and its state after a restart."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ async def whole_cycle(
     force_n: float | None = 12.0,
     sensed_n: float | None = None,
 ) -> SurfaceMap:
-    """Measure, learn, plan and run; the surface afterwards, on the map's own grid."""
+    """Measure, estimate, plan and run; return the surface afterwards on the map's grid."""
     measured = await job.measured(cycle, surface)
     await job.learn(cycle, measured)
     plan = await planned(job, cycle, measured)
@@ -299,7 +299,7 @@ async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path
 async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     job: Job, force_n: float | None, sensed_n: float | None, rate: float
 ) -> None:
-    """The tool pressed with 80 % all along, and removed as much less: nothing is learned, if that is known."""
+    """The tool pressed with 80 % and removed as much less: the known force leaves the rate unchanged."""
     surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
     updated = job.published[-1]  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""What passes showed: of which pass, of which process, and how far back."""
+"""Indicators of passes: of which pass, of which process, and how far back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.unit.daemon.job.test_job_watching import TERMS, passed, shown
 
 
 def facts(folder: Path, job: str, *rates: float, how: str = "done", **terms: Any) -> list[dict[str, Any]]:
-    """Of the passes of that job, which ends."""
+    """Record the passes of that job, and end it."""
     with Journal.open(folder, job=job, part_id="P", terms={**TERMS, **terms}) as journal:
         for cycle, rate in enumerate(rates):
             journal.record_map(cycle, f"{job}{cycle}", "x", {})

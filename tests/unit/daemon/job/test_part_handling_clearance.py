@@ -1,4 +1,4 @@
-"""A person's word before motion, who gave it, and what those see who watch."""
+"""Approval before motion: who gave it, and what clients see."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 async def waits(running: Running) -> PlanAwaitingApproval:
-    """What the plan that waits says of itself."""
+    """Event of the waiting plan."""
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)

@@ -36,7 +36,7 @@ def gone(pid: int) -> bool:
 
 
 async def until_gone(folder: Path) -> None:
-    """Those whose pids it wrote down. pytest's timeout is the limit."""
+    """Wait for the processes with the written pids. pytest's timeout is the limit."""
     for pid in map(int, (folder / "pids").read_text().split()):
         while not gone(pid):  # noqa: ASYNC110
             await asyncio.sleep(0.01)

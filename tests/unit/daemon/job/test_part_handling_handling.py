@@ -1,4 +1,4 @@
-"""Beside polishing, on a cell in memory: the seat is proved before contact, the part made ready between passes."""
+"""Part handling on a cell in memory: touch-off before contact, and steps between passes."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ async def test_a_position_counts_once_the_force_sensor_says_that_the_force_acts(
 
 
 async def test_a_force_sensor_watches_the_newton(bench: Bench) -> None:
-    """The actuator feels too little of what acts: by its own word all is well, and more than a newton presses."""
+    """The actuator measures too small a force: its reading is in the band, and more than 1 N acts."""
     sensor = bench.fake.with_force_sensor()
     sensor.reads = lambda reading: replace(reading, force_n=1.75 * reading.force_n)
     with pytest.raises(SafetyStop, match=r"by the force sensor 1\.40 N is outside 0\.8 N .* the actuator says 0\.80 N"):
@@ -298,7 +298,7 @@ def between(bench: Bench, what: BetweenPasses, **job: Any) -> Any:
 
 
 def said(path: Path, code: str = "") -> tuple[str, ...]:
-    """A command that writes down in which step of which cycle it runs."""
+    """A command that records its step and cycle."""
     variables = "' '.join(os.environ['POLISHD_' + key] for key in ('STEP', 'CYCLE', 'PART', 'JOB'))"
     return (sys.executable, "-c", f"import os, sys; print({variables}, file=open({str(path)!r}, 'a')); {code}")
 
@@ -337,7 +337,7 @@ async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) 
 
 
 def warming(bench: Bench, *swellings_nm: float) -> Callable[[], SurfaceMap]:
-    """Maps of a part that stands so much higher at its rim, in one map after the other; then nothing."""
+    """Maps of a part with these heights at its rim, one after the other; then no map."""
     measure, left = bench.measure, list(swellings_nm)
     radius = small_map().grid.radius_mm() / RIM_MM
 
@@ -385,12 +385,12 @@ async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
 
 
 async def no_sleep(seconds: float) -> None:
-    """The cell's clock stands: who waits for it gets a turn."""
+    """The cell's clock stands still: a waiting task runs at once."""
     await asyncio.sleep(0)
 
 
 class WarmPart:
-    """A part that swells in each pass and cools from map to map: what its maps show, and what it is."""
+    """A part that swells in each pass and cools from map to map: its maps and its true surface."""
 
     def __init__(self, bench: Bench, swells_nm: float) -> None:
         self._truth = bench.measure

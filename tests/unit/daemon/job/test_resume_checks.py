@@ -1,4 +1,4 @@
-"""What a job may go on with: one table, which the documentation shows, and refusals that name what differs."""
+"""Terms that may change within a job: one table, shown in the documentation, and errors that name the difference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What differs between the values that a job began with and those in force, value by value."""
+"""Differences between the terms of a job and the present values, value by value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FILE, OTHER = {"file": "a.csv", "sha256": "aa" * 32}, {"file": "b.csv", "sha256"
 
 
 class Begun:
-    """A journal, of which only the terms are asked."""
+    """A journal with terms only."""
 
     def __init__(self, terms: dict[str, Any] | None) -> None:
         self.terms = terms

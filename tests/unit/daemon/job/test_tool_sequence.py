@@ -1,4 +1,4 @@
-"""Several tools over one part, on a cell in memory: each has its turn, is asked for, and is believed its own."""
+"""Several tools for one part on a cell in memory: order, requests for a change, and estimates of each."""
 
 from __future__ import annotations
 

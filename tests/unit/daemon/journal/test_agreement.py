@@ -1,4 +1,4 @@
-"""What the campaigns hold the journal to: it finds each way in which journal and plant can contradict each other."""
+"""The check of the campaigns finds each contradiction between journal and plant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays beside the journal: what is named by its hash is what was kept, or is refused."""
+"""Arrays beside the journal: content with the named hash, or an error."""
 
 from __future__ import annotations
 

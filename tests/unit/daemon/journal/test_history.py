@@ -20,7 +20,7 @@ SHOWN = PassIndicators(10.0, 1.0, 1.5, 1.0, 600.0, Estimate(0.9, 0.02), None, No
 
 
 def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | None = Outcome.IN_TOLERANCE) -> None:
-    """A job of one pass that came to its end, and one that did not."""
+    """A job with one complete pass, and one with an interrupted pass."""
     with Journal.open(folder, job=job, part_id=f"{job}-part") as journal:
         for cycle, how in enumerate(("done", "interrupted")):
             judged = [LineResult("PV", 30.0 / (1 + cycle), 20.0, "nm").facts()]

@@ -1,4 +1,4 @@
-"""The journal: what it acknowledged is there after any crash, and a lost journal stops everything."""
+"""The journal: acknowledged rows survive any crash, and a lost journal stops the job."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path)
 
 
 async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the order of a cycle, over all cycles and attempts; what has not ended counts for nothing yet."""
+    """In the order of a cycle, over all cycles and attempts; a phase without an end does not count."""
     times = iter([100.0, 104.0, 110.0, 111.0, 120.0, 123.5, 130.0])
     monkeypatch.setattr("polishd.daemon.journal.journal.time.time", lambda: next(times))
     for cycle, phase in ((0, CyclePhase.RUN), (1, CyclePhase.MEASURE), (1, CyclePhase.RUN)):
@@ -466,7 +466,7 @@ def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
 
 
 def test_a_journal_of_format_3_is_read_on(tmp_path: Path) -> None:
-    """Its cells had no force sensor: what acted is what the actuator said."""
+    """Its cells had no force sensor: the acting force is the actuator's."""
     for _ in range(2):
         with opened(made(tmp_path, FORMAT_3) if not list(tmp_path.iterdir()) else tmp_path) as journal:
             assert journal.resumed

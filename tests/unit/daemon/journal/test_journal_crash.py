@@ -1,4 +1,4 @@
-"""Crashes and broken disks: what the journal acknowledged is there, and a lost journal stops everything."""
+"""Crashes and broken disks: acknowledged rows survive, and a lost journal stops the job."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ print("refused", refused)
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace makes the I/O errors")
 def test_io_error_of_the_disk_is_told_and_never_forgotten(tmp_path: Path) -> None:
-    """After one failed fdatasync SQLite would go on with the next insert as if nothing were lost."""
+    """After a failed fdatasync SQLite would accept the next insert although rows are lost."""
     trace = ["strace", "-f", "-qq", "-o", "/dev/null", "-e", "trace=fdatasync,fsync"]
     inject = ["-e", "inject=fdatasync,fsync:error=EIO:when=12"]
     with python(*trace, *inject, sys.executable, "-c", EIO, str(tmp_path)) as process:

@@ -1,4 +1,4 @@
-"""Flipped bits anywhere in a journal's files: an error that says where, or nothing is lost; never silence."""
+"""Flipped bits anywhere in a journal's files: an error that names the location, or no loss."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 
 async def two_jobs(state: Path) -> Journal:
-    """One that ended, and one that is cut off in its second pass; open."""
+    """A journal with an ended job and one that is interrupted in its second pass; open."""
     for job in ("first", "second"):
         journal = Journal.open(state, job=job, part_id="P1", terms={"process.load_n": 20.0})
         for cycle in range(2):
@@ -127,7 +127,7 @@ def used(state: Path) -> None:
 
 
 def tried(left: Mapping[str, Path], state: Path, flips: int, seed: int) -> dict[str, int]:
-    """Flip one bit at a time, and open: how often that was an error, and how often nothing was lost."""
+    """Flip one bit at a time, and open; return the number of errors and of openings without a loss."""
     luck, found = random.Random(seed), {"error": 0, "nothing is lost": 0}
     wanted = {name: content(copied(folder, state)) for name, folder in left.items()}
     for number in range(flips):
@@ -149,7 +149,7 @@ def tried(left: Mapping[str, Path], state: Path, flips: int, seed: int) -> dict[
 
 
 def refusal(state: Path) -> str:
-    """The one sentence with which a start is refused; empty where it is not."""
+    """Return the error of a refused start; empty where it starts."""
     try:
         used(state)
     except ConfigError as error:
@@ -361,7 +361,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
 
 
 async def run_cell_or_error(site: Site) -> Any:
-    """The summary, or what ended it."""
+    """Return the summary, or the error that ended it."""
     try:
         return await run_cell(site.config, site.hooks)
     except JournalDamage as error:

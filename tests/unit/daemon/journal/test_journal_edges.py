@@ -1,4 +1,4 @@
-"""Journals that cannot be opened, written or copied: nothing half-written, and nothing left open behind."""
+"""Journals that cannot be opened, written or copied: no partial file, and no open connection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of the journal's file: why a cell was held, how long phases took, what was executed."""
+"""Reads of the journal's file: why a cell was held, times of phases, executed blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the journal says from memory is what a daemon that starts reads from the file; and every word of it is kept."""
+"""Records in memory equal those that a starting daemon reads from the file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def block(seq: int, touched: bool | None) -> BlockRecord:
 
 
 def known(journal: Journal) -> dict[str, Any]:
-    """All that it says without asking the disk."""
+    """All records in memory."""
     cycles = range(4)
     return {
         "number": journal.number,
@@ -53,7 +53,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 
 def agrees(tmp_path: Path, journal: Journal) -> dict[str, Any]:
-    """Both say the same; what they say."""
+    """Require that both records are equal, and return them."""
     journal.flush()
     said = known(journal)
     with opened(tmp_path, a=1) as again:

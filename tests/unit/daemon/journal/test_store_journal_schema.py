@@ -1,4 +1,4 @@
-"""The journal's file is made, brought up to date and copied whole; one that cannot be used is left as it is, closed."""
+"""The journal's file is created, converted and copied; an unusable one is closed and unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.model.errors import ConfigError
 
 
 class Opened:
-    """A ``Connect``; ``connection`` is the one that was made."""
+    """A ``Connect`` that records its ``connection``."""
 
     def __init__(self) -> None:
         self.connection: sqlite3.Connection | None = None

@@ -53,7 +53,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 @pytest.fixture
 def notified_by(site: Site, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """``notified_by(notifier, ...)``: those are what the site's config names."""
+    """``notified_by(notifier, ...)``: the notifiers of the site's config."""
 
     def wanted(*notifiers: Notifier) -> None:
         monkeypatch.setattr(app, "build_notifiers", lambda config, hooks: notifiers)

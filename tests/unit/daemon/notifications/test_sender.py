@@ -1,4 +1,4 @@
-"""What is sent when: repeats are counted, failures are tried again ever later, and nothing is lost unsaid."""
+"""Queue of notifications: repetitions are counted, failures are retried with longer pauses, and each loss is logged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each ending of a job leads to, for its part and for the queue."""
+"""Result of each end of a job, for its part and for the queue."""
 
 from __future__ import annotations
 

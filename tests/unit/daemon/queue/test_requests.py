@@ -1,4 +1,4 @@
-"""Parts that a shop gave: in the cell's own queue, begun once the shop has said that they may, and given back."""
+"""Parts from a shop: in the cell's queue, begun after the shop confirms, and returned."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def verdicts(queue: Queue) -> dict[str, str]:
 
 
 async def stopped(cell: Hall) -> None:
-    """By a person; who asks is answered at the very end, which is not ours."""
+    """Stop as an operator. The answer comes at the very end, after this test."""
     asked = asyncio.ensure_future(cell.order("stop"))
     await cell.task
     asked.cancel()

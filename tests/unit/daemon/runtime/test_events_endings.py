@@ -1,4 +1,4 @@
-"""Held or ended: what a person can mend waits for a person, and whichever way it ends, the words agree with it."""
+"""Held or ended: a correctable error waits for an operator, and each record agrees with the end."""
 
 from __future__ import annotations
 

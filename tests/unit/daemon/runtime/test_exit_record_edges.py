@@ -1,4 +1,4 @@
-"""The lock of a state folder, whatever its file held before, and whatever the disk says."""
+"""Lock of a state folder, with any earlier content of its file, and with disk errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is kept for those who find no daemon: of any ending, on any disk, in any state of its file."""
+"""Record of the end for clients without a daemon: of any end, on any disk, in any state of its file."""
 
 from __future__ import annotations
 

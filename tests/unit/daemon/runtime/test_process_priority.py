@@ -1,4 +1,4 @@
-"""The loop goes first where that is allowed, alone; computing goes last; everything is given back."""
+"""Priority: the loop first where allowed, the solver last; all settings are restored."""
 
 from __future__ import annotations
 

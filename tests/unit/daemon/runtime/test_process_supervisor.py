@@ -1,4 +1,4 @@
-"""What a supervisor hears, over a socket of the test's own, and when it does not."""
+"""Reports to a supervisor over a socket of the test, and without one."""
 
 from __future__ import annotations
 
