@@ -30,7 +30,7 @@ def test_it_is_its_owners_alone(tmp_path: Path) -> None:
 def test_one_that_says_nothing_of_itself_is_refused_all_the_same(tmp_path: Path) -> None:
     handle = os.open(tmp_path / LOCK_NAME, os.O_RDWR | os.O_CREAT)
     fcntl.flock(handle, fcntl.LOCK_EX)
-    said = f"{tmp_path}: another polishd runs this cell (pid unknown); stop it first (polishd stop)"
+    said = f"{tmp_path}: another polishd runs this cell (pid unknown). Stop it first (polishd stop)"
     with pytest.raises(ConfigError, match=re.escape(said)):
         locked(tmp_path).__enter__()
     os.close(handle)

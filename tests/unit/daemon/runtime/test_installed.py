@@ -81,7 +81,7 @@ async def test_a_worker_that_starts_again_proves_its_versions(site: Path) -> Non
         os.kill(pid, signal.SIGKILL)
         await asyncio.to_thread(os.waitid, os.P_PID, pid, os.WEXITED | os.WNOWAIT)
         for _ in range(2):  # and it is not forgotten
-            with pytest.raises(HostFault, match=r"gauge-plugin \(1\.0.*now 2\.0.*restart the daemon"):
+            with pytest.raises(HostFault, match=r"gauge-plugin \(1\.0.*now 2\.0.*Restart the daemon"):
                 await compute(os.getpid)
             assert compute.pid is None
         install(site, "1.0")

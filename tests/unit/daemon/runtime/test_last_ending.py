@@ -177,7 +177,7 @@ def test_of_a_lost_journal_the_failure_is_all_that_is_known(journal: Journal, mo
 
 def test_words_for_people_name_their_own_cell() -> None:
     assert for_cell("polishd run CELL.toml", Path("/my cells/a.toml")) == "polishd run '/my cells/a.toml'"
-    assert "polishd run CELL.toml --queue;" in next_action("failed", queue=True)
+    assert "polishd run CELL.toml --queue starts" in next_action("failed", queue=True)
     assert next_action("no such state", queue=True) == ""
 
 
