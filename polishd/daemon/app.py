@@ -225,7 +225,7 @@ async def _hold(ready: _Ready, stopping: ShutdownRequest, damage: JournalDamage)
     cell = DamagedCell(ready.run.config, damage)
     listeners = (ready.run.hooks.on_event, ready.run.show)
     with stopping.telling(cell):
-        hears = stopping.supervisor.hears(_name(ready))
+        hears = stopping.supervisor.status_sink(_name(ready))
         await hold_damaged(ready.run.config, ready.notifiers, cell, damage, listeners=listeners, sink=hears)
     return damage
 
@@ -236,7 +236,7 @@ async def _run_job(ready: _Ready, journal: Journal, stopping: ShutdownRequest, *
     async with Compute() as compute:
         jobs, known = _jobs(ready, journal, compute)
         keep = recording_exit(config.state_dir, jobs.run_dir, queue=jobs.of_queue)
-        sinks = (jobs.record, keep, stopping.supervisor.hears(_name(ready)))
+        sinks = (jobs.record, keep, stopping.supervisor.status_sink(_name(ready)))
         async with notifying(config, ready.notifiers, known, (hooks.on_event, run.show), sinks) as bus:
             jobs.bus = bus
             await jobs.resume()

@@ -40,7 +40,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         async with journal.phase(cycle, CyclePhase.LEARN):
             doubted = await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
         if doubted:  # there are low orders that may be none of the pass
-            surface, again = await handling.told_apart(cycle, surface)
+            surface, again = await handling.remeasure(cycle, surface)
             async with journal.phase(cycle, CyclePhase.LEARN):
                 await job.learn(cycle, surface, again)
         job.tools.take()  # of several tools
@@ -57,7 +57,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         async with journal.phase(cycle, CyclePhase.PLAN):
             plan = await job.plan(cycle, surface, solved)
             await job.refuse_unsafe(plan)
-        if job.worthless(cycle):
+        if job.pass_not_worthwhile(cycle):
             return Outcome.STALLED
         await until_approved(cell, job, cycle, plan, solved.dwell.certificate.predicted_rms_nm)
         await before_contact(cell, job.publish, cycle)

@@ -253,8 +253,8 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
         ("failed", ("actuator: no answer",), "not confirmed", "when that is mended: polishd run"),
         ("cycles_used", (), "yes", "begins a new one"),
         ("failed", None, "not asked", "when that is mended: polishd run"),
-        ("held", (), "yes", "look at the cell, then: polishd run"),
-        ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "look at the cell, then: polishd run"),
+        ("held", (), "yes", "inspect the cell, then: polishd run"),
+        ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "inspect the cell, then: polishd run"),
     ],
 )
 def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(

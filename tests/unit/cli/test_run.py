@@ -45,7 +45,7 @@ def test_run(polishd: Polishd, files: DemoFiles, outcome: str, code: int, monkey
     assert (said.code, json.loads(said.out)["outcome"], seen) == (code, outcome, ["linear"])
     *_, tool, robot, folder, after = said.err.splitlines()
     assert [tool, robot, folder] == ["tool off the part: yes", "robot at rest: yes", "run folder: runs/demo"]
-    assert after.startswith("next: look at report.html")
+    assert after.startswith("next: read report.html")
 
 
 def test_the_last_lines_of_a_run_that_failed(
@@ -69,7 +69,7 @@ def test_the_last_lines_of_a_run_that_failed(
     assert lines[4].startswith("actuator did not confirm: no answer; the tool may press on the part: switch")
     assert lines[5].startswith("spindle did not confirm: dead; it may still turn: switch its drive off")
     assert lines[6] == "run folder: runs/demo"
-    assert f"polishd run {files.cell}; it comes up held, and polishd resume {files.cell}" in lines[7]
+    assert f"polishd run {files.cell} starts a daemon, which holds; polishd resume {files.cell}" in lines[7]
 
 
 CODES = {

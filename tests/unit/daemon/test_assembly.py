@@ -348,7 +348,7 @@ def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: 
     config.program_path.write_bytes(demo_program(config))
     found = checks.check_cell(config, hooks)
     assert "run will refuse" in found["instrument"]
-    assert found["accepted"].startswith("as measured: nothing is known of the instrument's own error")
+    assert found["accepted"].startswith("as measured: the instrument's error is not known")
 
 
 def test_a_cell_without_a_profile_is_refused(configured: Any, hooks: Hooks) -> None:

@@ -73,9 +73,9 @@ async def test_each_cell_has_a_job_of_its_own(sites: Sites) -> None:
     for site, found in zip(sites.all, ended, strict=True):
         assert found["outcome"] == "in_tolerance"
         assert site.summary() == json.loads(json.dumps(found))
-        folders = [line["event"]["data"]["run_dir"] for line in logged(site) if line["message"] == "measured"]
+        folders = [line["event"]["data"]["run_dir"] for line in logged(site) if line["message"] == "map_measured"]
         assert set(folders) == {str(site.config.run_dir)}
-        assert [event.name for event in site.told].count("run_folder_completed") == 1
+        assert [event.name for event in site.published].count("run_folder_completed") == 1
 
 
 def no_spindle(bench: Any) -> None:
