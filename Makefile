@@ -112,7 +112,7 @@ compare: $(VENV)/.installed ## what the compliance correction is worth, on parts
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections_300.toml --out build/compare/300 $(COMPARED)
 
-naming: $(VENV)/.installed ## is what is wrong named rightly: runs the study on, into docs/naming.md (ARGS="--workers 2")
+naming: $(VENV)/.installed ## is what is wrong named rightly: runs the study on, into docs/diagnosis.md (ARGS="--workers 2")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/naming.toml --out build/naming $(ARGS)
 	@$(BIN)/python -m docs.reference.naming build/naming
 
