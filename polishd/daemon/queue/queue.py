@@ -45,7 +45,7 @@ RULES = (
     ResultRule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
     ResultRule((Outcome.STALLED,), "set aside", "goes on", "its passes bring too little, and a person may find why"),
     ResultRule(
-        (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part tells whether it is the cell"
+        (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part shows whether the cell is the cause"
     ),
     ResultRule(
         (errors.RemovalCheckStop,),
@@ -75,7 +75,7 @@ RULES = (
 """The first row that fits holds; of errors that came out of contact."""
 
 TORN = ResultRule(
-    (errors.DeviceError, errors.SafetyStop), "set aside", "goes on", "its pass was cut off: somebody should look at it"
+    (errors.DeviceError, errors.SafetyStop), "set aside", "goes on", "its pass was cut off: an operator must inspect it"
 )
 """Of errors that cut off a pass, once every device confirmed that it is safe; where one did not, the daemon ends."""
 
