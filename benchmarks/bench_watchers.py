@@ -55,7 +55,7 @@ def rows(progress: Progress) -> Iterator[Row]:
     for name, part in (("99th percentile", 99.0), ("99.9th percentile", 99.9)):
         ours, other = (float(np.percentile(late[who], part)) for who in ("watched", "beside"))
         yield Row(f"loop in contact, {load}: late, {name}", ours, {peer: other}, "ms")
-    yield Row(f"actuator silent in contact, {load}: until it is told", lost, {peer: lost_beside}, "ms")
+    yield Row(f"actuator silent in contact, {load}: until it is reported", lost, {peer: lost_beside}, "ms")
 
 
 async def watched(folder: Path, progress: Progress) -> tuple[dict[str, FloatArray], float, float]:
