@@ -45,7 +45,7 @@ RULES = (
     ResultRule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
     ResultRule((Outcome.STALLED,), "set aside", "goes on", "its passes bring too little, and a person may find why"),
     ResultRule(
-        (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part shows whether the cell is the cause"
+        (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part shows if it is the cell"
     ),
     ResultRule(
         (errors.RemovalCheckStop,),
