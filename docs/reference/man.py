@@ -69,7 +69,8 @@ def _commands(group: Any, path: str) -> Iterator[str]:
             continue
         context = typer.Context(command, info_name=whole)
         pieces = [piece for piece in command.collect_usage_pieces(context) if piece != "[OPTIONS]"]
-        yield f".SS {_quoted(' '.join([whole, *pieces]))}"
+        usage = _roff(" ".join([whole, *pieces])).replace('"', "\\(dq")
+        yield f'.SS "{usage}"'
         yield _roff(_sentence(command.help))
         for param in command.get_params(context):
             record = None if "--help" in getattr(param, "opts", ()) else param.get_help_record(context)
@@ -83,10 +84,6 @@ def _commands(group: Any, path: str) -> Iterator[str]:
 
 def _sentence(text: str | None) -> str:
     return re.sub(r"\s+", " ", text or "").strip()
-
-
-def _quoted(text: str) -> str:
-    return '"' + _roff(text).replace('"', "\\(dq") + '"'
 
 
 def _roff(text: str) -> str:

@@ -77,7 +77,8 @@ def _port(title: str, port: type, suite: ModuleType | None) -> Iterator[str]:
         yield from _record(getattr(devices, inspect.get_annotations(times.fget)["return"]))
     if suite is not None:
         yield "The suite demands:\n"
-        yield from (f"- {_code(_flat(inspect.getdoc(test) or ''))}" for test in _tests(suite))
+        tests = [test for name, test in vars(suite).items() if name.startswith("test_")]
+        yield from (f"- {_code(_flat(inspect.getdoc(test) or ''))}" for test in tests)
         yield ""
 
 
@@ -100,10 +101,6 @@ def _call(name: str, member: Any) -> str:
     arguments = signature.replace(parameters=list(signature.parameters.values())[1:])
     asynchronous = "await " if inspect.iscoroutinefunction(member) else ""
     return f"`{asynchronous}{name}{arguments}`".replace("'", "").replace("|", "\\|").replace(" -> None", "")
-
-
-def _tests(suite: ModuleType) -> list[Any]:
-    return [test for name, test in vars(suite).items() if name.startswith("test_")]
 
 
 def _meanings(record: type) -> dict[str, str]:
