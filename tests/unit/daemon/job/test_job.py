@@ -395,7 +395,7 @@ async def test_no_pass_with_software_that_changed(
     plan = await planned(job, 0, await job.measured(0, small_map()))
     now = {**installed_at_start(), "polishd": "9.9"}
     monkeypatch.setattr("polishd.daemon.job.job.installed_now", lambda: now)
-    with pytest.raises(HostFault, match=r"polishd \(.* now 9\.9\).*restart the daemon"):
+    with pytest.raises(HostFault, match=r"polishd \(.* now 9\.9\).*Restart the daemon"):
         await job.refuse_unsafe(plan)
 
 
