@@ -60,7 +60,7 @@ def test_robots_are_built_closed(tmp_path: Path, options: dict[str, str]) -> Non
         ({**OPCUA, "delivery": "nfs:x"}, "delivery 'nfs:x': write folder:PATH"),
         ({**OPCUA, "delivery": "ftp://host/nc"}, "write ftp://user@host/PATH"),
         ({**OPCUA, "delivery": "ftp://user:secret@host/nc"}, "its password is delivery_password"),
-        ({**FTP, "delivery": "sftp://robot@host/nc", "known_hosts": "none"}, "known_hosts 'none' is no file"),
+        ({**FTP, "delivery": "sftp://robot@host/nc", "known_hosts": "none"}, "known_hosts 'none' is not a file"),
         ({**FTP, "delivery_password": "file:other"}, "cannot be read"),
     ],
 )

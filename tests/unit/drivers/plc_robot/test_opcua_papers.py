@@ -99,7 +99,7 @@ async def test_it_speaks_to_a_server_that_takes_nothing_in_the_clear(url: str, f
 @pytest.mark.full
 async def test_another_server_is_not_spoken_to(url: str, folder: Path) -> None:
     """It cannot read what is meant for another, and keeps silent."""
-    with pytest.raises(LinkError, match=r"cannot be opened with these certificates: does each trust the other's\?"):
+    with pytest.raises(LinkError, match=r"cannot be opened with these certificates"):
         await client(url, folder, theirs="other", silence_s=2.0).open()
 
 

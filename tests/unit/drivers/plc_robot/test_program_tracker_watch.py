@@ -238,7 +238,7 @@ def test_a_line_that_is_read_ahead_or_another_file_is_found_out(lag: int, second
     watch = watch_of(5, stops=(2,), proof_s=DWELLS)
     through(watch, lag, seconds)
     assert watch.state == "fault"
-    assert "not the block that it executes" in watch.detail
+    assert "not the executed block" in watch.detail
     assert len(watch) < 2, "no landing follows"
 
 

@@ -57,7 +57,7 @@ def test_a_package_of_another_length_is_never_taken_for_values(cut: int) -> None
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_no_value(odd: float) -> None:
-    with pytest.raises(ProtocolError, match="no number"):
+    with pytest.raises(ProtocolError, match="not a number"):
         RECIPE.unpack(b"\1" + struct.pack(">d", odd) + VALUES[8:])
 
 
