@@ -125,8 +125,8 @@ def test_damaged_files_are_read_or_refused(tmp_path_factory: pytest.TempPathFact
 
 
 def test_codes_have_words() -> None:
-    assert emergency_text(0x8130) == "watchdog ran out: no heartbeat of the controller"
+    assert emergency_text(0x8130) == "watchdog: no heartbeat of the controller"
     assert emergency_text(0x2310) == "current"
     assert emergency_text(0x0001) != ""
     assert abort_text(0x06090030) == "value range of parameter exceeded"
-    assert abort_text(1) == "no reason that cia 301 knows"
+    assert abort_text(1) == "unknown reason"

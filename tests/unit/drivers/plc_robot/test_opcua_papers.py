@@ -120,7 +120,7 @@ async def test_a_file_that_is_no_certificate_is_told(url: str, folder: Path) -> 
     ("keys", "says"),
     [
         ({"certificate": "polishd.pem"}, "private_key is missing; encrypted opcua needs certificate, private_key"),
-        ({"certificate": "gone.pem", "private_key": "polishd.key"}, "certificate 'gone.pem' is no file"),
+        ({"certificate": "gone.pem", "private_key": "polishd.key"}, "certificate 'gone.pem' is not a file"),
     ],
 )
 def test_papers_that_are_not_complete_are_refused_before_anything_is_opened(

@@ -160,7 +160,7 @@ def test_it_stands_at_a_pause_of_the_file_once_two_reports_say_so() -> None:
     ("seen", "why"),
     [
         ({"feed_held": True}, "feed is held"),
-        ({"override": 0.0}, "override stands at 0 %"),
+        ({"override": 0.0}, "override is 0 %"),
     ],
 )
 def test_a_feed_hold_is_told_with_the_report_that_shows_it(seen: dict[str, object], why: str) -> None:

@@ -104,7 +104,7 @@ async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
         assert await again.read() == read
         assert await again.read() == read, "another look before the next order"
         await again.write({"hold": False, "heartbeat": 41})
-        with pytest.raises(LinkError, match="does not answer"):
+        with pytest.raises(LinkError, match="answers no more"):
             await again.read()
 
 
