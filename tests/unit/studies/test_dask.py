@@ -86,5 +86,5 @@ def test_nobody_at_the_address_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_dask_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"install polishd\[dask\]"):
+    with pytest.raises(ConfigError, match=r"polishd\[dask\]"):
         DaskCluster("tcp://127.0.0.1:1")

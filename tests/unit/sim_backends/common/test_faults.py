@@ -319,7 +319,7 @@ SENSELESS = {
     'device = "actuator"\nwhat = "drift"\nat_s = 1.0': "1: fault.drift_n_s: drift needs it",
     'device = "robot"\nwhat = "exception"\nrate = 0.1\ndirection = "to_device"': "5: fault.direction: exception",
     'device = "robot"\nlink = "rtde"\nwhat = "reboot"\nat_s = 1.0': "3: fault.link: means nothing for reboot",
-    'device = "robot"\nlink = "rtde"\nwhat = "hang"\nat_s = 1.0': "3: fault.link: this robot has no links with names",
+    'device = "robot"\nlink = "rtde"\nwhat = "hang"\nat_s = 1.0': "3: fault.link: this robot has no named links",
     'device = "robot"\nwhat = "freeze"\nat_s = 1.0': "3: fault.what: the robot cannot freeze; it can override",
     'device = "robot"\nwhat = "override"\nat_s = 1.0': "1: fault.percent: override needs it",
     'device = "robot"\nwhat = "override"\nat_s = 1.0\npercent = -1': "5: fault.percent: -1 is out of range",
@@ -331,7 +331,7 @@ SENSELESS = {
     'device = "actuator"\nwhat = "halt"\nat_s = 1.0': "3: fault.what: the actuator cannot halt; it can freeze",
     'device = "robot"\nwhat = "wrong_unit"\nrate = 0.1': "3: fault.what: robot_link has no wrong unit",
     'device = "loader"\nwhat = "drop"\nrate = 0.1': "2: fault.device: there is no loader in this cell; add [loader]",
-    'device = "robot"\nwhat = "drop"\nrate = 0.1\n[robot]\nkind = "linuxcnc"': "2: fault.device: a LinuxCNC is no",
+    'device = "robot"\nwhat = "drop"\nrate = 0.1\n[robot]\nkind = "linuxcnc"': "2: fault.device: a real LinuxCNC",
     'device = "robot"\nwhat = "exception"\nrate = 0.1\n[robot]\nkind = "opcua"': "3: fault.what: opcua has no",
 }
 
