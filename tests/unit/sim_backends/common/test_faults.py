@@ -48,7 +48,7 @@ def test_without_faults_frames_pass() -> None:
     assert Bench().at(0.0) == FrameAction(b"abcd")
 
 
-def test_rates_are_kept_and_each_blow_is_told() -> None:
+def test_rates_are_kept_and_each_fault_is_logged() -> None:
     bench = Bench(
         {"what": "drop", "rate": 0.2}, {"what": "garble", "rate": 0.1}, {"what": "delay", "rate": 0.3, "by_s": 1.0}
     )
@@ -184,7 +184,7 @@ def test_a_forged_reply_is_sound_in_its_protocol(case: str) -> None:
         assert bench.reported == ([("fault_acts", what)] if forged else []), "it waits for one that it can be made of"
 
 
-def test_an_order_that_was_done_is_said_to_be_refused() -> None:
+def test_an_executed_command_is_reported_as_refused() -> None:
     forged = PROTOCOLS["robot_link"].exception(ACK)  # type: ignore[misc]
     ((kind, payload),) = framing.Splitter().feed(forged)
     assert (kind, json.loads(payload)["of"]) == (framing.NAK, framing.RESUME)
@@ -349,7 +349,7 @@ def test_a_profiled_drive_speaks_what_its_profile_says(tmp_path: Path, lines: st
     assert protocols(load_simulator(tmp_path / "sim.toml"), "spindle") == {"": protocol}
 
 
-def test_every_fault_of_the_file_is_told_with_its_line(tmp_path: Path) -> None:
+def test_every_fault_of_the_file_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "sim.toml"
     path.write_text('[plant]\nspeed = "60"\nsede = 1\n[robot]\nx_mm = [1.0]\n')
     with pytest.raises(ConfigError) as caught:
