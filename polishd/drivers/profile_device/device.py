@@ -98,7 +98,7 @@ class RequestChannel:
 
     async def identify(self) -> DeviceIdentity:
         """Who is there."""
-        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.told)))
+        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identifying)))
 
     async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
         """Run ``work`` when it is its turn, on an open wire."""
