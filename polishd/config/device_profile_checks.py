@@ -84,10 +84,10 @@ def _foreign(profile: DeviceProfile) -> Iterator[Fault]:
     orders, states = ORDERS[profile.kind], STATES[profile.kind]
     for name in type(profile.commands).model_fields:
         if getattr(profile.commands, name) and name not in orders:
-            yield ("commands", name), f"is not a command of a {_kind(profile)}; known: {join_words(orders)}"
+            yield ("commands", name), f"is not a command of this {_kind(profile)}; known: {join_words(orders)}"
     for at, rule in enumerate(profile.states):
         if rule.state not in states:
-            problem = f'"{rule.state}" is not a state of a {_kind(profile)}; known: {join_words(states)}'
+            problem = f'"{rule.state}" is not a state of this {_kind(profile)}; known: {join_words(states)}'
             yield ("states", at, "state"), problem
 
 
