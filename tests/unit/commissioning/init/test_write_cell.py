@@ -122,7 +122,10 @@ def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
         ),
         (LENS + "[process]\nforce_n = -3.0\n", r"answers\.toml:11: process\.force_n: -3\.0 is out of range"),
         (LENS + '[robot]\ntype = "robot_link"\naddres = "x"\n', r"answers\.toml:12: robot\.addres: unknown key"),
-        (LENS + '[spot]\nfile = "x.npz"\nseconds = 3.0\n', r"answers\.toml:11: spot\.file: is given beside maps"),
+        (
+            LENS + '[spot]\nfile = "x.npz"\nseconds = 3.0\n',
+            r"answers\.toml:11: spot\.file: cannot be combined with maps",
+        ),
         (LENS + "robot = 3\n", r"answers\.toml:10: part\.robot: unknown key"),
         ('robot = "left"\n' + LENS, r"answers\.toml:1: robot: must be a section of its own, \[robot\], not 'left'"),
         (LENS + '[instrument]\nsample = "no.dat"\n', r"toml:11: instrument\.sample: .*no\.dat: cannot be read"),
