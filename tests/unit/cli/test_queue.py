@@ -18,7 +18,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
 
 @pytest.fixture
 def cell(small: DemoFiles, tmp_path: Path) -> Path:
-    """The cell's file, with a state folder of its own."""
+    """The cell's file, with another state folder."""
     text = small.cell.read_text().replace('state_dir = "state"', f'state_dir = "{tmp_path / "state"}"')
     assert str(tmp_path) in text
     own = small.out / f"{tmp_path.name}.toml"
@@ -95,7 +95,7 @@ def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) ->
 def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(
     polishd: Polishd, cell: Path, tmp_path: Path
 ) -> None:
-    """Not once each part is refused by itself: the first of them would be set aside for it."""
+    """Not once each part is refused alone: the first of them would be set aside for it."""
     profile = cell.parent / "unproved.toml"
     profile.write_text((cell.parent / "instrument.toml").read_text().partition("[commissioned]")[0])
     cell.write_text(cell.read_text().replace('"instrument.toml"', '"unproved.toml"'))

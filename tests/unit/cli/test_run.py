@@ -1,4 +1,4 @@
-"""``polishd run`` at the terminal: how each end is told, of one cell and of several."""
+"""``polishd run`` at the terminal: how each end is shown, of one cell and of several."""
 
 from __future__ import annotations
 

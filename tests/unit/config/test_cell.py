@@ -507,7 +507,7 @@ def test_what_does_not_go_with_several_tools(tmp_path: Path, example: str) -> No
     assert "estimates.tool: [tools]" in refused(tmp_path, own + TOOLS)
     start = example.index("[touch_off]")
     bare = example[:start] + example[example.index("[part_handling]", start) :]
-    assert "tools.small.position_mm: is of [touch_off], and the cell has none" in refused(tmp_path, bare + TOOLS)
+    assert "tools.small.position_mm: needs [touch_off]" in refused(tmp_path, bare + TOOLS)
 
 
 def test_what_is_wrong_with_a_tools_value_is_said_where_it_was_written(tmp_path: Path, example: str) -> None:

@@ -65,7 +65,7 @@ def test_a_signal_may_measure_the_force_and_nothing_else_be_asked_of_it(tmp_path
     (found,) = (limits for limits in cell.signals.limits if limits.measures_force)
     assert (found.name, found.signal, found.in_contact) == ("spindle_load", "AI7", None)
     assert str(found) == "spindle_load of monitor.cabinet: force on the part"
-    with pytest.raises(ConfigError, match=r"signals.spindle_load.unit: is 'kg', and a signal that measures the force"):
+    with pytest.raises(ConfigError, match=r"signals.spindle_load.unit: is 'kg'; a signal that measures the force"):
         loaded(tmp_path, text.replace('unit = "N"', 'unit = "kg"'))
 
 

