@@ -1,4 +1,4 @@
-"""``polishd notify``, and what is wrong with a ``[notify.NAME]``: told by file, line and key, without the secret."""
+"""``polishd notify``, and what is wrong with a ``[notify.NAME]``: file, line and key are named, without the secret."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_each_notifier_says_how_its_test_went(cell: Any, polishd: Polishd, tmp_p
             f'[notify.{name}]\ntype = "webhook"\nurl = "{url}"\ntoken = "file:secret"' for name, url in hooks.items()
         ]
         path = cell("\n".join(lines))
-        told = polishd("notify", path, "--json")
+        shown = polishd("notify", path, "--json")
         for_people = polishd("notify", path)
     found = {one["notifier"]: one for one in json.loads(shown.out)["notifiers"]}
     assert (shown.code, for_people.code) == (5, 5)
@@ -67,9 +67,9 @@ def test_each_notifier_says_how_its_test_went(cell: Any, polishd: Polishd, tmp_p
 
 
 def test_all_well_is_0_and_what_a_daemon_left_is_counted(cell: Any, polishd: Polishd, tmp_path: Path) -> None:
-    path = cell('[notify.siren]\ntype = "command"\nargv = ["sh", "-c", "cat > told"]\n')
+    path = cell('[notify.siren]\ntype = "command"\nargv = ["sh", "-c", "cat > sent"]\n')
     assert polishd("notify", path).code == 0
-    left = json.loads((tmp_path / "told").read_text())
+    left = json.loads((tmp_path / "sent").read_text())
     left = {key: value for key, value in left.items() if key not in {"title", "text"}}
     kept = outbox_path(tmp_path / "state", "siren")
     kept.parent.mkdir(parents=True)
@@ -136,10 +136,8 @@ def test_a_broken_plugin_is_refused_by_name(cell: Any, polishd: Polishd, install
 
 
 def test_somebody_elses_notifier(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:
-    body = (
-        "def build(options, base_dir): return lambda told: (base_dir / 'told').write_text(options.number + told.text)"
-    )
+    body = "def build(options, base_dir): return lambda notice: (base_dir / 'sent').write_text(options.number + notice.text)"
     install("acme", PAGER.format(body=body))
     path = cell('[notify.me]\ntype = "pager"\nnumber = "4711"\n', ("acme",))
     assert polishd("notify", path).code == 0
-    assert (tmp_path / "told").read_text().startswith("4711what happened: this is a test")
+    assert (tmp_path / "sent").read_text().startswith("4711what happened: this is a test")

@@ -189,7 +189,7 @@ def test_plan_refuses_what_is_there(polishd: Polishd, files: DemoFiles) -> None:
 
 
 def test_plan_takes_the_cells_own_program(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:
-    """Read before anything is computed: that it is broken is told by its name."""
+    """Read before anything is computed: the error names the broken file."""
     (files.out / "program.rnc").write_text("G21 G90 G94\nG91\nM2\n")
     part = load_config(files.cell).part.id
     said = polishd("plan", files.cell, dat(tmp_path / "part.dat", surface(), part=part), "--out", tmp_path / "plan")
@@ -278,8 +278,8 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     assert {"cause: 09:00 ended: SafetyStop: force", f"tool off the part: {tool}"} <= set(lines)
     assert lines[-1].startswith("next: ")
     assert says in lines[-1]
-    told_to_resume = "polishd resume" in people.out
-    assert told_to_resume == ("it comes up held" in lines[-1]), "nobody is shown to resume where no daemon runs"
+    says_resume = "polishd resume" in people.out
+    assert says_resume == ("it comes up held" in lines[-1]), "without a daemon there is nothing to resume"
 
 
 @pytest.mark.one_of_each

@@ -100,9 +100,8 @@ def test_a_job_that_says_both_forms_is_refused_by_its_line(cell: CellConfig, tmp
 
 
 def test_it_includes_nothing(cell: CellConfig, tmp_path: Path) -> None:
-    assert refused(cell, job_file(tmp_path, 'include = ["a.toml"]\n' + JOB)).startswith(
-        "JOB:1: include: belongs into the cell's file"
-    )
+    said = refused(cell, job_file(tmp_path, 'include = ["a.toml"]\n' + JOB))
+    assert said.startswith("JOB:1: include: belongs into the cell's file")
 
 
 def test_each_job_says_its_name_and_its_part(cell: CellConfig, tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def test_random_numbers_are_not_believed(polishd: Polishd, tmp_path: Path, n: in
 def test_random_numbers_are_written_if_one_insists_and_the_fragment_says_so(polishd: Polishd, tmp_path: Path) -> None:
     tests, out = made_up(tmp_path / "t.csv", 40, 0.4, 1), tmp_path / "stiff.toml"
     shown = polishd("calibrate", "stiffness", tests)
-    assert shown.code == 0, "without --out it is only told"
+    assert shown.code == 0, "without --out it is only shown"
     assert "DO NOT BELIEVE THIS: the fit is off by " in shown.err
     answer = polishd("calibrate", "stiffness", tests, "--out", out, "--anyway", "--json").answer
     assert len(answer["doubts"]) >= 1

@@ -1,4 +1,4 @@
-"""``polishd init``: from answers to a cell that is read, and what is told where they are wrong."""
+"""``polishd init``: from answers to a valid cell, and the errors of wrong answers."""
 
 from __future__ import annotations
 
