@@ -141,10 +141,10 @@ class CaseFactory:
         _, source = self._once(f"sim {path}", lambda: load_toml(path))
         stands: list[tuple[Location, Location]]
         stands = [((a, b), ("plant", a, b)) for a, keys in wrong.plant.items() for b in keys]
-        swept = dict(study.source.stands_for)
+        swept = dict(study.source.written_at)
         for a, keys in study.plant_with.items():
             stands += [((a, b), swept.get(("plant_with", a, b), ("plant_with", a, b))) for b in keys]
-        places = replace(source, included=(study.source, wrong.source), stands_for=tuple(stands))
+        places = replace(source, included=(study.source, wrong.source), written_at=tuple(stands))
         try:
             SimConfig.model_validate(self.plant(study, scenario))
         except ValidationError as error:

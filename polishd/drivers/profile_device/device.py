@@ -97,8 +97,8 @@ class RequestChannel:
         await self.wire.disconnect()
 
     async def identify(self) -> DeviceIdentity:
-        """Return the identity of the device that answers."""
-        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identity_values)))
+        """Who is there."""
+        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identifying)))
 
     async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
         """Run ``work`` in its turn, on an open link."""

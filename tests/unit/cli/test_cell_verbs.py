@@ -154,7 +154,7 @@ def test_the_program_of_another_part(
 
 @pytest.mark.parametrize("kind", ["cell", "profile", "study", "simulator", "dialect"])
 def test_a_byte_order_mark_is_no_fault(tmp_path: Path, kind: str) -> None:
-    """Editors of Windows put one before their UTF-8; what tomllib says of it nobody understands."""
+    """Editors of Windows put one before their UTF-8; the message of tomllib is not helpful."""
     examples = Path(__file__).parents[3] / "examples"
     load: dict[str, tuple[Path, Callable[[Path], object]]] = {
         "cell": (examples / "cell.toml", load_config),
@@ -189,7 +189,7 @@ def test_plan_refuses_what_is_there(polishd: Polishd, files: DemoFiles) -> None:
 
 
 def test_plan_takes_the_cells_own_program(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:
-    """Read before anything is computed: that it is broken is told by its name."""
+    """Read before anything is computed: the error names the broken file."""
     (files.out / "program.rnc").write_text("G21 G90 G94\nG91\nM2\n")
     part = load_config(files.cell).part.id
     said = polishd("plan", files.cell, dat(tmp_path / "part.dat", surface(), part=part), "--out", tmp_path / "plan")
@@ -264,13 +264,13 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     cause = asdict(EndCause("09:00", "SafetyStop", "force", ended=True))
     record_exit(files.state_dir, {**safety_of(state, "why", unsafe).data, "run_dir": "runs/demo", "causes": [cause]})
     said = polishd("status", files.cell, "--json")
-    told = json.loads(said.out)
+    shown = json.loads(said.out)
     killed = state in ("held", "polishing")
-    assert (said.code, told["ok"], told["state"]) == (5, False, "killed" if killed else state)
-    assert (told["tool_off"], told["run_dir"], told["causes"]) == (tool, "runs/demo", [cause])
-    assert "no daemon is running" in told["error"]
-    assert "why" in told["reason"]
-    assert ("was killed" in told["reason"]) == killed
+    assert (said.code, shown["ok"], shown["state"]) == (5, False, "killed" if killed else state)
+    assert (shown["tool_off"], shown["run_dir"], shown["causes"]) == (tool, "runs/demo", [cause])
+    assert "no daemon is running" in shown["error"]
+    assert "why" in shown["reason"]
+    assert ("was killed" in shown["reason"]) == killed
     people = polishd("status", files.cell)
     assert people.code == 5
     lines = people.out.splitlines()
@@ -278,8 +278,8 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     assert {"cause: 09:00 ended: SafetyStop: force", f"tool off the part: {tool}"} <= set(lines)
     assert lines[-1].startswith("next: ")
     assert says in lines[-1]
-    told_to_resume = "polishd resume" in people.out
-    assert told_to_resume == ("it comes up held" in lines[-1]), "nobody is told to resume where no daemon runs"
+    says_resume = "polishd resume" in people.out
+    assert says_resume == ("it comes up held" in lines[-1]), "without a daemon there is nothing to resume"
 
 
 @pytest.mark.one_of_each
@@ -291,8 +291,8 @@ def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, conte
     if content is not None:
         record.write_bytes(content)
     said = polishd("status", files.cell, "--json")
-    told = json.loads(said.out)
-    assert (said.code, told["state"], told["tool_off"]) == (5, "unknown", "not asked")
+    shown = json.loads(said.out)
+    assert (said.code, shown["state"], shown["tool_off"]) == (5, "unknown", "not asked")
     assert polishd("status", files.cell).code == 5
     record.unlink(missing_ok=True)
 
@@ -357,9 +357,9 @@ def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
     said = polishd("probe", files.cell)
     assert said.code == 5
     assert "4 of 4 devices did not answer as they should: actuator, robot, spindle, metrology" in said.err
-    told = json.loads(polishd("probe", files.cell, "--only", "robot", "--json").out)
-    assert list(told) == ["robot"]
-    assert "nobody listens there" in told["robot"]["error"]
+    shown = json.loads(polishd("probe", files.cell, "--only", "robot", "--json").out)
+    assert list(shown) == ["robot"]
+    assert "nobody listens there" in shown["robot"]["error"]
 
 
 # plugins
@@ -380,12 +380,12 @@ def test_plugins(polishd: Polishd) -> None:
 
 def test_a_plugin_that_is_refused_is_told_and_fails(polishd: Polishd, files: DemoFiles) -> None:
     wrong = files.out / "plugins.toml"
-    wrong.write_text(with_values(files.cell.read_text(), {"plugins": {"load": ["rnc_robot", "nobody"]}}))
+    wrong.write_text(with_values(files.cell.read_text(), {"plugins": {"load": ["rnc_robot", "missing"]}}))
     said = polishd("plugins", wrong, "--json")
     answer = json.loads(said.out)
     assert said.code == 3
     assert [plugin["name"] for plugin in answer["loaded"]] == ["rnc_robot"]
-    assert answer["refused"][0]["name"] == "nobody"
+    assert answer["refused"][0]["name"] == "missing"
 
 
 # the demo

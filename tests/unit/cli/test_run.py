@@ -1,4 +1,4 @@
-"""``polishd run`` at the terminal: how each end is told, of one cell and of several."""
+"""``polishd run`` at the terminal: how each end is shown, of one cell and of several."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_each_error_has_its_code(
     assert (said.code, said.out) == (code, "")
     assert said.err.splitlines()[-2:] == [
         "polishd: what, where, and what to do",
-        "this run opened nothing, and moved nothing",
+        "This run opened nothing and moved nothing",
     ]
 
 
@@ -134,7 +134,7 @@ def test_each_cell_is_named_and_the_worst_code_counts(
     assert {"bench-cell: SafetyStop: force", "other-cell: SafetyStop: force"} <= set(lines)
     last = lines[lines.index("polishd: bench-cell: why") :]
     assert last[1:3] == ["bench-cell: tool off the part: not confirmed", "bench-cell: robot at rest: yes"]
-    assert last[-2:] == ["polishd: other-cell: slow", "other-cell: this run opened nothing, and moved nothing"]
+    assert last[-2:] == ["polishd: other-cell: slow", "other-cell: This run opened nothing and moved nothing"]
 
 
 def test_a_fault_of_ours_is_one_cells_affair(polishd: Polishd, two: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_two_cells_have_two_state_folders(polishd: Polishd, two: list[str]) -> N
     lines = Path(two[0]).read_text().splitlines()
     line = next(n for n, text in enumerate(lines, 1) if text.startswith("state_dir"))
     assert said.code == 3
-    assert said.err.startswith(f"polishd: {two[0]}:{line}: cell.state_dir: is that of {two[0]}, too; give each cell")
+    assert said.err.startswith(f"polishd: {two[0]}:{line}: cell.state_dir: is also that of {two[0]}; give each cell")
 
 
 def test_the_worst_code() -> None:

@@ -1,4 +1,4 @@
-"""``polishd top`` and ``events``: what is old looks old, a lost daemon is said, and a line tells what happened."""
+"""``polishd top`` and ``events``: what is old looks old, a lost daemon is shown, and a line describes an event."""
 
 from __future__ import annotations
 
