@@ -388,7 +388,7 @@ async def require_clear(cell: Cell) -> None:
     """SignalFault where a signal is not what it must be when a person orders motion (``on_start``)."""
     with suppress(TimeoutError):
         async with asyncio.timeout(TOLD_S):
-            while cell.signals.untold_on_order():  # noqa: ASYNC110 - signals are heard, not asked
+            while cell.signals.unknown_on_start():  # noqa: ASYNC110 - signals are heard, not asked
                 await asyncio.sleep(LOOK_S)
-    if wrong := cell.signals.wrong_on_order():
+    if wrong := cell.signals.wrong_on_start():
         raise SignalFault(f"{'; '.join(wrong)} when motion is ordered: see that nobody is in the cell's reach")
