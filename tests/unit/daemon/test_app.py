@@ -66,9 +66,9 @@ class Running:
 
     def __init__(self, bench: Bench, *, holds: bool = True, **changes: Any) -> None:
         self.bench = bench
-        self.told: list[Event] = []
+        self.published: list[Event] = []
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
-        bus = EventBus(sinks=(bench.journal.record_event, self.told.append))
+        bus = EventBus(sinks=(bench.journal.record_event, self.published.append))
         jobs = SingleJob(bench.journal, job.folder, job)
         requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
         self.daemon = JobRunner(bench.fake.cell, jobs, requests, bus, holds=holds)
@@ -98,7 +98,7 @@ class Running:
             await asyncio.sleep(0)
 
     def states(self) -> list[str]:
-        return [event.data["state"] for event in self.told if event.name == "state_changed"]
+        return [event.data["state"] for event in self.published if event.name == "state_changed"]
 
 
 def begin_earlier(tmp_path: Path, *, interrupted: bool) -> None:
@@ -118,7 +118,7 @@ async def test_a_job_to_its_end(bench: Bench) -> None:
     calls = bench.fake.of("make_safe", "close", "open")
     assert calls[:4] == [f"{name}.open" for name in ("actuator", "robot", "spindle", "metrology")]
     assert calls[4:] == [*SAFE, *SAFE, *CLOSED], "safe before anything else, and after everything"
-    opened = running.told[0]
+    opened = running.published[0]
     assert (opened.name, opened.data["robot"]["model"]) == ("opened", "robot")
     assert running.states() == ["polishing"]
 
@@ -340,7 +340,7 @@ async def test_the_reason_of_an_order_is_kept_and_shown(bench: Bench) -> None:
         assert await running.outcome() is Outcome.STOPPED
         stop.cancel()
         assert running.daemon.last_words(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
-    given = [(event.order, event.reason) for event in running.told if isinstance(event, CommandReceived)]
+    given = [(event.order, event.reason) for event in running.published if isinstance(event, CommandReceived)]
     assert given == [("hold", "a scratch at 3 o'clock"), ("hold", "ask Ada"), ("stop", "Ada said so")]
 
 
@@ -450,7 +450,7 @@ class Site:
     def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.path = tmp_path / "cell.toml"
         self.path.write_text("# a cell")
-        self.told: list[Event] = []
+        self.published: list[Event] = []
         self.bench: Bench | None = None
         self.measure: Any = None
         self.recipe = small_recipe(tolerance_nm=1.5)
@@ -473,7 +473,7 @@ class Site:
             error=lambda key, problem: ConfigError(f"cell.toml: {key}: {problem}"),
         )
         self.config.turns, self.config.tools = (self.config,), {}
-        self.hooks: Any = SimpleNamespace(on_event=self.told.append, check_plan=accept)
+        self.hooks: Any = SimpleNamespace(on_event=self.published.append, check_plan=accept)
         journal = app._journal
 
         def kept(config: Any, program: Program) -> Journal:
@@ -551,9 +551,9 @@ async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
     assert (site.config.run_dir / "cell.toml").read_text() == "# a cell"
     assert (site.config.run_dir / "journal.sqlite").stat().st_size > 0
     assert not (site.config.state_dir / "polishd.sock").exists()
-    finished = next(event for event in site.told if event.name == "run_folder_completed")
+    finished = next(event for event in site.published if event.name == "run_folder_completed")
     assert finished.data["run_dir"] == str(site.config.run_dir)
-    assert [e.data["state"] for e in site.told if e.name == "state_changed"][-1] == "finished"
+    assert [e.data["state"] for e in site.published if e.name == "state_changed"][-1] == "finished"
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert not journal.resumed, "the job is over: the next one is a new one"
 
@@ -571,7 +571,7 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         ("MapError", "all holes", True)
     ]
     assert summary["notes"][0].endswith(" ended: MapError: all holes")
-    failed = next(event for event in site.told if event.name == "daemon_failed")
+    failed = next(event for event in site.published if event.name == "daemon_failed")
     assert (failed.data["error"], failed.data["kind"], failed.data["tool_off"]) == ("all holes", "MapError", "yes")
     assert failed.data["next"] == summary["next"]
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:

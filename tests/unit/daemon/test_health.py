@@ -74,7 +74,7 @@ async def test_a_disk_that_fills_up_in_contact_is_left_before_it_is_full(bench: 
         assert reason.startswith("HostFault: state_disk_mb 100, at least 128")
         assert "make room on the disk of" in reason
         assert "pass 0 was interrupted" in reason
-        (held,) = (event for event in running.told if isinstance(event, CellHeld))
+        (held,) = (event for event in running.published if isinstance(event, CellHeld))
         assert held.kind == "HostFault"
         with pytest.raises(DeviceRefused, match="the cell stays held: HostFault: state_disk_mb 100"):
             await running.daemon.handlers["resume"]()

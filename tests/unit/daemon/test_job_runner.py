@@ -63,7 +63,7 @@ class Hall:
         """Jobs that cannot begin."""
         self.taken_out: set[str] = set()
         """Jobs that somebody takes out while they are made ready."""
-        self.told: list[Event] = []
+        self.published: list[Event] = []
         self.polished: list[str] = []
         self.queue = Queue(journal.store)
 
@@ -104,7 +104,7 @@ class Hall:
 
     async def build(self, **options: Any) -> None:
         self.jobs = QueuedJobs(self.journal, self.make)
-        self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.told.append))
+        self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.published.append))
         await self.jobs.resume()
         requests = QueueRequests(None, self.jobs.queue, self.jobs.added)  # type: ignore[arg-type]
         self.queue = self.jobs.queue
@@ -144,7 +144,7 @@ class Hall:
         return {entry.name: entry.state for entry in self.queue.entries()}
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        return [dict(event.data) for event in self.told if event.name == name]
+        return [dict(event.data) for event in self.published if event.name == name]
 
 
 @pytest.fixture
@@ -692,7 +692,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     assert (hall.tmp_path / "runs" / "a" / "journal.sqlite").exists()
     assert [event["outcome"] for event in hall.events("run_folder_completed")] == [outcome]
     assert [event["outcome"] for event in hall.events("queue_stopped")] == ["stopped"] * (ends is None)
-    concerns = [event for event in hall.told if event.name in {"queue_stopped", "failed"}]
+    concerns = [event for event in hall.published if event.name in {"queue_stopped", "failed"}]
     assert [concern.severity for event in concerns if (concern := event.concern())] == [
         Severity.INFO if ends is None else Severity.ALARM
     ]

@@ -56,7 +56,7 @@ class Rerun(Site):
         return as_map(height)
 
     def learned(self) -> list[tuple[int | None, float]]:
-        return [(event.cycle, event.data["rate"]) for event in self.told if event.name == "estimates_updated"]
+        return [(event.cycle, event.data["rate"]) for event in self.published if event.name == "estimates_updated"]
 
     def arrays(self, table: str, column: str) -> list[str]:
         """Names in the store, in the order of the cycles."""
@@ -75,13 +75,13 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rerun:
 
 async def until_held(site: Rerun) -> None:
     """pytest's timeout is the limit."""
-    while not any(event.name == "state_changed" and event.data["state"] == "held" for event in site.told):  # noqa: ASYNC110
+    while not any(event.name == "state_changed" and event.data["state"] == "held" for event in site.published):  # noqa: ASYNC110
         await asyncio.sleep(0.01)
 
 
 async def resumed(site: Rerun, meanwhile: Any = lambda: None) -> dict[str, Any]:
     """The daemon comes up held, something happens, and a person resumes."""
-    site.told.clear()
+    site.published.clear()
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))
         await until_held(site)

@@ -38,7 +38,7 @@ def monitored(bench: Bench, action: SignalAction) -> FakeMonitor:
 
 def told_of(running: Running) -> list[SignalOutOfRange]:
     """What the job told."""
-    return [event for event in running.daemon.job.told if isinstance(event, SignalOutOfRange)]  # type: ignore[union-attr]
+    return [event for event in running.daemon.job.published if isinstance(event, SignalOutOfRange)]  # type: ignore[union-attr]
 
 
 async def ready(bench: Bench) -> None:
@@ -56,7 +56,7 @@ async def test_hold_leaves_contact_in_order_and_a_person_goes_on(bench: Bench) -
         await running.held()
         assert bench.fake.of("make_safe")[3:6] == SAFE
         assert running.daemon.reason.startswith(f"SignalFault: {WRONG}; pass 0 was interrupted")
-        (held,) = (event for event in running.told if isinstance(event, CellHeld))
+        (held,) = (event for event in running.published if isinstance(event, CellHeld))
         assert held.kind == "SignalFault"
         status = await running.daemon.status()
         assert status["signals"]["flow"]["wrong"] == "flow is 0.2 l/min, must be at least 1 l/min"
@@ -65,7 +65,7 @@ async def test_hold_leaves_contact_in_order_and_a_person_goes_on(bench: Bench) -
         await ready(bench)
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    assert [event.what for event in running.told if isinstance(event, SignalOutOfRange)] == [WRONG]
+    assert [event.what for event in running.published if isinstance(event, SignalOutOfRange)] == [WRONG]
 
 
 async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
@@ -124,11 +124,11 @@ async def test_notify_tells_and_goes_on(bench: Bench) -> None:
     async with Running(bench) as running:
         await running.in_contact()
         monitor.values["flow"] = 0.2
-        while not any(isinstance(event, SignalOutOfRange) for event in running.told):  # noqa: ASYNC110
+        while not any(isinstance(event, SignalOutOfRange) for event in running.published):  # noqa: ASYNC110
             await asyncio.sleep(0)
         monitor.values["flow"] = 1.5
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    (wrong,) = (event for event in running.told if isinstance(event, SignalOutOfRange))
+    (wrong,) = (event for event in running.published if isinstance(event, SignalOutOfRange))
     assert (wrong.what, wrong.action) == (WRONG, "notify")
     concern = wrong.concern()
     assert concern is not None

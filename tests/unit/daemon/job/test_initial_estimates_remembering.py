@@ -62,7 +62,7 @@ async def begun(
 
 
 def notes(job: Job) -> list[str]:
-    return list(job.told[-1].data["notes"])  # type: ignore[attr-defined]
+    return list(job.published[-1].data["notes"])  # type: ignore[attr-defined]
 
 
 async def test_a_job_begins_with_the_rate_of_the_last_one_and_says_so(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ async def test_a_measurement_is_journalled_kept_and_told(job: Job, journal: Jour
     assert (folder / "map.dat").read_bytes() == b"raw"
     with np.load(folder / "surface.npz") as kept:
         assert np.array_equal(np.isfinite(kept["height_nm"]), measured.solve_mask)
-    (event,) = job.told  # type: ignore[attr-defined]
+    (event,) = job.published  # type: ignore[attr-defined]
     assert (event.name, event.cycle, event.data["rms_nm"]) == ("measured", 0, measured.stats.rms_nm)
 
 
@@ -157,11 +157,11 @@ async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, 
     assert rows[0] == "seq,start_s,end_s,contact,force_n,rpm,sensor_force_n"
     assert rows[1].endswith(",1,12,1000,nan")
     assert len(rows) - 1 == plan.program.n
-    names = [event.name for event in job.told]  # type: ignore[attr-defined]
+    names = [event.name for event in job.published]  # type: ignore[attr-defined]
     progress = plan.program.n // PROGRESS_BLOCKS
     assert progress > 2
     assert names == ["measured", "solved", "pass_started", *["progress"] * progress, "pass_ended"]
-    assert job.told[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
+    assert job.published[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
 
 
 # what was executed
@@ -281,7 +281,7 @@ async def test_one_entry_a_measurement(job: Job) -> None:
 
 async def test_the_first_cycle_learns_nothing(job: Job) -> None:
     await job.learn(0, await job.measured(0, small_map()))
-    assert [event.name for event in job.told] == ["measured"]  # type: ignore[attr-defined]
+    assert [event.name for event in job.published] == ["measured"]  # type: ignore[attr-defined]
 
 
 @pytest.mark.full
@@ -302,7 +302,7 @@ async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     """The tool pressed with 80 % all along, and removed as much less: nothing is learned, if that is known."""
     surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
-    told = job.told[-1]  # type: ignore[attr-defined]
+    told = job.published[-1]  # type: ignore[attr-defined]
     assert told.name == "estimates_updated"
     assert told.data["rate"] == pytest.approx(rate, rel=0.02)
 
@@ -327,7 +327,7 @@ async def test_nothing_is_learned_from_a_pass_that_was_torn_off(job: Job, journa
     await run(job, 0, plan, end=False, blocks=50)
     journal.end_pass(0, "interrupted")
     await job.learn(1, await measure(job, 1, 30.0))
-    assert "learned" not in [event.name for event in job.told]  # type: ignore[attr-defined]
+    assert "learned" not in [event.name for event in job.published]  # type: ignore[attr-defined]
 
 
 async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itself(job: Job) -> None:
@@ -335,7 +335,7 @@ async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itse
     surface = await whole_cycle(job, 0, small_map(), rate=0.8)
     for _ in range(2):
         await job.learn(1, await job.measured(1, surface))
-    last = job.told[-1]  # type: ignore[attr-defined]
+    last = job.published[-1]  # type: ignore[attr-defined]
     assert last.name == "estimates_updated"
     assert last.data["rate"] == pytest.approx(0.8, rel=0.05)
 
@@ -353,7 +353,7 @@ async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
         assert other.cycles() == job.cycles()
         assert np.array_equal(other.executed_s(1), job.executed_s(1))
         await other.learn(2, await other.measured(2, again))
-        told = other.told[-1]  # type: ignore[attr-defined]
+        told = other.published[-1]  # type: ignore[attr-defined]
         assert told.name == "estimates_updated"
         assert told.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
 
@@ -365,7 +365,7 @@ async def test_restored_amid_a_cycle_that_had_been_measured(job: Job, tmp_path: 
         other = small_job(tmp_path, journal)
         await other.load()
         await other.learn(1, await other.measured(1, surface))
-        assert other.told[-1].data["rate"] == pytest.approx(0.8, rel=0.05)  # type: ignore[attr-defined]
+        assert other.published[-1].data["rate"] == pytest.approx(0.8, rel=0.05)  # type: ignore[attr-defined]
 
 
 async def test_restored_before_any_pass_keeps_the_masks(job: Job, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ async def waits(running: Running) -> PlanAwaitingApproval:
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)
-    (told,) = (one for one in running.daemon.job.told if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
+    (told,) = (one for one in running.daemon.job.published if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
     return told
 
 
@@ -53,7 +53,7 @@ async def test_nothing_moves_before_the_plan_that_waits_is_approved(bench: Bench
         assert "robot.resume" not in " ".join(bench.fake.events)
         await handlers["approve"](program_sha256=told.program_sha256, by=MINE)
         await running.in_contact()
-        assert [one.by for one in running.told if isinstance(one, PlanApproved)] == [MINE]
+        assert [one.by for one in running.published if isinstance(one, PlanApproved)] == [MINE]
         assert bench.fake.cell.approval.wanted == ""
 
 
@@ -64,7 +64,7 @@ async def test_a_hold_ends_the_wait_for_approval(bench: Bench) -> None:
         assert running.daemon.state == "held"
         with pytest.raises(DeviceRefused, match="no plan waits"):
             await running.daemon.handlers["approve"](program_sha256="ff" * 32)
-        (ordered,) = (one for one in running.told if isinstance(one, CommandReceived))
+        (ordered,) = (one for one in running.published if isinstance(one, CommandReceived))
         assert (ordered.order, ordered.reason, ordered.by) == ("hold", "later", MINE)
 
 
@@ -112,7 +112,7 @@ async def test_who_watches_sees_readings_with_their_ages(bench: Bench) -> None:
 async def test_alarms_are_acknowledged_by_name(bench: Bench) -> None:
     async with Running(bench) as running:
         await running.daemon.handlers["acknowledge"](alarms=[3, 4], by=MINE)
-        (seen,) = (one for one in running.told if isinstance(one, AlarmAcknowledged))
+        (seen,) = (one for one in running.published if isinstance(one, AlarmAcknowledged))
         assert (list(seen.alarms), seen.by) == ([3, 4], MINE)
         for wrong in ([0], ["1"], [True], [1] * 1001):
             with pytest.raises(ConfigError, match="numbers of events"):

@@ -330,7 +330,7 @@ async def until(there: Callable[[], bool]) -> None:
 
 
 def states(site: Site) -> list[str]:
-    return [str(event.data["state"]) for event in site.told if event.name == "state_changed"]
+    return [str(event.data["state"]) for event in site.published if event.name == "state_changed"]
 
 
 async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(site: Site) -> None:
@@ -338,7 +338,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     state, program = site.config.state_dir, site.program.sha256.encode()
     flipped_row(state, program)
     before = files(state)
-    site.told.clear()
+    site.published.clear()
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell_or_error(site))
         await until(lambda: "held" in states(site))
@@ -355,7 +355,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     assert isinstance(task.result(), JournalDamage)
     assert site.bench is not None
     assert site.bench.fake.events == [], "no device was opened"
-    assert [event.data["kind"] for event in site.told if event.name == "cell_held"] == ["JournalDamage"]
+    assert [event.data["kind"] for event in site.published if event.name == "cell_held"] == ["JournalDamage"]
     assert files(state) == before, "it is left as it is, for whoever mends it"
     assert last_ending(state)["reason"].startswith("JournalDamage: ")
 

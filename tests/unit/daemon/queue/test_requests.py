@@ -165,7 +165,7 @@ async def test_what_is_offered_is_an_event_of_the_journal(hall: Callable[..., Ha
     cell = hall()
     await cell.start()
     assert await cell.daemon.handlers["shop_rates"](offers=[OFFER]) == {"offers": 1}
-    assert cell.told[-1] == ShopRateReceived(**OFFER)  # type: ignore[arg-type]
+    assert cell.published[-1] == ShopRateReceived(**OFFER)  # type: ignore[arg-type]
     rows = cell.journal.store.read("SELECT data FROM event WHERE name = 'shop_rate_received'")
     assert [json.loads(data) for (data,) in rows] == [OFFER]
     wrong: list[Any] = [{}, {**OFFER, "rate": "1"}, {**OFFER, "more": 1}, "x"]

@@ -96,9 +96,9 @@ async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, err
         assert bench.moved() == []
         assert (await running.daemon.handlers["resume"]())["state"] == "polishing"
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    held = next(event for event in running.told if event.name == "cell_held")
+    held = next(event for event in running.published if event.name == "cell_held")
     assert held.data == {"error": str(error), "kind": type(error).__name__}
-    state = next(event for event in running.told if event.data.get("state") == "held")
+    state = next(event for event in running.published if event.data.get("state") == "held")
     assert (state.data["tool_off"], state.data["robot_at_rest"]) == ("yes", "yes")
     assert "polishd resume CELL.toml" in state.data["next"]
 
