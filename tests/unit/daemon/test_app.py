@@ -191,7 +191,7 @@ async def test_a_robot_that_still_serves_an_earlier_run_is_waited_for(bench: Ben
             await asyncio.sleep(0)
         assert await running.outcome() is Outcome.IN_TOLERANCE
     assert bench.fake.events.count("robot.open") == 4
-    assert running.states() == ["starting", "polishing"], "it is said once"
+    assert running.states() == ["starting", "polishing"], "published once"
 
 
 async def test_a_robot_that_another_program_has_is_not_waited_for_for_ever(bench: Bench) -> None:
@@ -226,9 +226,9 @@ async def test_hold_at_a_start_holds_when_the_cell_is_open(bench: Bench) -> None
 
 
 async def test_a_device_that_is_not_there(bench: Bench) -> None:
-    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody answers")
+    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: no answer")
     async with Running(bench) as running:
-        with pytest.raises(LinkError, match="spindle: nobody answers"):
+        with pytest.raises(LinkError, match="spindle: no answer"):
             await running.outcome()
     assert bench.fake.events[-4:] == CLOSED
     assert bench.fake.of(*MOVES, "metrology.next_map", "metrology.open") == []
@@ -339,7 +339,7 @@ async def test_the_reason_of_an_order_is_kept_and_shown(bench: Bench) -> None:
         stop = asyncio.create_task(orders["stop"](reason="Ada said so"))
         assert await running.outcome() is Outcome.STOPPED
         stop.cancel()
-        assert running.daemon.last_words(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
+        assert running.daemon.exit_facts(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
     given = [(event.order, event.reason) for event in running.published if isinstance(event, CommandReceived)]
     assert given == [("hold", "a scratch at 3 o'clock"), ("hold", "ask Ada"), ("stop", "Ada said so")]
 
@@ -523,24 +523,24 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 def test_a_job_that_no_map_could_end_is_refused_before_anything_is_opened(site: Site) -> None:
     site.recipe = small_recipe(tolerance_nm=1.5, accept_by="bound")
-    with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm by itself.*nothing was opened"):
+    with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm.*nothing was opened"):
         app._own_work(site.config, site.hooks)
     assert site.bench is None
 
 
 async def test_the_loop_goes_first_until_the_end(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+    steps: list[str] = []
 
     @contextmanager
     def first() -> Iterator[None]:
-        told.append("first")
+        steps.append("first")
         yield
-        told.append("as before")
+        steps.append("as before")
 
     monkeypatch.setattr(app, "loop_first", first)
-    monkeypatch.setattr(app, "run_folder", lambda *given: told.append("run") or run_folder(*given))
+    monkeypatch.setattr(app, "run_folder", lambda *given: steps.append("run") or run_folder(*given))
     await run_cell(site.config, site.hooks)
-    assert told == ["first", "run", "as before"]
+    assert steps == ["first", "run", "as before"]
 
 
 async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
@@ -563,9 +563,9 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         raise MapError("all holes")
 
     site.measure = refuse
-    told = await run_cell(site.config, site.hooks, holds=False)
+    returned = await run_cell(site.config, site.hooks, holds=False)
     summary = site.summary()
-    assert summary == json.loads(json.dumps(told))
+    assert summary == json.loads(json.dumps(returned))
     assert (summary["outcome"], summary["exit_code"]) == ("failed", 8)
     assert [(cause["kind"], cause["error"], cause["ended"]) for cause in summary["causes"]] == [
         ("MapError", "all holes", True)

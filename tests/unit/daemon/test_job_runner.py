@@ -62,7 +62,7 @@ class Hall:
         self.refused: dict[str, PolishdError] = {}
         """Jobs that cannot begin."""
         self.taken_out: set[str] = set()
-        """Jobs that somebody takes out while they are made ready."""
+        """Jobs that an operator removes while they are prepared."""
         self.published: list[Event] = []
         self.polished: list[str] = []
         self.queue = Queue(journal.store)
@@ -667,7 +667,7 @@ async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
     answer = await hall.order("hold")
     assert "polishd run CELL.toml --queue" in answer["next"]
     assert answer["next"] == hall.events("state")[-1]["next"] == (await hall.order("status"))["next"]
-    assert "--queue --queue" not in hall.daemon.last_words(Outcome.STOPPED, None)["next"]
+    assert "--queue --queue" not in hall.daemon.exit_facts(Outcome.STOPPED, None)["next"]
     await hall.end()
 
 
@@ -701,11 +701,11 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
 # over restarts
 
 
-@pytest.mark.parametrize("why", ["gate", "gate, and nobody is there", "order"])
+@pytest.mark.parametrize("why", ["gate", "gate, unattended", "order"])
 async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None:
     hall.add(*"ab" if why != "order" else "").fake.with_loader()
     hall.ends["a"] = [RemovalCheckStop("turned")]
-    if "nobody" in why:
+    if "unattended" in why:
         with pytest.raises(RemovalCheckStop):
             await hall.run(holds=False)
         reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "

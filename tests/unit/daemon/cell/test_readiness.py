@@ -1,4 +1,4 @@
-"""Before contact every device that the job uses is asked: one that is not ready is told of by its own words."""
+"""Before contact each device of the job has to be ready; the error has the status of a device that is not."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ async def test_a_device_that_is_not_ready_is_told_by_its_own_words_and_nothing_m
 async def test_all_that_are_not_ready_stand_in_one_line(bench: Bench) -> None:
     for device in (bench.fake.actuator, bench.fake.spindle):
         device.status_reply = DISABLED
-    told = r"^actuator is not ready: fault: drive disabled; spindle is not ready: fault: drive disabled; see to it"
-    with pytest.raises(DeviceFault, match=told):
+    message = r"^actuator is not ready: fault: drive disabled; spindle is not ready: fault: drive disabled\. Correct it"
+    with pytest.raises(DeviceFault, match=message):
         await bench.polish()
 
 

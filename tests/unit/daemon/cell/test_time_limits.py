@@ -63,12 +63,12 @@ def test_what_is_shorter_than_what_it_guards_is_named(
 
 def test_what_is_wrong_says_how_long_is_needed_and_why() -> None:
     (_, said), *_ = too_short(replace(LIMITS, robot=RobotTimes(watchdog_s=2.0)).chain(8.0))
-    assert "robot stops by itself: 2 s; at least 6.7 s until the tool is up" in said
+    assert "watchdog of the robot: 2 s; at least 6.7 s until the tool is up" in said
 
 
 def test_a_time_that_never_comes_is_json() -> None:
     chain = replace(LIMITS, robot=RobotTimes(watchdog_s=math.inf)).chain(8.0)
-    assert {row["what"]: row["seconds"] for row in (limit.row() for limit in chain)}["robot stops by itself"] is None
+    assert {row["what"]: row["seconds"] for row in (limit.row() for limit in chain)}["watchdog of the robot"] is None
 
 
 # a force sensor

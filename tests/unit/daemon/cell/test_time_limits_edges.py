@@ -67,7 +67,7 @@ def test_the_slowest_way_counts_in_all_of_them() -> None:
     [
         (COIL, 7.5, 9.5),
         (ROBOT, 9.0, 19.0),
-        (RobotTimes(watchdog_s=math.inf), 8.0, 8.0),  # it never lets go by itself: only its word counts
+        (RobotTimes(watchdog_s=math.inf), 8.0, 8.0),  # it has no watchdog: only its confirmation counts
         (SPINDLE, 10.0, 11.5),
         (LoaderTimes(stop_s=2.0), 5.0, 5.0),
         (None, 3.0, 3.0),

@@ -108,7 +108,7 @@ async def test_a_sensor_that_reads_nothing_while_the_tool_lands(fake: FakeCell, 
 
 
 async def test_landing_waits_for_the_sensor_to_read_the_force_too(fake: FakeCell, sensor: FakeForceSensor) -> None:
-    """The actuator says 12 N at once; by the sensor 12 N act 0.15 s later: nobody moves before."""
+    """The actuator says 12 N at once; by the sensor 12 N act 0.15 s later: nothing moves before."""
     landed: list[float] = []
 
     def late(reading: SensedForce) -> SensedForce:

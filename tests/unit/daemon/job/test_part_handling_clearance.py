@@ -79,7 +79,7 @@ async def test_what_leads_to_motion_is_refused_until_the_cell_is_clear(bench: Be
         with pytest.raises(DeviceRefused, match="approve is refused: clear is off"):
             await running.daemon.handlers["approve"](program_sha256="ff" * 32)
         monitor.values["clear"] = True
-        while bench.fake.cell.signals.wrong_on_order():  # noqa: ASYNC110
+        while bench.fake.cell.signals.wrong_on_start():  # noqa: ASYNC110
             await asyncio.sleep(0)
         await running.daemon.handlers["resume"]()
         assert running.daemon.state == "polishing"
