@@ -184,7 +184,7 @@ async def test_a_robot_that_still_serves_an_earlier_run_is_waited_for(bench: Ben
                 await asyncio.sleep(0)
             clock.advance(1.0)
         assert running.daemon.state == "starting"
-        assert running.daemon.reason == "robot still serves its last client; it is asked again for up to 16 s"
+        assert running.daemon.reason == "robot still serves its last client; retrying for up to 16 s"
         robot.acts.fails.clear()
         while running.daemon.state == "starting":
             clock.advance(1.0)
@@ -200,7 +200,7 @@ async def test_a_robot_that_another_program_has_is_not_waited_for_for_ever(bench
         while running.task and not running.task.done():
             bench.fake.clock.advance(1.0)
             await asyncio.sleep(0)
-        with pytest.raises(DeviceBusy, match=r"busy; it stayed so for 16 s, .*: stop the program"):
+        with pytest.raises(DeviceBusy, match=r"busy; it stayed busy for 16 s, .*\. Stop the program"):
             await running.outcome()
     assert bench.fake.of(*MOVES, "make_safe") == []
     assert bench.fake.events[-4:] == CLOSED
@@ -318,7 +318,7 @@ async def test_an_emergency_stop_by_order_stops_motion_before_the_tool_is_up(ben
         bench.fake.robot.acts.before["make_safe"] = lambda: stopped.append(bench.fake.actuator.retracted)
         answer = await verbs["estop"]()
         assert (answer["state"], stopped[0]) == ("held", False)
-        assert answer["reason"].startswith("motion was stopped at once, by order; pass 0 was interrupted")
+        assert answer["reason"].startswith("motion was stopped at once, by command; pass 0 was interrupted")
         assert bench.fake.actuator.retracted
         await verbs["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
@@ -330,16 +330,18 @@ async def test_the_reason_of_an_order_is_kept_and_shown(bench: Bench) -> None:
         orders = running.daemon.handlers
         await running.in_contact()
         answer = await orders["hold"](reason="a scratch\n at 3 o'clock")
-        assert answer["reason"].startswith("held by order: a scratch at 3 o'clock; pass 0 was interrupted")
+        assert answer["reason"].startswith("held by command: a scratch at 3 o'clock; pass 0 was interrupted")
         assert (await running.daemon.status())["reason"] == answer["reason"]
         await orders["hold"](reason="ask Ada")
         while "Ada" not in running.daemon.reason:  # noqa: ASYNC110
             await asyncio.sleep(0)
-        assert running.daemon.reason == f"{answer['reason']}; held by order: ask Ada"
+        assert running.daemon.reason == f"{answer['reason']}; held by command: ask Ada"
         stop = asyncio.create_task(orders["stop"](reason="Ada said so"))
         assert await running.outcome() is Outcome.STOPPED
         stop.cancel()
-        assert running.daemon.exit_facts(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
+        assert running.daemon.exit_facts(Outcome.STOPPED, None)["reason"].startswith(
+            "stopped by command: Ada said so; "
+        )
     given = [(event.order, event.reason) for event in running.published if isinstance(event, CommandReceived)]
     assert given == [("hold", "a scratch at 3 o'clock"), ("hold", "ask Ada"), ("stop", "Ada said so")]
 
@@ -370,7 +372,7 @@ async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> 
     async with Running(bench, compute=slow, recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2) as running:
         await waiting.wait()
         answer = await running.daemon.handlers["hold"]()
-        assert answer["reason"].startswith("held by order")
+        assert answer["reason"].startswith("held by command")
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.CYCLES_USED
     assert [record.how for record in bench.journal.passes] == ["done", "done"]

@@ -249,7 +249,7 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
     for name in ("a", "b"):
         await hall.until("changing")
         status = await hall.order("status")
-        assert status["reason"] == f"{name}: a person is to put part 'P-{name}' in"
+        assert status["reason"] == f"{name}: an operator has to put part 'P-{name}' in"
         assert "polishd resume" in status["next"]
         assert hall.polished == ["a"] * (name == "b")
         await hall.order("resume")
@@ -617,7 +617,7 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
     hall.fake.with_loader()
     await hall.start()
     await hall.until("idle")
-    assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by order: cleaning"
+    assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by command: cleaning"
     hall.add("a")
     hall.jobs.added()
     assert (await hall.order("resume"))["state"] != "held"
@@ -767,7 +767,7 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
     hall.add("a")
     hall.queue.begin(hall.queue.to_do()[0], hall.journal.of_job("a", "P-a", {}).number)
     hall.refused["a"] = ConfigError("cell.toml:3: part.edge_mm: is 5")
-    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*put it aside: polishd queue remove CELL.toml a"):
+    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*set it aside: polishd queue remove CELL.toml a"):
         await hall.start()
     assert hall.fake.events == []
 

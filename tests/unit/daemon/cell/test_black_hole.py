@@ -73,7 +73,7 @@ async def test_what_takes_longer_is_cancelled_and_may_tidy_up() -> None:
 async def test_what_does_not_let_go_is_left_behind(bench: Bench, hole: Hole, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(TimeoutError):
         await with_deadline(SOON_S, hole())
-    assert "is left behind" in caplog.text
+    assert "is abandoned" in caplog.text
     caller = asyncio.ensure_future(with_deadline(3600.0, hole()))
     await asyncio.sleep(0)
     caller.cancel()
@@ -108,7 +108,7 @@ async def test_a_stop_ends_the_daemon_whatever_a_device_does(
         while not ended.done():
             bench.fake.clock.advance(0.5)  # an actuator that lifts, or lets go, takes its time
             await asyncio.sleep(0)
-        with pytest.raises(LinkError, match=rf"^{name}: was not closed within 0\.02 s, and is left behind"):
+        with pytest.raises(LinkError, match=rf"^{name}: was not closed within 0\.02 s, and is abandoned"):
             await ended
     assert hole.requests >= 3, "contact was left, the cell was made safe and closed"
     (unsafe,) = bench.fake.cell.unsafe

@@ -52,7 +52,7 @@ def test_what_is_wrong_for_longer_than_its_grace_is_told_once() -> None:
     monitored = Monitored()
     assert monitored.run(1.0, 1.2) == []
     assert monitored.run(1.9, 0.2) == []
-    said = "flow is 0.2 l/min, must be at least 0.8 l/min in contact, and was not for more than 2 s"
+    said = "flow is 0.2 l/min, must be at least 0.8 l/min in contact; it was wrong for more than 2 s"
     assert monitored.run(10.0, 0.2) == [said]
 
 
@@ -176,7 +176,7 @@ async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
         while not waiting.done():
             fake.clock.advance(0.01)
             await asyncio.sleep(0.01)
-    what = "flow is 0.2 l/min, must be at least 1 l/min before contact; it is waited for, for up to 5 s"
+    what = "flow is 0.2 l/min, must be at least 1 l/min before contact; the daemon waits for up to 5 s"
     assert published == [SignalOutOfRange(cycle=3, signal="flow", what=what, action="wait")], "published once"
 
 

@@ -34,7 +34,7 @@ async def test_a_device_that_is_not_ready_is_told_by_its_own_words_and_nothing_m
     bench.fake.devices[name].status_reply = DISABLED
     async with Running(bench) as running:
         await running.held()
-        said = f"DeviceFault: {name} is not ready: fault: drive disabled; see to it: no pass was begun"
+        said = f"DeviceFault: {name} is not ready: fault: drive disabled. Correct it; no pass was begun"
         assert running.daemon.reason == said
         assert [event.data["kind"] for event in running.published if event.name == "cell_held"] == ["DeviceFault"]
         assert bench.fake.of("robot.resume", "actuator.set_force", "spindle.set_speed") == []

@@ -20,7 +20,7 @@ from tests.unit.daemon.test_app import SAFE, Running
 from tests.unit.daemon.test_health import at_once
 
 FLOW = SignalLimits("flow", "monitor", "flow", "l/min", SignalRange(min=1.0), 3.0, SignalRange(min=0.8), 0.0, "hold")
-WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact, and was not for more than 0 s"
+WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact; it was wrong for more than 0 s"
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ def test_an_actuator_that_lifts_at_once_needs_nothing_of_the_robot_and_one_that_
     assert limits.unseen_s == pytest.approx(1.25 + 2 * 0.55 + 2.0 + 0.2 + 0.6)
     stays = TimeLimits(replace(quick, unpowered="stays"), ROBOT, SPINDLE)
     assert stays.buffer_s == pytest.approx(0.55 + 6.0)
-    (taken_off,) = [limit for limit in stays.chain(8.5) if "taken off by the robot" in limit.what]
+    (taken_off,) = [limit for limit in stays.chain(8.5) if "lifted by the robot" in limit.what]
     assert (taken_off.key, taken_off.seconds) == ("", stays.buffer_s)
 
 

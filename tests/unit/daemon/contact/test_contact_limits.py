@@ -112,11 +112,11 @@ async def test_a_contact_beyond_the_stroke_is_none(mm: float, on: bool, stops: b
     assert watched.fake.actuator.times.stroke_mm == 10.0
     found = await watched.read([force(0.0), force(0.1, mm=mm, on=on)])
     assert isinstance(found, SafetyStop) is stops
-    assert not stops or "contact 10.10 mm out of its rest, and its stroke is 10 mm" in str(found)
+    assert not stops or "contact at 10.10 mm extension, and its stroke is 10 mm" in str(found)
 
 
 async def test_once_it_is_left_only_faults_count_and_the_place() -> None:
-    """The force goes then, by order."""
+    """The daemon has commanded the force off."""
     watched = Watched()
     watched.touch.left = True
     assert await watched.read([force(0.0), force(9.0, 0.0, on=False)]) is None

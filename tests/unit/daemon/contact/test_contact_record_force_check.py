@@ -48,7 +48,7 @@ def test_a_sensor_that_leaves_is_named_with_both_values_and_the_set_point(forces
     with pytest.raises(ForcesApart) as stop:
         forces.read(12.02, 10.5, 1.0)
     assert str(stop.value) == (
-        "the forces disagree: the actuator says 12.02 N, the force sensor 10.50 N, the set point is 12 N; 1.52 N "
+        "the forces disagree: the actuator reads 12.02 N, the force sensor 10.50 N, the set point is 12 N; 1.52 N "
         "apart, at most 1 N (force_sensor.max_difference_n), for more than 0.5 s; "
         "the force sensor left the set point first"
     )
@@ -92,7 +92,7 @@ def test_nan_is_no_agreement(forces: Forces) -> None:
 
 def test_an_actuator_that_feels_nothing_and_presses_on_is_stopped_while_it_lands(forces: Forces) -> None:
     forces.read(0.0, 0.0, 2.0, landed=False)
-    with pytest.raises(ForcesApart, match="neither has kept to the set point"):
+    with pytest.raises(ForcesApart, match="neither stayed at the set point"):
         forces.read(0.7, 3.0, 1.0, landed=False)
 
 
@@ -213,7 +213,7 @@ def test_a_landing_is_steep_and_no_disagreement(forces: Forces) -> None:
 def test_a_sensor_off_the_set_point_by_itself_ends_contact() -> None:
     forces = Forces(set_n=0.8, set_band=0.25)
     forces.read(0.8, 0.8, 1.0)
-    with pytest.raises(ForcesApart, match=r"1.30 N is outside 0.8 N \+- 25% .* the actuator says 0.80 N"):
+    with pytest.raises(ForcesApart, match=r"1.30 N is outside 0.8 N \+- 25% .* the actuator reads 0.80 N"):
         forces.read(0.8, 1.3, 1.0)
     assert not forces.check.sensor_fits
 
@@ -237,10 +237,10 @@ def test_after_landing_too_low_counts() -> None:
 @pytest.mark.parametrize(
     ("actuator_n", "sensor_n", "says"),
     [
-        (2.9, 0.1, "suspected is the actuator"),
-        (0.1, -2.9, "suspected is the force sensor"),
-        (0.1, 0.1, "which of them is wrong that does not tell; try both with a weight"),
-        (2.0, 2.0, "which of them is wrong that does not tell"),
+        (2.9, 0.1, "the actuator is probably wrong"),
+        (0.1, -2.9, "the force sensor is probably wrong"),
+        (0.1, 0.1, "does not show which of them is wrong. Check both with a weight"),
+        (2.0, 2.0, "does not show which of them is wrong"),
     ],
 )
 def test_who_does_not_read_zero_where_the_force_is_zero_is_suspected(

@@ -186,7 +186,7 @@ async def test_a_robot_that_has_forgotten(fake: FakeCell, journal: Journal, fiel
     setattr(fake.robot, field, value)
     interrupted(journal)
     said = await settle_interrupted_pass(fake.cell, journal)
-    assert "uncertain: blocks 18 to 24 (as far as the tool can have come: the robot does not remember)" in said
+    assert "uncertain: blocks 18 to 24 (estimated: the robot has no record of this pass)" in said
     assert list(journal.executed(2).seq) == list(range(5, 18)), "what another run says is not believed"
     assert journal.passes[0].how == "interrupted"
 

@@ -30,7 +30,7 @@ async def test_an_idle_robot_that_does_not_say_whether_it_moves_counts_as_moving
     else:
         robot.acts.fails["progress"] = LinkError("cut")
     assert await twins.right_robot_stops_s() >= ActuatorTimes().alone_s - 0.1
-    assert "robot.right does not say whether it moves" in caplog.text
+    assert "robot.right does not report whether it moves" in caplog.text
 
 
 async def test_what_is_cancelled_from_within_is_told_at_once() -> None:

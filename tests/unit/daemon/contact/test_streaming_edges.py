@@ -202,7 +202,7 @@ async def test_a_robot_with_just_enough_motion_to_lift_in_may_go() -> None:
     assert fake.robot.done == 3
     fake = FakeCell()
     fake.robot.takes, fake.robot.block_s = CHUNK, 0.01 / CHUNK
-    with pytest.raises(DeviceRefused, match=r"holds 0\.01 s of motion"):
+    with pytest.raises(DeviceRefused, match=r"buffers 0\.01 s of motion"):
         await refused(fake)
     assert fake.robot.done == 0
 

@@ -178,7 +178,7 @@ async def test_a_lost_journal_is_logged_while_contact_is_left_and_does_not_take_
     contact.robot.fails(LinkError("robot: gone"))
     with pytest.raises(LinkError, match="robot: gone"):
         await contact.whole()
-    assert "is not recorded (journal lost): the next start asks the robot" in caplog.text
+    assert "are not recorded (journal lost): the next start reads them" in caplog.text
     monkeypatch.undo()
     assert contact.journal.passes[0].uncertain is None
     await settle_interrupted_pass(contact.fake.cell, contact.journal)
