@@ -132,7 +132,7 @@ def test_a_broken_plugin_is_refused_by_name(cell: Any, polishd: Polishd, install
     install("acme", PAGER.format(body=body))
     told = polishd("notify", cell('[notify.me]\ntype = "pager"\n', ("acme",)))
     assert told.code == 3
-    assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}; mend the plugin" in told.err
+    assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}. Correct the plugin" in told.err
 
 
 def test_somebody_elses_notifier(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_what_the_disk_cannot_take_is_counted(
     lost = int(note.split(": ")[1].split()[0])
     assert lost + len(found.passed) == 51, "each is there, or counted"
     assert lost >= 39
-    assert f"{lost} records dropped" in caplog.text
+    assert f"{lost} records were dropped" in caplog.text
 
 
 def test_a_disk_that_fails_ends_the_recording_and_nothing_else(

@@ -107,7 +107,7 @@ async def test_too_little_motion_is_seen_by_who_looks_and_by_who_follows() -> No
     robot.buffer_s = LEAST_S - 0.01
     await anext(blocks)
     await anext(blocks)  # published once, and the recording goes on
-    with pytest.raises(SafetyStop, match=r"only 0\.24 s of motion are left in the robot at block 0, and lifting may"):
+    with pytest.raises(SafetyStop, match=r"only 0\.24 s of motion are left in the robot at block 0, and a lift may"):
         await supplied
     with pytest.raises(Over):
         await stream.watch()

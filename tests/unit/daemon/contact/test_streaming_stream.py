@@ -114,7 +114,7 @@ async def test_a_robot_that_holds_less_than_the_look_ahead_starts_when_it_is_ful
 async def test_a_robot_that_holds_too_little_to_lift_in_is_refused_before_it_moves(fake: FakeCell) -> None:
     fake.robot.block_s = 0.00005
     fake.robot.takes = CHUNK
-    with pytest.raises(DeviceRefused, match=r"buffers 0\.01 s of motion .* nothing was moved"):
+    with pytest.raises(DeviceRefused, match=r"buffers 0\.01 s of motion; .* nothing was moved"):
         await whole_pass(fake, small_plan(1000), 0.04)
     assert fake.robot.done == 0
 
