@@ -184,7 +184,7 @@ async def test_a_robot_that_still_serves_an_earlier_run_is_waited_for(bench: Ben
                 await asyncio.sleep(0)
             clock.advance(1.0)
         assert running.daemon.state == "starting"
-        assert running.daemon.reason == "robot still serves its last client; retrying for up to 16 s"
+        assert running.daemon.reason == "robot still serves its last client; the daemon retries for up to 16 s"
         robot.acts.fails.clear()
         while running.daemon.state == "starting":
             clock.advance(1.0)
