@@ -387,7 +387,7 @@ async def require_clear(cell: Cell) -> None:
     """SignalFault where a signal does not have the value that a command to move requires (``on_start``)."""
     with suppress(TimeoutError):
         async with asyncio.timeout(FIRST_VALUE_S):
-            while cell.signals.untold_on_order():  # noqa: ASYNC110 - signals arrive, they are not polled
+            while cell.signals.unknown_on_start():  # noqa: ASYNC110 - signals are heard, not asked
                 await asyncio.sleep(LOOK_S)
-    if wrong := cell.signals.wrong_on_order():
-        raise SignalFault(f"{'; '.join(wrong)}. Make sure that no person is in the cell before you start motion")
+    if wrong := cell.signals.wrong_on_start():
+        raise SignalFault(f"{'; '.join(wrong)} when motion is ordered: see that nobody is in the cell's reach")

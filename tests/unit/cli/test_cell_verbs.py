@@ -70,7 +70,7 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     assert {limit["key"]: limit["seconds"] for limit in facts["time limits"]}["robot.watchdog_s"] == 8.0
     people = polishd("check", files.cell)
     assert (people.code, "nothing was opened" in people.out) == (0, True)
-    words = ("tool up after the last word", "6.2 s", "robot.watchdog_s", "robot that stands", "warning: A robot")
+    words = ("tool up after the last command", "6.2 s", "robot.watchdog_s", "standstill of the robot", "warning: A")
     for said_to_people in words:
         assert said_to_people in people.out
 
@@ -80,8 +80,8 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     ("change", "code", "says"),
     [
         ({"dwell": {"solver": "newton"}}, 3, "newton_cg"),
-        ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: robot stops by itself: 2 s; at least 6.7 s"),
-        ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: robot stops by itself: 8 s; at least 10.7 s"),
+        ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: watchdog of the robot: 2 s; at least 6.7 s"),
+        ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: watchdog of the robot: 8 s; at least 10.7 s"),
         ({"job": {"stream_ahead_s": 1.0}}, 3, "job.stream_ahead_s: motion held by the robot: 1 s; at least 6.2 s"),
         ({"program": {"path": "gone.rnc"}}, 9, "gone.rnc"),
         ({"robot": {"type": "robot"}}, 3, "robot_link"),
@@ -118,7 +118,7 @@ def test_a_robot_that_cannot_read_the_program_is_told_with_the_key(polishd: Poli
 
 def test_check_says_what_the_program_covers_and_where_the_seat_is_proved(polishd: Polishd, files: DemoFiles) -> None:
     found = polishd("check", files.cell, "--json").answer
-    assert found["seat"].startswith("proved with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")
+    assert found["seat"].startswith("checked with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")
     covers = found["covers"]
     assert covers.startswith("program.rnc reaches 16.0 mm from the part's centre, the part is a circle of 20 mm; ")
     assert covers.endswith("no point reaches 0.0 % of the clear aperture")

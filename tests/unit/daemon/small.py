@@ -76,7 +76,7 @@ JOB = JobSection(id="small", tolerance_nm=0.5, lsf_period_mm=10.0)
 
 
 def small_recipe(**changes: Any) -> Recipe:
-    """The recipe, with changes: of its own fields, or else of keys of its sections."""
+    """Return the recipe with changed fields or keys of its sections."""
     recipe = Recipe(
         part=PART,
         outline=Circle(APERTURE_MM / 2),

@@ -184,14 +184,14 @@ async def test_a_robot_that_still_serves_an_earlier_run_is_waited_for(bench: Ben
                 await asyncio.sleep(0)
             clock.advance(1.0)
         assert running.daemon.state == "starting"
-        assert running.daemon.reason == "robot still serves its last client; it is asked again for up to 16 s"
+        assert running.daemon.reason == "robot still serves its last client; the daemon retries for up to 16 s"
         robot.acts.fails.clear()
         while running.daemon.state == "starting":
             clock.advance(1.0)
             await asyncio.sleep(0)
         assert await running.outcome() is Outcome.IN_TOLERANCE
     assert bench.fake.events.count("robot.open") == 4
-    assert running.states() == ["starting", "polishing"], "it is said once"
+    assert running.states() == ["starting", "polishing"], "published once"
 
 
 async def test_a_robot_that_another_program_has_is_not_waited_for_for_ever(bench: Bench) -> None:
@@ -200,7 +200,7 @@ async def test_a_robot_that_another_program_has_is_not_waited_for_for_ever(bench
         while running.task and not running.task.done():
             bench.fake.clock.advance(1.0)
             await asyncio.sleep(0)
-        with pytest.raises(DeviceBusy, match=r"busy; it stayed so for 16 s, .*: stop the program"):
+        with pytest.raises(DeviceBusy, match=r"busy; it stayed busy for 16 s, .*\. Stop the program"):
             await running.outcome()
     assert bench.fake.of(*MOVES, "make_safe") == []
     assert bench.fake.events[-4:] == CLOSED
@@ -226,9 +226,9 @@ async def test_hold_at_a_start_holds_when_the_cell_is_open(bench: Bench) -> None
 
 
 async def test_a_device_that_is_not_there(bench: Bench) -> None:
-    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody answers")
+    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: no answer")
     async with Running(bench) as running:
-        with pytest.raises(LinkError, match="spindle: nobody answers"):
+        with pytest.raises(LinkError, match="spindle: no answer"):
             await running.outcome()
     assert bench.fake.events[-4:] == CLOSED
     assert bench.fake.of(*MOVES, "metrology.next_map", "metrology.open") == []
@@ -318,7 +318,7 @@ async def test_an_emergency_stop_by_order_stops_motion_before_the_tool_is_up(ben
         bench.fake.robot.acts.before["make_safe"] = lambda: stopped.append(bench.fake.actuator.retracted)
         answer = await verbs["estop"]()
         assert (answer["state"], stopped[0]) == ("held", False)
-        assert answer["reason"].startswith("motion was stopped at once, by order; pass 0 was interrupted")
+        assert answer["reason"].startswith("motion was stopped at once, by command; pass 0 was interrupted")
         assert bench.fake.actuator.retracted
         await verbs["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
@@ -330,16 +330,18 @@ async def test_the_reason_of_an_order_is_kept_and_shown(bench: Bench) -> None:
         orders = running.daemon.handlers
         await running.in_contact()
         answer = await orders["hold"](reason="a scratch\n at 3 o'clock")
-        assert answer["reason"].startswith("held by order: a scratch at 3 o'clock; pass 0 was interrupted")
+        assert answer["reason"].startswith("held by command: a scratch at 3 o'clock; pass 0 was interrupted")
         assert (await running.daemon.status())["reason"] == answer["reason"]
         await orders["hold"](reason="ask Ada")
         while "Ada" not in running.daemon.reason:  # noqa: ASYNC110
             await asyncio.sleep(0)
-        assert running.daemon.reason == f"{answer['reason']}; held by order: ask Ada"
+        assert running.daemon.reason == f"{answer['reason']}; held by command: ask Ada"
         stop = asyncio.create_task(orders["stop"](reason="Ada said so"))
         assert await running.outcome() is Outcome.STOPPED
         stop.cancel()
-        assert running.daemon.last_words(Outcome.STOPPED, None)["reason"].startswith("stopped by order: Ada said so; ")
+        assert running.daemon.exit_facts(Outcome.STOPPED, None)["reason"].startswith(
+            "stopped by command: Ada said so; "
+        )
     given = [(event.order, event.reason) for event in running.published if isinstance(event, CommandReceived)]
     assert given == [("hold", "a scratch at 3 o'clock"), ("hold", "ask Ada"), ("stop", "Ada said so")]
 
@@ -370,7 +372,7 @@ async def test_hold_between_passes_goes_on_with_the_same_cycle(bench: Bench) -> 
     async with Running(bench, compute=slow, recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2) as running:
         await waiting.wait()
         answer = await running.daemon.handlers["hold"]()
-        assert answer["reason"].startswith("held by order")
+        assert answer["reason"].startswith("held by command")
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.CYCLES_USED
     assert [record.how for record in bench.journal.passes] == ["done", "done"]
@@ -523,24 +525,24 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 def test_a_job_that_no_map_could_end_is_refused_before_anything_is_opened(site: Site) -> None:
     site.recipe = small_recipe(tolerance_nm=1.5, accept_by="bound")
-    with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm by itself.*nothing was opened"):
+    with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm.*nothing was opened"):
         app._own_work(site.config, site.hooks)
     assert site.bench is None
 
 
 async def test_the_loop_goes_first_until_the_end(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+    steps: list[str] = []
 
     @contextmanager
     def first() -> Iterator[None]:
-        told.append("first")
+        steps.append("first")
         yield
-        told.append("as before")
+        steps.append("as before")
 
     monkeypatch.setattr(app, "loop_first", first)
-    monkeypatch.setattr(app, "run_folder", lambda *given: told.append("run") or run_folder(*given))
+    monkeypatch.setattr(app, "run_folder", lambda *given: steps.append("run") or run_folder(*given))
     await run_cell(site.config, site.hooks)
-    assert told == ["first", "run", "as before"]
+    assert steps == ["first", "run", "as before"]
 
 
 async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
@@ -563,9 +565,9 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         raise MapError("all holes")
 
     site.measure = refuse
-    told = await run_cell(site.config, site.hooks, holds=False)
+    returned = await run_cell(site.config, site.hooks, holds=False)
     summary = site.summary()
-    assert summary == json.loads(json.dumps(told))
+    assert summary == json.loads(json.dumps(returned))
     assert (summary["outcome"], summary["exit_code"]) == ("failed", 8)
     assert [(cause["kind"], cause["error"], cause["ended"]) for cause in summary["causes"]] == [
         ("MapError", "all holes", True)

@@ -285,7 +285,7 @@ async def test_force_lost_in_contact(bench: Bench) -> None:
 
 
 async def test_what_runs_while_the_tool_is_lifted_is_recorded_at_once(bench: Bench) -> None:
-    """A lift takes 4 s here, and motion goes on: nobody knows whether those blocks were touched."""
+    """A lift takes 4 s here, and motion goes on: contact in those blocks is unknown."""
     left: list[int] = []
     bench.fake.robot.block_s = 0.5
     bench.fake.actuator.acts.before["make_safe"] = lambda: left.append(bench.fake.robot.done)
@@ -424,8 +424,8 @@ async def test_a_link_that_was_lost_out_of_contact_is_opened_again_before_the_ru
 
 
 async def test_a_link_that_stays_lost_moves_nothing(bench: Bench) -> None:
-    bench.fake.spindle.acts.fails |= {"status": LinkError("sleeping"), "open": LinkError("nobody there")}
-    with pytest.raises(LinkError, match="nobody there"):
+    bench.fake.spindle.acts.fails |= {"status": LinkError("sleeping"), "open": LinkError("no answer")}
+    with pytest.raises(LinkError, match="no answer"):
         await bench.polish()
     assert bench.moved() == []
     assert bench.journal.passes == ()
@@ -457,8 +457,8 @@ async def test_a_worn_tool_waits_for_a_person_who_may_go_on_with_it(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worn = Finding("wear", "the rate fell", "cell")
-    told = [(worn,), ()]
-    monkeypatch.setattr("polishd.daemon.job.job.watch", lambda *_: told.pop(0))
+    found = [(worn,), ()]
+    monkeypatch.setattr("polishd.daemon.job.job.watch", lambda *_: found.pop(0))
     job = bench.job(recipe=small_recipe(tolerance_nm=1e-6), max_cycles=2)
     with pytest.raises(ToolStop, match="the rate fell"):
         await bench.polish(job)
@@ -476,4 +476,4 @@ async def test_a_part_in_tolerance_is_accepted_by_a_worn_tool_too(
     monkeypatch.setattr("polishd.daemon.job.job.watch", lambda *_: (worn,))
     job = bench.job(recipe=small_recipe(tolerance_nm=5.0))
     assert await bench.polish(job) is Outcome.IN_TOLERANCE
-    assert job.findings == (worn,), "whoever begins the next job is told"
+    assert job.findings == (worn,), "the next job starts with them"

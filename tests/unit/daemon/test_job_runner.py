@@ -62,7 +62,7 @@ class Hall:
         self.refused: dict[str, PolishdError] = {}
         """Jobs that cannot begin."""
         self.taken_out: set[str] = set()
-        """Jobs that somebody takes out while they are made ready."""
+        """Jobs that an operator removes while they are prepared."""
         self.published: list[Event] = []
         self.polished: list[str] = []
         self.queue = Queue(journal.store)
@@ -249,7 +249,7 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
     for name in ("a", "b"):
         await hall.until("changing")
         status = await hall.order("status")
-        assert status["reason"] == f"{name}: a person is to put part 'P-{name}' in"
+        assert status["reason"] == f"{name}: an operator has to put part 'P-{name}' in"
         assert "polishd resume" in status["next"]
         assert hall.polished == ["a"] * (name == "b")
         await hall.order("resume")
@@ -617,7 +617,7 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
     hall.fake.with_loader()
     await hall.start()
     await hall.until("idle")
-    assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by order: cleaning"
+    assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by command: cleaning"
     hall.add("a")
     hall.jobs.added()
     assert (await hall.order("resume"))["state"] != "held"
@@ -666,8 +666,8 @@ async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
     await hall.until("idle")
     answer = await hall.order("hold")
     assert "polishd run CELL.toml --queue" in answer["next"]
-    assert answer["next"] == hall.events("state_changed")[-1]["next"] == (await hall.order("status"))["next"]
-    assert "--queue --queue" not in hall.daemon.last_words(Outcome.STOPPED, None)["next"]
+    assert answer["next"] == hall.events("state")[-1]["next"] == (await hall.order("status"))["next"]
+    assert "--queue --queue" not in hall.daemon.exit_facts(Outcome.STOPPED, None)["next"]
     await hall.end()
 
 
@@ -701,11 +701,11 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
 # over restarts
 
 
-@pytest.mark.parametrize("why", ["gate", "gate, and nobody is there", "order"])
+@pytest.mark.parametrize("why", ["gate", "gate, unattended", "order"])
 async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None:
     hall.add(*"ab" if why != "order" else "").fake.with_loader()
     hall.ends["a"] = [RemovalCheckStop("turned")]
-    if "nobody" in why:
+    if "unattended" in why:
         with pytest.raises(RemovalCheckStop):
             await hall.run(holds=False)
         reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
@@ -767,7 +767,7 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
     hall.add("a")
     hall.queue.begin(hall.queue.to_do()[0], hall.journal.of_job("a", "P-a", {}).number)
     hall.refused["a"] = ConfigError("cell.toml:3: part.edge_mm: is 5")
-    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*put it aside: polishd queue remove CELL.toml a"):
+    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*set it aside: polishd queue remove CELL.toml a"):
         await hall.start()
     assert hall.fake.events == []
 

@@ -55,7 +55,7 @@ async def test_a_log_that_cannot_be_written(site: Rerun) -> None:
 
 async def test_a_run_folder_that_cannot_be_written_refuses_a_new_job(site: Rerun) -> None:
     site.config.run_dir.write_text("a file")
-    with pytest.raises(ConfigError, match=r"the run folder cannot be written: .*; mend it, or name another"):
+    with pytest.raises(ConfigError, match=r"the run folder cannot be written: .*\. Correct its permissions"):
         await run_cell(site.config, site.hooks)
     assert moved_nothing(site)
 

@@ -1,4 +1,4 @@
-"""What a signal leads to: a daemon tells, holds, ends or stops motion first, and nothing moves before all are ready."""
+"""Actions of signals: the daemon notifies, holds, ends or stops motion; nothing moves before all are ready."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.unit.daemon.test_app import SAFE, Running
 from tests.unit.daemon.test_health import at_once
 
 FLOW = SignalLimits("flow", "monitor", "flow", "l/min", SignalRange(min=1.0), 3.0, SignalRange(min=0.8), 0.0, "hold")
-WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact, and was not for more than 0 s"
+WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact; it was wrong for more than 0 s"
 
 
 @pytest.fixture
@@ -37,12 +37,12 @@ def monitored(bench: Bench, action: SignalAction) -> FakeMonitor:
 
 
 def told_of(running: Running) -> list[SignalOutOfRange]:
-    """What the job told."""
+    """Alarms that the job published."""
     return [event for event in running.daemon.job.published if isinstance(event, SignalOutOfRange)]  # type: ignore[union-attr]
 
 
 async def ready(bench: Bench) -> None:
-    """The cell has heard that all is well again: by a clock that stands nobody can wait for it."""
+    """Set all signals to good values directly, because the clock of the test stands still."""
     while bench.fake.cell.signals.not_ready():  # noqa: ASYNC110
         await asyncio.sleep(0)
 
@@ -80,7 +80,7 @@ async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
 
 
 async def test_of_two_that_are_wrong_the_worse_counts(bench: Bench) -> None:
-    """A monitor that falls silent takes all its signals along; nobody should go on from one of them by `resume`."""
+    """A silent monitor makes all its signals unknown; `resume` must not go on from one of them."""
     limits = [replace(FLOW, name=f"{word} flow", action=word) for word in ("hold", "lift")]
     monitor = bench.fake.with_monitor(*limits, flow=1.5)
     async with Running(bench) as running:

@@ -302,9 +302,9 @@ async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     """The tool pressed with 80 % and removed as much less: the known force leaves the rate unchanged."""
     surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
-    updated = job.published[-1]  # type: ignore[attr-defined]
-    assert updated.name == "estimates_updated"
-    assert updated.data["rate"] == pytest.approx(rate, rel=0.02)
+    told = job.published[-1]  # type: ignore[attr-defined]
+    assert told.name == "estimates_updated"
+    assert told.data["rate"] == pytest.approx(rate, rel=0.02)
 
 
 async def test_a_pass_that_was_cut_off_is_kept_for_people_with_what_nobody_knows(
@@ -327,7 +327,7 @@ async def test_nothing_is_learned_from_a_pass_that_was_torn_off(job: Job, journa
     await run(job, 0, plan, end=False, blocks=50)
     journal.end_pass(0, "interrupted")
     await job.learn(1, await measure(job, 1, 30.0))
-    assert "estimates_updated" not in [event.name for event in job.published]  # type: ignore[attr-defined]
+    assert "learned" not in [event.name for event in job.published]  # type: ignore[attr-defined]
 
 
 async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itself(job: Job) -> None:
@@ -353,9 +353,9 @@ async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
         assert other.cycles() == job.cycles()
         assert np.array_equal(other.executed_s(1), job.executed_s(1))
         await other.learn(2, await other.measured(2, again))
-        updated = other.published[-1]  # type: ignore[attr-defined]
-        assert updated.name == "estimates_updated"
-        assert updated.data["rate"] == pytest.approx(0.8, rel=0.1), "the estimate of the first run"
+        told = other.published[-1]  # type: ignore[attr-defined]
+        assert told.name == "estimates_updated"
+        assert told.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
 
 
 async def test_restored_amid_a_cycle_that_had_been_measured(job: Job, tmp_path: Path) -> None:

@@ -37,8 +37,8 @@ async def waits(running: Running) -> PlanAwaitingApproval:
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)
-    (waiting,) = (one for one in running.daemon.job.published if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
-    return waiting
+    (told,) = (one for one in running.daemon.job.published if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
+    return told
 
 
 async def test_nothing_moves_before_the_plan_that_waits_is_approved(bench: Bench) -> None:
@@ -79,7 +79,7 @@ async def test_what_leads_to_motion_is_refused_until_the_cell_is_clear(bench: Be
         with pytest.raises(DeviceRefused, match="approve is refused: clear is off"):
             await running.daemon.handlers["approve"](program_sha256="ff" * 32)
         monitor.values["clear"] = True
-        while bench.fake.cell.signals.wrong_on_order():  # noqa: ASYNC110
+        while bench.fake.cell.signals.wrong_on_start():  # noqa: ASYNC110
             await asyncio.sleep(0)
         await running.daemon.handlers["resume"]()
         assert running.daemon.state == "polishing"

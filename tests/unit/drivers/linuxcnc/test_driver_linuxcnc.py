@@ -13,6 +13,7 @@ from polishd.drivers.linuxcnc.driver import DEVICE_TYPES, LinuxCnc
 
 (LINUXCNC,) = DEVICE_TYPES
 (LINUXCNC,) = DEVICE_TYPES
+(LINUXCNC,) = DEVICE_TYPES
 OPTIONS = {"address": "tcp://127.0.0.1:5007", "program_dir": "nc"}
 
 
