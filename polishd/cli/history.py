@@ -235,7 +235,7 @@ def _words(*, remember: bool, found: bool) -> Iterator[str]:
     elif not found:
         yield "nothing is remembered: the next job begins with the rate as it is configured"
     else:
-        yield "a job of the same tool, process, robot and instrument begins with it (docs/beliefs.md)"
+        yield "a job of the same tool, process, robot and instrument begins with it (docs/estimates.md)"
 
 
 def _table(name: str, found: Iterable[JournalledEstimates]) -> Table:

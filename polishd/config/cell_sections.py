@@ -326,7 +326,7 @@ class JobSection(ConfigSection):
 
 
 class MemorySection(ConfigSection):
-    """What a job takes over from the jobs before it (docs/beliefs.md)."""
+    """What a job takes over from the jobs before it (docs/estimates.md)."""
 
     use_previous: bool = True
     """Begin a job with what the last pass of its series has taught: the same tool, process, robot and instrument."""
