@@ -22,18 +22,18 @@ LINKS = (
     "the page",
 )
 """In this order."""
-HEAD = """# Peers that nobody here wrote
+HEAD = """# Interoperability: peers of other authors
 
 <!-- Written by `make interop`. -->
 
-Each link of polishd, and each simulated device, was tried with programs and libraries of others at its far end. A
-library at its own server proves nothing, so each row says which end the peer was; ours was the other. A server, a slave
+This page lists the programs and libraries of other authors with which each link and each simulated device of polishd
+was tested. A library at its own server proves nothing, so each row says which end the peer was; ours was the other. A server, a slave
 or a node was worked by polishd's driver; a client or a master worked polishd's simulated device. Of ADS and CANopen the
 driver has its client from the same library (pyads, canopen) as the server: there it shows only that we use it rightly.
 
 `make interop` fetches the peers of PyPI and npm ([requirements.txt](../tests/interop/requirements.txt),
 [package.json](../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page. Those of
-Debian are for whoever may install them. A peer that is not there is skipped by its name.
+Debian must be installed by an administrator. A missing peer is skipped by its name.
 
     apt-get install DEBIAN
 """
