@@ -235,7 +235,7 @@ def _notes(*, use_previous: bool, found: bool) -> Iterator[str]:
     elif not found:
         yield "there are no estimates: the next job starts with the configured rate"
     else:
-        yield "a job with the same tool, process, robot and instrument starts with them (docs/beliefs.md)"
+        yield "a job with the same tool, process, robot and instrument starts with them (docs/estimates.md)"
 
 
 def _table(name: str, found: Iterable[JournalledEstimates]) -> Table:

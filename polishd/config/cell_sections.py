@@ -327,7 +327,7 @@ class JobSection(ConfigSection):
 
 
 class MemorySection(ConfigSection):
-    """Estimates that a job takes over from earlier jobs (docs/beliefs.md)."""
+    """Estimates that a job takes over from earlier jobs (docs/estimates.md)."""
 
     use_previous: bool = True
     """Start a job with the estimates of the last pass with the same tool, process, robot and instrument."""
