@@ -136,7 +136,7 @@ def test_a_broken_plugin_is_refused_by_name(cell: Any, polishd: Polishd, install
 
 
 def test_somebody_elses_notifier(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:
-    body = "def build(options, base_dir): return lambda notice: (base_dir / 'sent').write_text(options.number + notice.text)"
+    body = "def build(options, base_dir): return lambda it: (base_dir / 'sent').write_text(options.number + it.text)"
     install("acme", PAGER.format(body=body))
     path = cell('[notify.me]\ntype = "pager"\nnumber = "4711"\n', ("acme",))
     assert polishd("notify", path).code == 0
