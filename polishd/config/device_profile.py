@@ -287,9 +287,9 @@ class IdentityTable(ConfigSection):
     """Identity of the device, for what it does not report in values `vendor`, `model`, `serial`, `firmware`, `boot`."""
 
     vendor: Text
-    """Manufacturer."""
+    """Name of the manufacturer."""
     model: Text
-    """Model."""
+    """Name of the model."""
     serial: Text = "unknown"
     """Serial number."""
     firmware: Text = "unknown"

@@ -112,7 +112,7 @@ def test_a_robot_that_cannot_read_the_program_is_told_with_the_key(polishd: Poli
     line = next(k for k, line in enumerate(wrong.read_text().splitlines(), 1) if line.startswith("format"))
     assert said.err == (
         f"polishd: {wrong}:{line}: program.format: program.rnc: robot (universal_robots) does not take it: no line of "
-        "the program moves or waits in URScript: look at [program] format\n"
+        "the program moves or waits in URScript. Check [program] format.\n"
     )
 
 
@@ -249,7 +249,7 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
 @pytest.mark.parametrize(
     ("state", "unsafe", "tool", "says"),
     [
-        ("stopped", (), "yes", "it comes up held"),
+        ("stopped", (), "yes", "which holds"),
         ("failed", ("actuator: no answer",), "not confirmed", "when that is mended: polishd run"),
         ("cycles_used", (), "yes", "begins a new one"),
         ("failed", None, "not asked", "when that is mended: polishd run"),
@@ -279,7 +279,7 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     assert lines[-1].startswith("next: ")
     assert says in lines[-1]
     says_resume = "polishd resume" in people.out
-    assert says_resume == ("it comes up held" in lines[-1]), "without a daemon there is nothing to resume"
+    assert says_resume == ("which holds" in lines[-1]), "without a daemon there is nothing to resume"
 
 
 @pytest.mark.one_of_each
@@ -346,7 +346,7 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
     assert "RMS 20.46 nm" in people
     assert "by order" in people
     assert "robot.left" in people
-    assert "Acme arm 7, heard 0.2 s ago" in people
+    assert "Acme arm 7, answered 0.2 s ago" in people
     assert "0.012 (at most 0.5)" in people
     assert "12 (at least 128: make room)" in people
     assert "(not used by this job)" in people
@@ -356,10 +356,10 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
 def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
     said = polishd("probe", files.cell)
     assert said.code == 5
-    assert "4 of 4 devices did not answer as they should: actuator, robot, spindle, metrology" in said.err
+    assert "4 of 4 devices failed: actuator, robot, spindle, metrology" in said.err
     shown = json.loads(polishd("probe", files.cell, "--only", "robot", "--json").out)
     assert list(shown) == ["robot"]
-    assert "nobody listens there" in shown["robot"]["error"]
+    assert "the port is closed" in shown["robot"]["error"]
 
 
 # plugins

@@ -48,7 +48,7 @@ def test_no_job_yet_is_one_line(polishd: Polishd, tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "a demo", None, 2.0, 4, None).cell
     said = polishd("history", cell)
     assert said.code == 3
-    assert f"no job was begun in this cell yet; polishd run '{cell}' begins one" in said.err, "it can be copied"
+    assert f"Run polishd run '{cell}'" in said.err, "it can be copied"
 
 
 @pytest.mark.full

@@ -72,7 +72,7 @@ def test_forgetting(polishd: Polishd, cell: Path) -> None:
     said = polishd("estimates", cell, "--forget", "--reason", "another pad")
     assert "the next job starts without estimates" in " ".join(said.out.split())
     assert json.loads(polishd("estimates", cell, "--json").out)["beliefs"] == []
-    assert "nothing is remembered" in polishd("estimates", cell).out
+    assert "there are no estimates" in polishd("estimates", cell).out
 
 
 def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, cell: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Pa
 
 def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) -> None:
     assert "--until-empty needs --queue" in polishd("run", cell, "--until-empty").err
-    assert "--correction is for the cell's own job" in polishd("run", cell, "--queue", "--correction", "none").err
+    assert "--correction cannot be used with --queue" in polishd("run", cell, "--queue", "--correction", "none").err
 
 
 def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(

@@ -63,7 +63,7 @@ def test_a_whole_answer_gives_the_state(polishd: Polishd) -> None:
 @pytest.mark.parametrize(
     ("raw", "why"),
     [
-        ("force", "write NAME=WORDS"),
+        ("force", "write NAME=DATA"),
         ("forse=1", "the profile has no such register; it has command"),
         ("force=1 2", "it fills 1 registers, not 2"),
         ("force=twelve", "invalid literal"),

@@ -77,8 +77,8 @@ CIA402 = f'[spindle]\ntype = "cia402_spindle"\neds = "{EXAMPLES / "drive.eds"}"\
 NO_ANSWER = r"within [\d.]+ s at 9600 8N1; see whether it has power, and this baud rate"
 SILENT = r"within [\d.]+ s; see whether it has power, and this port"
 OTHER = "is it another device?"
-BUSY, NO_WAY = "another program has the port open; end it", "no permission to open the port; add the user to the group"
-GONE = "there is no such port; plug the adapter in, or mend the path"
+BUSY, NO_WAY = "another program has the port open", "no permission to open the port; add the user to the group"
+GONE = "the port does not exist"
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Asked:
         path.write_text(f'{rest}\n{section}\naddress = "{address}"\n')
         people, program = (self.polishd("probe", path, "--only", role, *more) for more in ((), ("--json",)))
         assert (people.code, program.code) == (5, 5), people
-        assert people.err == f"polishd: 1 of 1 devices did not answer as they should: {role}\n"
+        assert people.err == f"polishd: 1 of 1 devices failed: {role}. See the table above\n"
         (line,) = (line for line in people.out.splitlines() if line.startswith(f"{role}: "))
         said = line.removeprefix(f"{role}: ")
         assert said.startswith(address.partition("?")[0])

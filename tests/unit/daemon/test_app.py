@@ -525,7 +525,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 def test_a_job_that_no_map_could_end_is_refused_before_anything_is_opened(site: Site) -> None:
     site.recipe = small_recipe(tolerance_nm=1.5, accept_by="bound")
-    with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm.*nothing was opened"):
+    with pytest.raises(ConfigError, match=r"no map can be accepted.*power"):
         app._own_work(site.config, site.hooks)
     assert site.bench is None
 

@@ -260,7 +260,7 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
 
 async def test_without_a_loader_nobody_is_waited_for_where_nobody_is(hall: Hall) -> None:
     hall.add("a")
-    with pytest.raises(DeviceRefused, match="put part 'P-a' in, and --no-hold waits for none"):
+    with pytest.raises(DeviceRefused, match="put part 'P-a' in, but --no-hold"):
         await hall.run(holds=False)
     assert hall.verdicts() == {"a": "under way"}
 
@@ -603,7 +603,7 @@ async def test_a_job_under_way_is_not_taken_out_while_it_is_worked(hall: Hall) -
     hall.ends["a"] = [never]
     await hall.start()
     await hall.until("polishing")
-    with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is polishing: hold the cell first"):
+    with pytest.raises(DeviceRefused, match=r"'a' is under way, and the cell is polishing\. Hold the cell first"):
         await hall.order("queue_remove", job="a")
     assert (await hall.order("queue_remove", job="b"))["jobs"][0]["state"] == "removed"
     await hall.order("hold")
@@ -631,7 +631,7 @@ async def test_a_job_is_not_taken_out_while_it_is_made_ready(hall: Hall, monkeyp
 
     async def slow(entry: QueueEntry, *rest: Any) -> tuple[Job, RunFolder]:
         found = await make(entry, *rest)
-        with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is idle: hold the cell first"):
+        with pytest.raises(DeviceRefused, match=r"'a' is under way, and the cell is idle\. Hold the cell first"):
             await hall.order("queue_remove", job="a")
         return found
 
@@ -666,7 +666,7 @@ async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
     await hall.until("idle")
     answer = await hall.order("hold")
     assert "polishd run CELL.toml --queue" in answer["next"]
-    assert answer["next"] == hall.events("state")[-1]["next"] == (await hall.order("status"))["next"]
+    assert answer["next"] == hall.events("state_changed")[-1]["next"] == (await hall.order("status"))["next"]
     assert "--queue --queue" not in hall.daemon.exit_facts(Outcome.STOPPED, None)["next"]
     await hall.end()
 
@@ -708,7 +708,7 @@ async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None
     if "unattended" in why:
         with pytest.raises(RemovalCheckStop):
             await hall.run(holds=False)
-        reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
+        reason = "the queue stopped: instrument or alignment is wrong, also for the next part; "
         reason += "a was set aside: RemovalCheckStop: turned"
     else:
         await hall.start()

@@ -391,7 +391,7 @@ def test_without_a_token_it_does_not_begin(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("url", "wrong"),
     [
-        ("http://192.0.2.1:8760", "only by TLS"),
+        ("http://192.0.2.1:8760", "needs TLS"),
         ("ftp://127.0.0.1", "is no address of a shop"),
         ("https://shop.example/path", "is no address of a shop"),
         ("https://ada:secret@shop.example", "is no address of a shop"),

@@ -128,7 +128,7 @@ def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(
         "robot.address": f"tcp://127.0.0.1:{port}",
         "spindle.eds": str(tmp_path / "drive.eds"),
     }
-    assert "# the part's centre in the robot's base frame" in cell_text(draft), "comments stay"
+    assert "in the robot's base frame" in cell_text(draft), "comments stay"
     assert draft.notes == ["instrument.profile: there is none; that of polishd demo stands in for it"]
 
 

@@ -108,7 +108,7 @@ async def test_a_stop_ends_the_daemon_whatever_a_device_does(
         while not ended.done():
             bench.fake.clock.advance(0.5)  # an actuator that lifts, or lets go, takes its time
             await asyncio.sleep(0)
-        with pytest.raises(LinkError, match=rf"^{name}: was not closed within 0\.02 s, and is abandoned"):
+        with pytest.raises(LinkError, match=rf"^{name}: was not closed within 0\.02 s and is abandoned"):
             await ended
     assert hole.requests >= 3, "contact was left, the cell was made safe and closed"
     (unsafe,) = bench.fake.cell.unsafe

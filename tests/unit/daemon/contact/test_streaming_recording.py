@@ -190,7 +190,7 @@ async def test_a_disk_that_does_not_keep_up_ends_contact(contact: Pass, monkeypa
     monkeypatch.setattr(streaming, "LOOK_S", 0.005)
     monkeypatch.setattr(store, "LATE_S", -1.0)
     contact.robot.reports(5)
-    with pytest.raises(SafetyStop, match="a commit has taken"):
+    with pytest.raises(SafetyStop, match="a commit takes"):
         await contact.whole()
     assert contact.robot.left
 

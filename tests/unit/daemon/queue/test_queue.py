@@ -198,7 +198,7 @@ async def test_a_job_comes_over_the_desk(cell: CellConfig, tmp_path: Path, queue
     for wrong in ("a.toml", {**file, "path": "a.toml"}, {**file, "more": ""}):
         with pytest.raises(ConfigError, match="absolute path"):
             await desk.add([wrong])
-    with pytest.raises(ConfigError, match=r"a.toml:2: cell: is the cell's, and no job's"):
+    with pytest.raises(ConfigError, match=r"a.toml:2: cell: belongs into the cell's file"):
         await desk.add([{**file, "content": "\n[cell]\n" + JOB}])
     assert (await desk.remove("a"))["jobs"][0]["state"] == "removed"
 

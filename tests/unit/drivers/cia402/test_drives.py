@@ -393,7 +393,7 @@ async def test_a_drive_that_refuses_to_lift_loses_its_current_and_the_spring_lif
     await device.retract()
     assert coil.position_mm <= REST_MM
     assert drive.node.power.state == stage.DISABLED
-    assert "the current goes off, and the tool is lifted without it" in caplog.text
+    assert "The current is switched off" in caplog.text
     drive.stop()
     await device.close()
     await wire.close()

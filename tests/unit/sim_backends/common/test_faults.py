@@ -355,7 +355,7 @@ def test_every_fault_of_the_file_is_reported_with_its_line(tmp_path: Path) -> No
     with pytest.raises(ConfigError) as caught:
         load_simulator(path)
     said = str(caught.value).replace(str(path), "S").splitlines()
-    assert said[0] == "S:2: plant.speed: must be a number, not the string '60'; mend it"
+    assert said[0] == "S:2: plant.speed: must be a number, not the string '60'"
     assert said[1].startswith("S:3: plant.sede: unknown key; did you mean 'seed'? Known here: 'aperture_mm', ")
     assert said[2] == "S:5: robot.x_mm: has too few entries: [1.0]; add the others"
 
