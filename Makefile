@@ -91,6 +91,7 @@ check: $(VENV)/.installed ## check lint, format, types, layers and wording
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/python -m tests.arch.words
 
 format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .

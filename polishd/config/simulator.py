@@ -33,7 +33,7 @@ from polishd.config.table_files import read_tif
 from polishd.config.toml_loader import TomlDocument, load_toml
 from polishd.model.process import FLAT, MeasuredTif, NormalForce, Projection, RobotModel, ToolProcess
 
-# The sections of SIM.toml that say what is physical: the part, how its tool removes, and what nobody is told.
+# The sections of SIM.toml that say what is physical: the part, how its tool removes, and the hidden truth.
 
 _TOOL = ToolProcess()
 CLOSEST = 0.8
@@ -219,7 +219,7 @@ class SimRobotSection(ConfigSection):
     """The robot controller."""
 
     kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
-    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
+    """``linuxcnc``: a real LinuxCNC, in real time, in a separate network (docs/protocols/linuxcnc.md). ``opcua``,
     ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md)."""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
@@ -233,7 +233,7 @@ class SimRobotSection(ConfigSection):
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     report_ms: Positive = 20.0
-    """Of such a PLC: how often it renews what it tells, wall time."""
+    """Of such a PLC: interval of its reports, wall time."""
     read_ahead_lines: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
@@ -374,7 +374,7 @@ SEVEN: Mapping[str, SimSignal] = {
     "emergency_stop_clear": SimSignal(value=True),
     "cell_empty": SimSignal(value=True),
 }
-"""What a cell's monitor tells that says no more: l/min, degC, bar, kPa below the air's, and states."""
+"""Signals of a monitor whose section names none: l/min, degC, bar, kPa below the air's, and states."""
 
 
 class SimMonitorSection(SimLineSection):

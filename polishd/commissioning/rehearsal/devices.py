@@ -24,7 +24,7 @@ TOUCH_MM = 5.0
 """Where the simulated actuator meets the part, half-way of its stroke."""
 LANDS_S, LIFTS_S, SPINS_S, USUAL_RPM = 2.0, 4.0, 3.0, 3000
 DRIVE_TIME_SHARE = 0.8
-"""Share of the longest time that the cell allows which a simulated device takes, where it is slower by itself."""
+"""Share of the longest time that the cell allows that a simulated device takes if it is slower."""
 CIA402_ACTUATOR = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "rest_increments": 0, "balance_n": 2.0}
 CIA402_SPINDLE = {"rpm_per_unit": SIMULATED_SPINDLE["rpm_per_unit"]}
 """What the simulated drive's numbers mean."""
@@ -150,7 +150,7 @@ def _add_can(draft: RehearsalDraft, device: str, port: str, options: Mapping[str
 
 
 def _scale(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
-    """The simulated drive counts in units of its own."""
+    """Units of the simulated drive."""
     for key, value in simulated.items():
         if options[key] != value:
             draft.instead(f"{device}.{key}", value, f"is {options[key]:g} at your drive; the simulated one has its own")
@@ -178,7 +178,7 @@ NOT_SIMULATED = (
     "controller_dir", "user", "password", "certificate", "private_key", "server_certificate", "delivery_password",
     "known_hosts",
 )  # fmt: skip
-"""Keys of a handover: its simulated controller lets everybody in, and reads a folder."""
+"""Keys of a PLC robot: its simulated controller accepts every client, and reads a folder."""
 OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
@@ -263,7 +263,7 @@ def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
         f"{device}.enable_password": None,
     }
     draft.notes.append(
-        f"{device}: a real LinuxCNC, in real time, in a network of its own: simulator and polishd run are started as "
+        f"{device}: a real LinuxCNC, in real time, in a separate network: simulator and polishd run are started as "
         "docs/protocols/linuxcnc.md says under Simulated"
     )
 
@@ -327,7 +327,7 @@ def _with_its_times(profile: ControllerProfile, usual: ControllerProfile) -> byt
 
 LOADS_S, UNLOADS_S, FILTER_S, RANGE_N = 30.0, 20.0, 0.03, 60.0
 LOADER_TIME_SHARE = 0.4
-"""Share of the longest change that loading, or unloading, takes where the simulated loader is slower by itself."""
+"""Share of the longest change that loading, or unloading, takes if the simulated loader is slower."""
 ROOM = 0.1
 """How far a signal is inside a bound, relative to it."""
 _NO_NAME = re.compile(r"[^A-Za-z0-9._-]")
@@ -356,7 +356,7 @@ def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
 
 
 def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
-    """``[monitor]``: one box tells what all of the cell's monitors do, each signal well inside its bounds."""
+    """``[monitor]``: one box with the signals of all monitors of the cell, each well inside its bounds."""
     first, *others = devices
     _line(draft, first, "monitor")
     address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
@@ -366,15 +366,13 @@ def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
         else:
             draft.replace_device(device, address=address)
     if others:
-        draft.notes.append(f"{', '.join(devices)}: one simulated monitor tells the signals of all, at one address")
+        draft.notes.append(f"{', '.join(devices)}: one simulated monitor has the signals of all, at one address")
     for name, signal in draft.config.signals.items():
-        told = signal.signal or name
-        if _NO_NAME.search(told):
-            told = _NO_NAME.sub("_", told)
-            draft.instead(
-                f"signals.{name}.signal", told, "a name on the simulated monitor's wire has no such characters"
-            )
-        draft.put(f"monitor.signals.{told}", "value", inside(signal), f"inside the bounds of signals.{name}")
+        channel = signal.signal or name
+        if _NO_NAME.search(channel):
+            channel = _NO_NAME.sub("_", channel)
+            draft.instead(f"signals.{name}.signal", channel, "a name at the simulated monitor has no such characters")
+        draft.put(f"monitor.signals.{channel}", "value", inside(signal), f"inside the bounds of signals.{name}")
 
 
 def inside(signal: SignalSection) -> float | bool:

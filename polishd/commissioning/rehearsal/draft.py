@@ -149,7 +149,7 @@ def cell_text(draft: RehearsalDraft) -> str:
         overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
     for key, value in {**_files(draft), **draft.laid}.items():
         _set(document, key.split("."), value)
-    head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and folders of its own.\n"
+    head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and separate folders.\n"
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
 
 
@@ -189,7 +189,7 @@ def _set(table: MutableMapping[str, Any], path: list[str], value: Any) -> None:
 # Where a rehearsal is written: nowhere near what the real cell writes.
 
 FOLDER_KEYS = ("folder", "claimed_dir", "refused_dir", "program_dir")
-"""Options of devices that name folders which somebody writes into."""
+"""Options of devices that name folders for files of other programs."""
 
 
 def usual_folder(config: CellConfig) -> Path:

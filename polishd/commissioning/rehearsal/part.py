@@ -42,7 +42,7 @@ def add_part(draft: RehearsalDraft, speed: float) -> None:
     part, program, job = draft.config.part, draft.config.program, draft.config.job
     if len(part.id.encode()) > LONGEST_NAME:
         raise draft.config.error("part.id", f"is longer than the {LONGEST_NAME} bytes that a MetroPro map has room for")
-    draft.put("plant", "seed", 1, "--seed: what nobody is told is drawn from it")
+    draft.put("plant", "seed", 1, "--seed: the hidden truth is drawn from it")
     draft.put("plant", "speed", speed, "--speed: process seconds per wall second")
     draft.put("plant", "part_id", part.id, "part.id")
     said = part.outline_key
@@ -74,7 +74,7 @@ def _add_start(draft: RehearsalDraft, tolerance_nm: float) -> None:
 
 
 def _add_truth(draft: RehearsalDraft) -> None:
-    """What the cell is not told: how far its machines are off what it believes."""
+    """The hidden truth: how far the machines are off the cell's model."""
     machine, hidden = draft.config.machine, Truth()
     for key in ("rate", "stiffness", "drift", "force_noise", "map_noise_nm"):
         draft.put(
@@ -100,8 +100,8 @@ def add_process(draft: RehearsalDraft) -> None:
         draft.put("process", "tif", draft.copy("tif.npz", draft.config.resolve(process.tif)), "a copy of process.tif")
         draft.take("process", ("force_n", "rpm", "dip_deg"), "process", process)
         if process.depth_exponent != ToolProcess().depth_exponent:
-            told = f"process.depth_exponent = {process.depth_exponent:g}"
-            draft.notes.append(f"{told}: the simulated spot's volume goes as depth to the 1.5, as Hertz has it")
+            exponent = f"process.depth_exponent = {process.depth_exponent:g}"
+            draft.notes.append(f"{exponent}: the simulated spot's volume goes as depth to the 1.5, as Hertz has it")
     elif process.removal_model != "hertz_preston":
         draft.notes.append(
             f"process.removal_model = {process.removal_model!r}: the simulator has it not; hertz_preston stands in for "

@@ -390,4 +390,4 @@ async def require_clear(cell: Cell) -> None:
             while cell.signals.unknown_on_start():  # noqa: ASYNC110 - signals are heard, not asked
                 await asyncio.sleep(LOOK_S)
     if wrong := cell.signals.wrong_on_start():
-        raise SignalFault(f"{'; '.join(wrong)} when motion is ordered: see that nobody is in the cell's reach")
+        raise SignalFault(f"{'; '.join(wrong)} at the start of motion. Make sure that no person is in the cell")

@@ -77,7 +77,7 @@ CIA402 = f'[spindle]\ntype = "cia402_spindle"\neds = "{EXAMPLES / "drive.eds"}"\
 NO_ANSWER = r"within [\d.]+ s at 9600 8N1; see whether it has power, and this baud rate"
 SILENT = r"within [\d.]+ s; see whether it has power, and this port"
 OTHER = "is it another device?"
-BUSY, NO_WAY = "another program has the port open", "no permission to open the port; add the user to the group"
+BUSY, NO_WAY = "another program has the port open", "no permission to open the port"
 GONE = "the port does not exist"
 
 
@@ -218,7 +218,7 @@ def test_a_port_that_does_not_open_is_told_in_one_line(
     with serial.Serial(str(path), exclusive=True):
         assert BUSY in asked.shown(section, f"{scheme}:{path}")
     assert GONE in asked.shown(section, f"{scheme}:{tmp_path / 'none'}")
-    assert "it is no serial port" in asked.shown(section, f"{scheme}:{asked.cell}")
+    assert "it is not a serial port" in asked.shown(section, f"{scheme}:{asked.cell}")
     opened = os.open
 
     def forbidden(name: str, *how: int, **more: int) -> int:
