@@ -27,7 +27,9 @@ def _parsed_for_these_alone() -> Iterator[None]:
     forget()
 
 
-@pytest.mark.parametrize("rule", [*code_rules.RULES, *repository_rules.RULES, plain_words], ids=lambda rule: rule.__name__)
+@pytest.mark.parametrize(
+    "rule", [*code_rules.RULES, *repository_rules.RULES, plain_words], ids=lambda rule: rule.__name__
+)
 def test_the_tree_keeps(rule: Rule) -> None:
     broken = rule(ROOT)
     assert not broken, "\n".join([str(rule.__doc__), *broken])
