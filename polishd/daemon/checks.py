@@ -23,14 +23,14 @@ from polishd.daemon.assembly import (
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.readiness import report_once
 from polishd.daemon.cell.recorder import place, recording_to
-from polishd.daemon.contact.contact_record import (
+from polishd.daemon.contact.safety import ContactLimits, make_safe
+from polishd.daemon.contact.stall_removal import (
     StallRemoval,
     require_stall_depth,
     stall_removal,
     timing_uncertainty_s,
     tolerance_nm,
 )
-from polishd.daemon.contact.safety import ContactLimits, make_safe
 from polishd.daemon.queue.queue import NewJob
 from polishd.daemon.queue.requests import new_job
 from polishd.daemon.runtime.exit_record import locked
