@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from polishd.config.cell import CellConfig
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon.assembly import (
     build_cell,
     build_notifiers,

@@ -38,7 +38,8 @@ def web(tmp_path: Path) -> Iterator[Served]:
 @pytest.mark.parametrize(
     "path",
     [
-        "/../pyproject.toml", "/%2e%2e/%2e%2e/etc/passwd", "/static/../routes.py", "/..%2froutes.py", "/page.js/../../routes.py",
+        "/../pyproject.toml", "/%2e%2e/%2e%2e/etc/passwd", "/static/../routes.py", "/..%2froutes.py",
+        "/page.js/../../routes.py",
         "/api/jobs/1/cycles/0/map/..%2f..%2fjournal", "/api/jobs/../../x", "//etc/passwd", "/page.js%00.css",
         "/api/jobs/-1/cycles", "/api/jobs/99999999999999999999/cycles",
     ],
