@@ -141,7 +141,7 @@ def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: 
             daemon.wait_in_contact(20)
             daemon.end(signal.SIGKILL)
         wait_for(lambda: {"watchdog"} & {e.get("detail") for e in events(files, "motion_stopped")}, "robot's watchdog")
-        wait_for(lambda: events(files, "spindle_fault"), "spindle's watchdog")
+        wait_for(lambda: {"spindle"} & {e["device"] for e in events(files, "watchdog")}, "spindle's watchdog")
         require_safe_order(events(files))
         status = polishd("status", files.cell, "--json")
         told = json.loads(status.stdout)

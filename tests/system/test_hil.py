@@ -111,7 +111,7 @@ def test_from_a_checkout_and_a_cycle(tmp_path: Path) -> None:
     with small_cell(tmp_path, speed=20.0) as files:
         options = ["--cell", str(files.cell), "--hil-level", "cycle", "--hil-max-force", "10"]
         command = [sys.executable, "-m", "pytest", "-m", "hil", "-p", "no:cacheprovider", *options, "tests/hil"]
-        only = ["-k", "cycle or who_it_is"]
+        only = ["-k", "cycle or identifies"]
         done = subprocess.run([*command, *only], cwd=ROOT, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout
         assert counted(done.stdout)["passed"] == 4

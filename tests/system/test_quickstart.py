@@ -44,7 +44,7 @@ def test_its_commands_lead_to_a_plan_and_to_a_simulator_of_that_cell(tmp_path: P
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     told: dict[str, str] = {}
     for command in commands():
-        if command[1] == "sim":
+        if command[1] == "rehearse":
             _simulate(command, tmp_path, path)
             continue
         env = {**os.environ, "PATH": path}
@@ -53,12 +53,12 @@ def test_its_commands_lead_to_a_plan_and_to_a_simulator_of_that_cell(tmp_path: P
         told[command[1]] = done.stdout
     verbs = [command[1] for command in commands()]
     assert verbs.index("plan") < MOST_TO_A_PLAN
-    assert verbs[verbs.index("plan") + 1] == "sim"
+    assert verbs[verbs.index("plan") + 1] == "rehearse"
     (cycle,) = json.loads((tmp_path / "cell" / "plan" / "summary.json").read_text())["cycles"]
     assert cycle["predicted_rms_nm"] < cycle["rms_nm"] / 10
-    assert "[x] plan: " in told["status"]
-    assert "[x] check: " in told["status"]
-    assert "[ ] run: no run has ended" in told["status"]
+    assert "[x] plan: " in told["init"]
+    assert "[x] check: " in told["init"]
+    assert "[ ] run: no run has ended" in told["init"]
 
 
 def _simulate(command: list[str], folder: Path, path: str) -> None:

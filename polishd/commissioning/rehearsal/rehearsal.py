@@ -150,7 +150,7 @@ def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     if monitors := [name for name in config.devices if port_of(name) == "monitor"]:
         add_monitors(draft, monitors)
     _add_folders(draft)
-    _tell_nobody(draft)
+    _silence_notifiers(draft)
     return draft
 
 
@@ -170,12 +170,12 @@ def _add_folders(draft: RehearsalDraft) -> None:
         draft.laid["cell.run_dir"] = "run"
 
 
-def _tell_nobody(draft: RehearsalDraft) -> None:
+def _silence_notifiers(draft: RehearsalDraft) -> None:
     """Notifiers and commands of the cell are left out."""
     for name, section in draft.config.part_handling:
         if command := getattr(section, "command", ()):
             why = f"{' '.join(command)} would act on the real cell"
-            draft.instead(f"between.{name}.command", NOTHING, why)
+            draft.instead(f"part_handling.{name}.command", NOTHING, why)
     for name in draft.config.notify:
         draft.instead(f"notify.{name}", None, "a rehearsal sends no notifications")
     known = installed()

@@ -245,8 +245,14 @@ Connect = Callable[[Path], sqlite3.Connection]
 def connect(path: Path) -> sqlite3.Connection:
     """Return a connection for the store: explicit transactions, and use by several threads in turn."""
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
-    register_checksum(connection)
+    register_functions(connection)
     return connection
+
+
+def register_functions(connection: sqlite3.Connection) -> None:
+    """Register the functions that the journal's tables and the steps between formats use."""
+    register_checksum(connection)
+    connection.create_function("renamed_terms", 1, _renamed_terms, deterministic=True)
 
 
 def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
@@ -258,7 +264,7 @@ def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
     require_sound(path)
     try:
         connection = connect(path)
-        register_checksum(connection)
+        register_functions(connection)
     except sqlite3.Error as error:
         raise ConfigError(f"{path}: the journal cannot be opened: {error}. Check cell.state_dir") from error
     try:
@@ -339,7 +345,7 @@ def copy_job(connection: sqlite3.Connection, path: Path, job: int) -> None:
     """Write a durable journal with the rows of that job only."""
     with _partial(path) as partial:
         with contextlib.closing(sqlite3.connect(partial)) as copy:
-            register_checksum(copy)
+            register_functions(copy)
             copy.executescript(f"{SCHEMA} PRAGMA user_version={SCHEMA_VERSION};")
         connection.execute("ATTACH ? AS copy", (str(partial),))
         try:
@@ -381,7 +387,6 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         script = "".join(STEPS[step] for step in range(version, SCHEMA_VERSION)) if version else SCHEMA
         if version < 6:
             script += f"INSERT INTO commits (id, journal, count) VALUES (1, '{secrets.token_hex(8)}', 0);"  # noqa: S608
-        connection.create_function("renamed_terms", 1, _renamed_terms, deterministic=True)
         connection.executescript(f"BEGIN IMMEDIATE; {script} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
         sync_folder(path.parent)
 

@@ -147,8 +147,8 @@ class Rtde(Talk):
         await self.link.close()
 
     async def ask(self) -> Any:
-        count = self.link._count
-        await self.link.until(lambda: self.link._count != count)
+        count = self.link.count
+        await self.link.until(lambda: self.link.count != count)
         last = self.link.last
         return last.block, last.time_s
 
@@ -213,8 +213,8 @@ class Rtde(Talk):
                 self._sample(number, **{name: rng.choice([math.nan, math.inf, -math.inf])}),
                 self._sample(number, target_speed_fraction=rng.choice([7.0, -1.0, 1e200])),
             ]
-            if self.link._last is not None:
-                self._own.append(self._sample(max(round(100 * self.link._last.time_s) - rng.randrange(900), 0)))
+            if self.link._recent:
+                self._own.append(self._sample(max(round(100 * self.link._recent[-1].time_s) - rng.randrange(900), 0)))
         elif kind in "OI":
             self._own += [self._package(kind, reply[3:4] + b"DOUBLE,NONSENSE"), self._package(kind, b"")]
         return self._own

@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.journal.checksums import CommitRecord, register_checksum
+from polishd.daemon.journal.checksums import CommitRecord
 from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
-from polishd.daemon.journal.store import connect
+from polishd.daemon.journal.store import connect, register_functions
 from polishd.model.errors import PolishdError
 from tests.campaigns.crash.disk import Files
 from tests.campaigns.crash.recording import STATE, Op
@@ -45,7 +45,7 @@ class Promises:
 
     def __post_init__(self) -> None:
         self._reference.execute("PRAGMA foreign_keys=ON")
-        register_checksum(self._reference)
+        register_functions(self._reference)
         if self.begun:
             self._reference.deserialize(self.begun[:18] + b"\1\1" + self.begun[20:])  # no WAL in memory
         self._versions.append(digest(self._reference))
@@ -78,7 +78,7 @@ class Promises:
 def _columns(schema: str) -> str:
     """SQL that gives all of a table of that schema as one text; by C, since it is asked a hundred thousand times."""
     with sqlite3.connect(":memory:") as empty:
-        register_checksum(empty)
+        register_functions(empty)
         empty.execute(schema)
         ((table,),) = empty.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
         names = [row[1] for row in empty.execute(f"PRAGMA table_info({table})")]

@@ -148,7 +148,7 @@ def test_the_program_of_another_part(
         f"polishd: {other}:{line}: program.path: program.rnc reaches {reach_mm:.1f} mm from the part's centre"
     )
     assert says in said.err
-    other.write_text(other.read_text().replace('path = "program.rnc"', 'path = "program.rnc"\ncovers = "zone"'))
+    other.write_text(other.read_text().replace('path = "program.rnc"', 'path = "program.rnc"\ncoverage = "zone"'))
     assert polishd("check", other).code == (0 if "part" in change else 3), "a zone lies on the part"
 
 

@@ -99,7 +99,7 @@ def test_blas_is_held_to_one_thread_unless_asked(tmp_path: Path) -> None:
         "import sys, polishd.cli.app, polishd.maps.inspect as verbs, os\n"
         "shown = [os.environ.get, 'OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS']\n"
         "verbs.formats_verb = lambda cell, as_json: print(*map(shown[0], shown[1:]))\n"
-        "sys.argv = ['polishd', 'map', 'formats']\npolishd.cli.main()"
+        "sys.argv = ['polishd', 'map', 'formats']\npolishd.cli.app.main()"
     )
     clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     ended = subprocess.run(

@@ -80,7 +80,7 @@ def test_words_are_quoted_as_systemd_reads_them() -> None:
         quoted("a\nb")
 
 
-BESIDE = {"web": "web", "opcua": "opcua", "shop-connect": "shop link", "shop-serve": "shop serve"}
+BESIDE = {"web": "web", "opcua": "opcua", "shop-connect": "shop connect", "shop-serve": "shop serve"}
 
 
 @pytest.fixture

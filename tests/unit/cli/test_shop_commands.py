@@ -76,7 +76,7 @@ def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office)
     listed = office.say("list")
     assert "ada requested it back from north" in listed
     assert "a waits again" in office.say("release", "a", "--by", "ada", "--cell-is-gone")
-    assert "b is out of the shop" in office.say("remove", "b", "--by", "ada", "--reason", "broken")
+    assert "b was removed from the shop" in office.say("remove", "b", "--by", "ada", "--reason", "broken")
     assert [one["state"] for one in office.printed("list")["parts"]] == ["waiting", "removed"]
     assert office.printed("list")["words"][-1]["why"] == "broken"
 

@@ -286,7 +286,7 @@ def test_one_key_of_a_profile_is_enough_to_look(polishd: Polishd, tmp_path: Path
     assert not any("no unit" in warning for warning in answer["warnings"])
     said = polishd("map", "convert", path, tmp_path / "b.x3p", "--profile", profile)
     assert said.code == 8
-    assert "does not say its orientation and surface" in said.err
+    assert "does not state its orientation and surface" in said.err
 
 
 def test_no_permission_to_read(polishd: Polishd, good: Path, monkeypatch: pytest.MonkeyPatch) -> None:

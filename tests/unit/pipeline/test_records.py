@@ -80,7 +80,7 @@ def assert_same(one: Any, other: Any) -> None:
         if isinstance(mine, np.ndarray):
             assert mine.dtype == theirs.dtype, field.name
             np.testing.assert_array_equal(mine, theirs, field.name)
-        elif field.name == "state_changed":
+        elif field.name == "state":
             assert {k: v.tolist() for k, v in mine.items()} == {k: v.tolist() for k, v in theirs.items()}
         else:
             assert mine == theirs, field.name

@@ -281,7 +281,7 @@ def test_a_matrix_that_only_costs_time_gives_way_to_an_effect_that_is_a_little_l
     monkeypatch.setattr(removal_models, "NEAR", (1e-9, 1e-8))
     answer = the_model().effect(large())
     assert isinstance(answer.effect, SparseEffect)
-    assert any("1.0e-08 is asked for" in note for note in answer.notes)
+    assert any("1.0e-08 is wanted" in note for note in answer.notes)
 
 
 @pytest.mark.full

@@ -90,7 +90,7 @@ def test_poses_are_an_angle_and_a_shift(tmp_path: Path, poses: str, read: object
     if read is not None:
         assert study.loop("a")[2] == read
     else:
-        with pytest.raises(ConfigError, match=r"study\.toml:4: controllers\.a\.poses: is not a list of \[angle_deg"):
+        with pytest.raises(ConfigError, match=r"study\.toml:4: controllers\.a\.poses: must be a list of \[angle_deg"):
             study.loop("a")
 
 

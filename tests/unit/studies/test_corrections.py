@@ -157,7 +157,7 @@ def test_off_the_nodes_exact_is_solved_with_the_matrix(tmp_path: Path) -> None:
 
 
 def test_a_solver_that_is_stopped_is_named(tmp_path: Path) -> None:
-    path = studies.small(tmp_path, ("kkt_tolerance = 1e-4", "kkt_tolerance = 1e-14\nwithin_s = 1e-9"))
+    path = studies.small(tmp_path, ("kkt_tolerance = 1e-4", "kkt_tolerance = 1e-14\ncpu_limit_s = 1e-9"))
     compared = compare(path)
     stopped = [note.split(":")[0] for note in compared.notes if "stopped at the deadline, KKT residual" in note]
     assert stopped == ORDER

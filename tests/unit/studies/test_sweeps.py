@@ -167,7 +167,7 @@ def test_rows_that_are_not_reused_are_reported(tmp_path: Path, capsys: pytest.Ca
     assert "are not taken" not in capsys.readouterr().err
     study.write_text(study.read_text().replace("linear = [8.0, 14.0]", "linear = [8.0, 17.0]"))
     study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
-    assert f"{out}: 1 cases there are of other files, keys or versions than now" in capsys.readouterr().err
+    assert f"{out}: 1 cases in this folder have other files, keys or versions" in capsys.readouterr().err
 
 
 @pytest.mark.full

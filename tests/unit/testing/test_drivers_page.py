@@ -79,7 +79,7 @@ def test_it_has_a_driver_of_under_60_lines_with_simulator_and_test() -> None:
 
 @pytest.mark.full
 def test_its_driver_passes(tmp_path: Path) -> None:
-    done = suite(written(tmp_path, FILES[DRIVER]), "-k", "says_who or nothing_works or impossible or lands")
+    done = suite(written(tmp_path, FILES[DRIVER]), "-k", "identifies or nothing_works or impossible or lands")
     assert done.returncode == 0, done.stdout
     assert done.stdout.splitlines()[-1].startswith("8 passed")
 

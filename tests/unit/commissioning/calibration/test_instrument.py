@@ -192,5 +192,5 @@ def test_told_is_no_part_of_what_people_are_shown(polishd: Polishd, cell: Path, 
     out = cell.parent / "system.x3p"
     assert polishd("calibrate", "instrument", cell, *files, *QUARTERS, "--out", out).code == 0
     said = polishd("map", out).out
-    assert "told (degree, terms, covariance, unknown, rest_nm, circle_px)" in said
+    assert "terms (degree, terms, covariance, unknown, rest_nm, circle_px)" in said
     assert replace(system(cell).surface, path=None).pitch_mm == pytest.approx(PITCH_MM)

@@ -34,7 +34,7 @@ KINDS = {
     + '[spindle]\ntype = "cia402_spindle"\naddress = "slcan:/dev/ttyS0?bitrate=500000"\neds = "drive.eds"\nnode = 7\n',
     "monitored": ROUND
     + '[monitor]\ntype = "monitor_line"\naddress = "tcp://plc:4001"\n'
-    + '[signals.flow]\nin_contact = { min = 0.8 }\nleads_to = "lift"\n',
+    + '[signals.flow]\nin_contact = { min = 0.8 }\naction = "lift"\n',
     "the drawing's lines": ROUND + "[[tolerance]]\nrms_nm = 2.0\nperiods_above_mm = 4.0\n[[tolerance]]\npv_nm = 30.0\n",
     "a robot by name": ROUND + '[robot.left]\ntype = "robot_link"\naddress = "tcp://a:1"\n[roles]\nrobot = "left"\n',
 }

@@ -89,7 +89,7 @@ async def test_no_touch_off_and_no_conditioning_with_a_device_that_is_not_ready(
     bench.fake.actuator.status_reply = READY
     dressed = tmp_path / "dressed"
     step = HandlingStep(command=("touch", str(dressed)), folder=tmp_path)
-    recipe = small_recipe(between=BetweenPasses(condition=step), tolerance_nm=1e-6)
+    recipe = small_recipe(part_handling=BetweenPasses(condition=step), tolerance_nm=1e-6)
     bench.fake.actuator.acts.before["retract"] = lambda: setattr(bench.fake.actuator, "status_reply", DISABLED)
     with pytest.raises(DeviceFault, match="drive disabled"):
         await bench.polish(bench.job(recipe=recipe))

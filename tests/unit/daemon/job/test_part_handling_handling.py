@@ -421,7 +421,7 @@ async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, s
     Without a settle rule, power that no removal explains is diagnosed, and the daemon measures again.
     """
     part = WarmPart(bench, swells_nm=12.0)
-    recipe = small_recipe(tolerance_nm=1.5, between=BetweenPasses(settle=settle))
+    recipe = small_recipe(tolerance_nm=1.5, part_handling=BetweenPasses(settle=settle))
     job = bench.job(recipe=recipe, max_cycles=1)
     assert await bench.polish(job) is Outcome.IN_TOLERANCE
     assert part.true_nm < 1.0

@@ -151,7 +151,7 @@ async def test_killed_when_its_cpu_time_is_used_and_restarted(compute: Compute, 
         ComputeError, match=rf"{job.__name__}: the compute worker exceeded its limit: .* s of CPU"
     ) as caught:
         await compute(job, within_s=CpuLimit(0.2, "dwell.cpu_limit_s"))
-    assert re.search(r"\(limit 0\.2 s\) in .*\(limit 62 s\)\. Increase dwell\.within_s\.", str(caught.value))
+    assert re.search(r"\(limit 0\.2 s\) in .*\(limit 62 s\)\. Increase dwell\.cpu_limit_s\.", str(caught.value))
     assert not alive(before)
     assert compute.pid not in {None, before}
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5

@@ -199,7 +199,7 @@ def test_contacts_that_differ_by_a_fifth_are_left_to_the_matrix() -> None:
     path = moves(2000)
     along, _ = on_part(CURVED["aspheric"], path)
     spots, _ = along.on_part(tif_at_point("exact", gamma_of(path, (0.8, 0.95))))
-    with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 2.0e-03 is asked for"):
+    with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 2.0e-03 is wanted"):
         along.without_matrix(GRID, spots, 2e-3)
 
 
@@ -320,7 +320,7 @@ def test_it_is_an_effect_and_can_go_to_the_worker() -> None:
 @pytest.mark.full
 def test_a_tolerance_out_of_reach_is_refused_with_what_was_reached() -> None:
     path = moves(60)
-    with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 1.0e-06 is asked for"):
+    with pytest.raises(ComputeError, match=r"off by \S+ of its peak on a grid 4 times as fine, 1.0e-06 is wanted"):
         spread_effect(GRID, HertzSpot(LARGE), path, gamma_of(path), np.ones(60), tolerance=1e-6)
 
 
