@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
+from polishd.config.cell import load_config, overlay
 from polishd.config.fields import (
     BumpSection,  # fmt: skip
     ConfigSection,  # fmt: skip
@@ -28,9 +31,11 @@ from polishd.config.fields import (
     require_cells,
 )
 from polishd.config.process_sections import HybridSection, KinematicsSection, Poisson, Preston, robot_of
+from polishd.config.simulator_cell import CellValues, add_devices, add_physics
 from polishd.config.simulator_errors import FRAMES, MOTION, STATES, Effects, FaultSection, InstrumentErrors
 from polishd.config.table_files import read_tif
-from polishd.config.toml_loader import TomlDocument, load_toml
+from polishd.config.toml_loader import TomlDocument, TomlSource, key_lines, load_toml
+from polishd.model.errors import ConfigError
 from polishd.model.process import FLAT, MeasuredTif, NormalForce, Projection, RobotModel, ToolProcess
 
 # The sections of SIM.toml that say what is physical: the part, how its tool removes, and what nobody is told.
@@ -180,7 +185,7 @@ class SimContactSection(ConfigSection):
 # mypy: implicit-reexport
 
 
-__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "FaultSection", "SimConfig", "load_simulator"]
+__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "FaultSection", "SimConfig", "load_plant", "load_simulator"]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
@@ -412,8 +417,12 @@ class SimLoaderSection(SimLineSection):
 
 
 class SimConfig(TomlDocument):
-    """The whole of SIM.toml."""
+    """The whole of sim.toml."""
 
+    cell: Text | None = None
+    """The cell's file. Part, tool, robot, instrument, protocols and addresses are as it has them, and times are within
+    those that it allows. A key that is here as well has the value that is true of the machine. Left out: the defaults
+    of this page."""
     plant: Plant = Plant()
     truth: Truth = Truth()
     effects: Effects = Effects()
@@ -427,6 +436,7 @@ class SimConfig(TomlDocument):
     force_sensor: SimForceSensorSection | None = None
     monitor: SimMonitorSection | None = None
     fault: Annotated[tuple[FaultSection, ...], BeforeValidator(as_tuple)] = ()
+    _not_simulated: Mapping[str, ConfigError] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -434,6 +444,11 @@ class SimConfig(TomlDocument):
         if radius_mm is not None and tool_mm / radius_mm > CLOSEST:
             raise ValueError(f"plant: into a radius of {radius_mm:g} mm a bonnet of {tool_mm:g} mm does not fit")
         return self
+
+    @property
+    def path(self) -> Path:
+        """The file it came from, absolute."""
+        return self._path
 
     def robot_model(self) -> RobotModel:
         """The robot as it is on paper: `truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
@@ -443,7 +458,58 @@ class SimConfig(TomlDocument):
         """What the tool removes, where that was measured; ConfigError where its file is none."""
         return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
 
+    def require_simulated(self, devices: Collection[str] | None = None) -> None:
+        """ConfigError where one of these devices is not simulated as the cell has it; None: any device."""
+        for device, error in self._not_simulated.items():
+            if devices is None or device in devices:
+                raise error
+
 
 def load_simulator(path: Path) -> SimConfig:
-    """Read SIM.toml; ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``."""
-    return SimConfig.of(*load_toml(path))
+    """Read sim.toml, and the cell that it names.
+
+    Raises:
+        ConfigError: one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``, of either file.
+    """
+    raw, source, values = _read(path)
+    if values is not None:
+        add_devices(values)
+        raw, source = _laid_over(raw, source, values)
+    made = SimConfig.of(raw, source)
+    made._path = path.absolute()
+    made._not_simulated = {} if values is None else values.not_simulated
+    return made
+
+
+def load_plant(path: Path) -> tuple[dict[str, Any], TomlSource]:
+    """The sections of sim.toml, and what they have of the cell that it names, for a plant without links. ConfigError.
+
+    The source says in which file, and where, each key is.
+    """
+    raw, source, values = _read(path)
+    return (raw, source) if values is None else _laid_over(raw, source, values)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
+    raw, source = load_toml(path)
+    named = raw.pop("cell", None)
+    if named is None:
+        return raw, source, None
+    if not isinstance(named, str):
+        raise ConfigError(source.error(("cell",), f"must be the name of a file, not {named!r}. Correct it."))
+    cell = path.parent / Path(named).expanduser()
+    if not cell.exists():
+        raise ConfigError(source.error(("cell",), f"{cell}: there is no such file. Name the cell's file."))
+    values = CellValues(load_config(cell), path.parent, raw)
+    add_physics(values)
+    return raw, source, values
+
+
+def _laid_over(raw: Mapping[str, Any], source: TomlSource, values: CellValues) -> tuple[dict[str, Any], TomlSource]:
+    """What sim.toml has, over what the cell has."""
+    sections = deepcopy(values.sections)
+    overlay(sections, raw)
+    cell = values.cell.source
+    own = key_lines(source.text)
+    elsewhere = tuple((here, there) for here, there in values.locations if here not in own)
+    return sections, replace(cell, included=(*cell.included, source), stands_for=elsewhere)

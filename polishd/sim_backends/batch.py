@@ -97,6 +97,8 @@ class BatchPlant:
 
 def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:
     """A plant of SIM.toml's sections, as JSON."""
+    if "cell" in raw:
+        raise BatchRequestError("cell: a batch plant reads no files; send the sections of sim.toml")
     config = SimConfig.model_validate(raw)
     return BatchPlant(config, config.plant.seed if seed is None else seed)
 

@@ -1,169 +1,87 @@
-"""Actuator and spindle of a cell, as the simulator has them."""
+"""Devices of a rehearsal's cell: on this computer, and of types that are simulated."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from polishd.commissioning.rehearsal.draft import LOOPBACK, SIM_STATE, RehearsalDraft, wire
-from polishd.commissioning.rehearsal.part import home, most_a_deg, require_force
+from polishd.commissioning.rehearsal.draft import LOOPBACK, SIM_STATE, RehearsalDraft, move_address
 from polishd.commissioning.rehearsal.simulated_cell import free_port
-from polishd.config.cell_sections import BoundsSection, SignalSection
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
-from polishd.config.device_profile import DeviceProfile
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, address_of, profile_of
-from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp
+from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR
 from polishd.util.serialization import toml
 
 MOST_N = 50.0
 TOUCH_MM = 5.0
 """Where the simulated actuator meets the part, half-way of its stroke."""
-LANDS_S, LIFTS_S, SPINS_S, USUAL_RPM = 2.0, 4.0, 3.0, 3000
-DRIVE_TIME_SHARE = 0.8
-"""Share of the longest time that the cell allows which a simulated device takes, where it is slower by itself."""
 CIA402_ACTUATOR = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "rest_increments": 0, "balance_n": 2.0}
 CIA402_SPINDLE = {"rpm_per_unit": 0.1}
 """What the simulated drive's numbers mean."""
 
 
 def add_actuator(draft: RehearsalDraft, device: str) -> None:
-    """``[actuator]``; ConfigError where it cannot press as the process asks."""
-    require_force(draft, MOST_N)
-    kinds: dict[str, Callable[[RehearsalDraft, str, dict[str, Any]], Mapping[str, Any]]] = {
-        "voice_coil_modbus": _voice_coil_modbus,
-        "voice_coil_serial": _voice_coil_serial,
-        "cia402_actuator": _cia402_actuator,
-        "actuator_profile": _actuator_profile,
-    }
-    kind = str(draft.config.devices[device].type)
-    if kind in kinds:
-        times = kinds[kind](draft, device, draft.options(device))
-    else:
-        draft.put("actuator", "kind", "modbus_rtu", f"stands in for {kind}")
+    """ConfigError where the simulated one cannot press as the process asks."""
+    if draft.config.process.force_n > MOST_N:
+        raise draft.config.error("process.force_n", f"the simulated actuator presses with {MOST_N:g} N at most")
+    kind, options = str(draft.config.devices[device].type), dict[str, Any]()
+    if kind not in {"voice_coil_modbus", "voice_coil_serial", "cia402_actuator", "actuator_profile"}:
         instead = {"type": "voice_coil_modbus", "address": f"serial:{SIM_STATE}/actuator?baud=115200"}
         draft.replace_device(device, instead, f"there is no simulated {kind!r}")
         draft.plugin("voice_coil")
-        times = {}
-    _add_times(draft, device, times)
-
-
-def _add_times(draft: RehearsalDraft, device: str, times: Mapping[str, Any]) -> None:
-    """What the simulated one takes, and where it touches."""
-    for key, usual_s, allowed in (("land_s", LANDS_S, "landing_s"), ("lift_s", LIFTS_S, "retract_s")):
-        if allowed in times:
-            takes_s = min(usual_s, DRIVE_TIME_SHARE * float(times[allowed]))
-            draft.put("actuator", key, takes_s, f"at most {DRIVE_TIME_SHARE:g} x {device}.{allowed}")
-    if "unpowered" in times:
-        draft.put("actuator", "unpowered", times["unpowered"], f"{device}.unpowered")
+    else:
+        options = draft.options(device)
+        address = options["address"]
+        if kind == "voice_coil_serial" and not address.startswith("serial:"):
+            draft.notes.append(
+                f"{device}.address: the simulated actuator has its lines of text on a serial line, not on TCP"
+            )
+            address = "serial:none?baud=115200"
+        move_address(draft, device, address)
+        if kind == "cia402_actuator":
+            _adopt_drive(draft, device, options, CIA402_ACTUATOR)
+        elif kind == "actuator_profile":
+            _copy_profile(draft, device, options["profile"])
     touch_off = draft.config.touch_off
-    given_mm = None if touch_off is None else touch_off.position_mm or float(times.get("stroke_mm", 10.0)) / 2
+    given_mm = None if touch_off is None else touch_off.position_mm or float(options.get("stroke_mm") or 10.0) / 2
     if given_mm not in {None, TOUCH_MM}:
         draft.instead("touch_off.position_mm", TOUCH_MM, "the simulated actuator meets the part half-way of its 10 mm")
 
 
-def _voice_coil_modbus(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
-    real = wire(draft, device, "actuator", options["address"])
-    draft.put("actuator", "kind", "modbus_rtu" if isinstance(real, SerialLine) else "modbus_tcp", f"{device}.address")
-    draft.put("actuator", "unit", options["unit"], draft.origin(f"{device}.unit"))
-    _add_baud(draft, device, real)
-    return options
-
-
-def _voice_coil_serial(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
-    address = options["address"]
-    if not address.startswith("serial:"):
-        draft.notes.append(
-            f"{device}.address: the simulated actuator has its lines of text on a serial line, not on TCP"
-        )
-        address = "serial:none?baud=115200"
-    real = wire(draft, device, "actuator", address)
-    draft.put("actuator", "kind", "serial", f"{device}.type")
-    _add_baud(draft, device, real)
-    return options
-
-
-def _cia402_actuator(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
-    _add_can(draft, device, "actuator", options)
-    _scale(draft, device, options, CIA402_ACTUATOR)
-    return options
-
-
-def _actuator_profile(draft: RehearsalDraft, device: str, options: dict[str, Any]) -> Mapping[str, Any]:
-    profile = _add_profile(draft, device, "actuator", options)
-    table: Any = profile.actuator
-    given = {name: options[name] for name in ("landing_s", "retract_s", "stroke_mm") if options[name] is not None}
-    unit = profile.modbus.unit if options["unit"] is None and profile.modbus is not None else options["unit"]
-    draft.put("actuator", "unit", unit, f"{device}.unit, or that of its profile")
-    return {**table.model_dump(), **given}
-
-
 def add_spindle(draft: RehearsalDraft, device: str) -> None:
-    """``[spindle]``."""
-    kind, options = str(draft.config.devices[device].type), draft.options(device)
-    if kind in {"spindle_can", "cia402_spindle"}:
-        _add_can(draft, device, "spindle", options)
-        draft.put("spindle", "drive", "cia402" if kind == "cia402_spindle" else "spindle_can", f"{device}.type")
-        _scale(draft, device, options, CIA402_SPINDLE if kind == "cia402_spindle" else {})
-    elif kind == "spindle_profile":
-        table: Any = _add_profile(draft, device, "spindle", options).spindle
-        options = {**table.model_dump(), **{key: value for key, value in options.items() if value is not None}}
-        draft.put("spindle", "unit", options.get("unit"), f"{device}.unit")
-        draft.put("spindle", "pole_pairs", options["pole_pairs"], draft.origin(f"{device}.pole_pairs"))
-    else:
-        draft.put("spindle", "kind", "slcan", f"stands in for {kind}")
+    """The spindle."""
+    kind = str(draft.config.devices[device].type)
+    if kind not in {"spindle_can", "cia402_spindle", "spindle_profile"}:
         instead = {"type": "spindle_can", "address": f"slcan:{SIM_STATE}/spindle?bitrate=500000"}
         draft.replace_device(device, instead, f"there is no simulated {kind!r}")
         draft.plugin("spindle")
-        options = {}
-    rpm = draft.config.process.rpm
-    most_rpm = max(float(options.get("max_rpm", USUAL_RPM)), rpm)
-    draft.put("spindle", "max_rpm", math.ceil(most_rpm), f"{device}.max_rpm, or at least process.rpm")
-    if "watchdog_s" in options:
-        draft.put("spindle", "watchdog_s", options["watchdog_s"], draft.origin(f"{device}.watchdog_s"))
-    if "spin_s" in options:
-        spin_s = min(SPINS_S, DRIVE_TIME_SHARE * options["spin_s"] * 1000.0 / rpm)
-        draft.put("spindle", "spin_s", spin_s, f"process.rpm in at most {DRIVE_TIME_SHARE:g} x {device}.spin_s")
+        return
+    options = draft.options(device)
+    move_address(draft, device, options["address"])
+    if kind == "spindle_profile":
+        _copy_profile(draft, device, options["profile"])
+    elif kind == "cia402_spindle":
+        _adopt_drive(draft, device, options, CIA402_SPINDLE)
 
 
-def _add_baud(draft: RehearsalDraft, device: str, real: object) -> None:
-    if isinstance(real, SerialLine):
-        draft.put("actuator", "baud", real.baud, f"{device}.address")
-
-
-def _add_can(draft: RehearsalDraft, device: str, port: str, options: Mapping[str, Any]) -> None:
-    real = wire(draft, device, port, options["address"])
-    draft.put(port, "kind", "slcan" if isinstance(real, SlcanAddress) else "socketcand", f"{device}.address")
-    draft.put(port, "node", options["node"], draft.origin(f"{device}.node"))
-    if "eds" in options:
-        draft.laid[f"{device}.eds"] = str(draft.config.resolve(options["eds"]).absolute())
-
-
-def _scale(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
-    """The simulated drive counts in units of its own."""
+def _adopt_drive(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
+    """The simulated drive has the cell's EDS file, and counts in its own units."""
+    draft.laid[f"{device}.eds"] = str(draft.config.resolve(options["eds"]).absolute())
     for key, value in simulated.items():
         if options[key] != value:
             draft.instead(f"{device}.{key}", value, f"is {options[key]:g} at your drive; the simulated one has its own")
 
 
-def _add_profile(draft: RehearsalDraft, device: str, port: str, options: Mapping[str, Any]) -> DeviceProfile:
-    """What it speaks, from a copy of its profile."""
-    named = options["profile"]
-    profile = profile_of(named, draft.config.base_dir)
-    own = named.endswith(".toml")
-    path = draft.config.resolve(named) if own else DEVICE_PROFILE_DIR / f"{named}.toml"
-    if own:
-        draft.laid[f"{device}.profile"] = str(path.absolute())
-    real = wire(draft, device, port, options["address"])
-    draft.put(port, "kind", "profile_tcp" if isinstance(real, Tcp) else "profile", f"{device}.address")
-    draft.put(port, "profile", draft.copy(f"{port}.profile.toml", path), f"a copy of {device}.profile")
-    if port == "actuator":
-        _add_baud(draft, device, address_of(profile, options["address"], draft.config.base_dir))
-    return profile
+def _copy_profile(draft: RehearsalDraft, device: str, name: str) -> None:
+    """The device profile as a file: the simulator reads no others."""
+    if name.endswith(".toml"):
+        draft.laid[f"{device}.profile"] = str(draft.config.resolve(name).absolute())
+    else:
+        draft.files[f"{name}.toml"] = (DEVICE_PROFILE_DIR / f"{name}.toml").read_bytes()
+        draft.laid[f"{device}.profile"] = f"{name}.toml"
 
 
-# The robot of a cell, as the simulator has it: which controller, its limits and its watchdog.
+# The robot: its program's language, its controller's address and folders.
 
 SPEED = {"linuxcnc": 1.0, "universal_robots": 4.0, "handover": 8.0}
 USUAL_SPEED = 10.0
@@ -172,11 +90,10 @@ NOT_SIMULATED = (
     "controller_dir", "user", "password", "certificate", "private_key", "server_certificate", "delivery_password",
     "known_hosts",
 )  # fmt: skip
-"""Keys of a handover: its simulated controller lets everybody in, and reads a folder."""
+"""Keys of a handover: its simulated controller asks for no password, and reads a folder."""
 OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
-NO_WATCHDOG_S = 600.0
 FIRST_REGISTER = 24
 TIMES = (
     "report_ms", "link_ms", "heartbeat_ms", "watchdog_s", "silence_s", "stop_s", "pulse_ms", "load_s",
@@ -185,12 +102,12 @@ TIMES = (
 
 
 def speed_of(type_name: str | None) -> float:
-    """At which a cell with such a robot is rehearsed, where nobody says another."""
+    """At which a cell with such a robot is rehearsed without ``--speed``."""
     return SPEED.get(type_name or "", USUAL_SPEED)
 
 
 def add_robot(draft: RehearsalDraft, device: str) -> None:
-    """``[robot]``; ConfigError where no simulated controller reads the cell's program."""
+    """ConfigError where no simulated controller reads the cell's program."""
     kinds: dict[str, Callable[[RehearsalDraft, str], None]] = {
         "robot_link": _link,
         "linuxcnc": _linuxcnc,
@@ -202,11 +119,12 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
     if kind in kinds:
         kinds[kind](draft, device)
     else:
-        _stand_in(draft, device, kind)
-    machine = draft.config.machine
-    draft.take("robot", ("corner_deg", "max_feed_mm_s", "x_mm", "y_mm", "z_mm"), "machine", machine)
-    draft.put("robot", "a_deg", (-most_a_deg(draft), most_a_deg(draft)), "process.dip_deg, the part's slope, and room")
-    draft.put("robot", "home", home(draft), "over the part's centre, at the top of machine.z_mm")
+        instead = {"type": "robot_link", "address": f"tcp://{LOOPBACK}:{free_port()}"}
+        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
+        draft.plugin("rnc_robot")
+    if kind not in kinds or kind == "robot_link":
+        why = f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}"
+        draft.put("robot", "window", WINDOW * MOST_SPEED, why)
 
 
 def _require_language(draft: RehearsalDraft, kind: str) -> None:
@@ -228,36 +146,12 @@ def _require_language(draft: RehearsalDraft, kind: str) -> None:
 
 
 def _link(draft: RehearsalDraft, device: str) -> None:
-    port, options = free_port(), draft.options(device)
-    draft.put("robot", "kind", "link", f"{device}.type")
-    draft.put("robot", "port", port, "free on this computer")
-    draft.put("robot", "watchdog_s", options["watchdog_s"], draft.origin(f"{device}.watchdog_s"))
-    _add_window(draft)
-    draft.laid[f"{device}.address"] = f"tcp://{LOOPBACK}:{port}"
-
-
-def _add_window(draft: RehearsalDraft) -> None:
-    window = WINDOW * MOST_SPEED
-    draft.put("robot", "window", window, f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}")
-
-
-def _stand_in(draft: RehearsalDraft, device: str, kind: str) -> None:
-    port = free_port()
-    draft.put("robot", "kind", "link", f"stands in for {kind}")
-    draft.put("robot", "port", port, "free on this computer")
-    _add_window(draft)
-    address = f"tcp://{LOOPBACK}:{port}"
-    draft.replace_device(device, {"type": "robot_link", "address": address}, f"there is no simulated {kind!r}")
-    draft.plugin("rnc_robot")
+    draft.laid[f"{device}.address"] = f"tcp://{LOOPBACK}:{free_port()}"
 
 
 def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
-    port, watchdog_s = free_port(), draft.options(device)["watchdog_s"]
-    draft.put("robot", "kind", "linuxcnc", f"{device}.type")
-    draft.put("robot", "port", port, "free on this computer")
-    draft.put("robot", "watchdog_s", watchdog_s or NO_WATCHDOG_S, draft.origin(f"{device}.watchdog_s"))
     draft.laid |= {
-        f"{device}.address": f"tcp://{LOOPBACK}:{port}",
+        f"{device}.address": f"tcp://{LOOPBACK}:{free_port()}",
         f"{device}.program_dir": f"{SIM_STATE}/linuxcnc/nc",
         f"{device}.controller_dir": "/mnt/nc",
         f"{device}.password": None,
@@ -270,18 +164,13 @@ def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
 
 
 def _universal_robots(draft: RehearsalDraft, device: str) -> None:
-    rtde, dashboard, primary = free_port(), free_port(), free_port()
     options = draft.options(device)
     if options["tool_z"] != "into_part":
         raise draft.config.error(f"{device}.tool_z", "the simulated arm's tool frame has its z into the part only")
-    draft.put("robot", "kind", "universal_robots", f"{device}.type")
-    for key, port in (("port", rtde), ("dashboard_port", dashboard), ("primary_port", primary)):
-        draft.put("robot", key, port, "free on this computer")
-    draft.put("robot", "cycle_hz", 500 if options["rate_hz"] > 125.0 else 125, draft.origin(f"{device}.rate_hz"))
     draft.laid |= {
-        f"{device}.address": f"tcp://{LOOPBACK}:{rtde}",
-        f"{device}.dashboard_port": dashboard,
-        f"{device}.primary_port": primary,
+        f"{device}.address": f"tcp://{LOOPBACK}:{free_port()}",
+        f"{device}.dashboard_port": free_port(),
+        f"{device}.primary_port": free_port(),
     }
     if options["first_register"] != FIRST_REGISTER:
         draft.instead(f"{device}.first_register", FIRST_REGISTER, "the simulated arm is watched at that register")
@@ -291,10 +180,6 @@ def _handover(draft: RehearsalDraft, device: str) -> None:
     options, port = draft.options(device), free_port()
     profile = load_controller_profile(options["profile"], draft.config.base_dir)
     usual = load_controller_profile(f"plc-{profile.link}", CONTROLLER_PROFILE_DIR)
-    draft.put("robot", "kind", profile.link, f"link of {device}.profile")
-    draft.put("robot", "port", port, "free on this computer")
-    draft.put("robot", "report_ms", profile.report_ms, f"report_ms of {device}.profile")
-    draft.put("robot", "watchdog_s", profile.watchdog_s or NO_WATCHDOG_S, f"watchdog_s of {device}.profile")
     if profile.variables != usual.variables or profile.program != usual.program:
         draft.files["controller.toml"] = _with_its_times(profile, usual)
         why = (
@@ -324,42 +209,25 @@ def _with_its_times(profile: ControllerProfile, usual: ControllerProfile) -> byt
     return ("\n".join(f"{key} = {toml(value)}" for key, value in {**source, **times}.items()) + "\n" + tables).encode()
 
 
-# Loader, force sensor and monitor of a cell, as the simulator has them.
+# Loader, force sensor and monitor.
 
-LOADS_S, UNLOADS_S, FILTER_S, RANGE_N = 30.0, 20.0, 0.03, 60.0
-LOADER_TIME_SHARE = 0.4
-"""Share of the longest change that loading, or unloading, takes where the simulated loader is slower by itself."""
-ROOM = 0.1
-"""How far a signal is inside a bound, relative to it."""
 _NO_NAME = re.compile(r"[^A-Za-z0-9._-]")
 
 
 def add_loader(draft: RehearsalDraft, device: str) -> None:
-    """``[loader]``."""
-    options = _line(draft, device, "loader", "loader_line", "loader")
-    change_s = float(options.get("change_s", 120.0))
-    for key, usual_s in (("load_s", LOADS_S), ("unload_s", UNLOADS_S)):
-        draft.put(
-            "loader",
-            key,
-            min(usual_s, LOADER_TIME_SHARE * change_s),
-            f"at most {LOADER_TIME_SHARE:g} x {device}.change_s",
-        )
+    """The part loader."""
+    _add_line(draft, device, "loader_line", "loader")
 
 
 def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
-    """``[force_sensor]``."""
-    options = _line(draft, device, "force_sensor", "force_sensor_line", "force_sensor")
-    latency_s = min(FILTER_S, float(options.get("delay_s", 0.1)) / 2)
-    draft.put("force_sensor", "latency_s", latency_s, f"at most half of {device}.delay_s")
-    most_n = max(RANGE_N, 3.0 * draft.config.process.force_n)
-    draft.put("force_sensor", "range_n", most_n, "at least three times process.force_n")
+    """The force sensor."""
+    _add_line(draft, device, "force_sensor_line", "force_sensor")
 
 
 def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
-    """``[monitor]``: one box tells what all of the cell's monitors do, each signal well inside its bounds."""
+    """One simulated box reports what all of the cell's monitors do."""
     first, *others = devices
-    _line(draft, first, "monitor", "monitor_line", "monitors")
+    _add_line(draft, first, "monitor_line", "monitors")
     address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
     for device in others:
         if draft.config.devices[device].type == "monitor_line":
@@ -368,44 +236,20 @@ def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
             why = f"there is no simulated {draft.config.devices[device].type!r}"
             draft.replace_device(device, {"type": "monitor_line", "address": address}, why)
     if others:
-        draft.notes.append(f"{', '.join(devices)}: one simulated monitor tells the signals of all, at one address")
+        draft.notes.append(f"{', '.join(devices)}: one simulated monitor reports the signals of all, at one address")
     for name, signal in draft.config.signals.items():
-        told = signal.signal or name
-        if _NO_NAME.search(told):
-            told = _NO_NAME.sub("_", told)
-            draft.instead(
-                f"signals.{name}.signal", told, "a name on the simulated monitor's wire has no such characters"
-            )
-        draft.put(f"monitor.signals.{told}", "value", inside(signal), f"inside the bounds of signals.{name}")
+        reported = signal.signal or name
+        if _NO_NAME.search(reported):
+            why = "a name on the simulated monitor's link has no such characters"
+            draft.instead(f"signals.{name}.signal", _NO_NAME.sub("_", reported), why)
 
 
-def inside(signal: SignalSection) -> float | bool:
-    """A value that is as it should be before contact and in contact."""
-    asked: list[BoundsSection] = [one for one in (signal.before, signal.in_contact) if one is not None]
-    states = [one.state for one in asked if one.state is not None]
-    if states:
-        return states[0]
-    low = max((one.min for one in asked if one.min is not None), default=None)
-    high = min((one.max for one in asked if one.max is not None), default=None)
-    if low is not None and high is not None:
-        return (low + high) / 2.0
-    if low is not None:
-        return low + (ROOM * abs(low) or 1.0)
-    return (high or 0.0) - (ROOM * abs(high or 0.0) or 1.0)
-
-
-def _line(draft: RehearsalDraft, device: str, port: str, line_type: str, plugin: str) -> dict[str, Any]:
-    """A small device on a line: its own type, or that which stands in for another; its options."""
+def _add_line(draft: RehearsalDraft, device: str, line_type: str, plugin: str) -> None:
+    """A small device on a line: its own type, or that which is simulated in its place."""
     kind = str(draft.config.devices[device].type)
-    if kind != line_type:
-        draft.put(port, "kind", "serial", f"stands in for {kind}")
-        instead = {"type": line_type, "address": f"serial:{SIM_STATE}/{port}?baud=115200"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin(plugin)
-        return {}
-    options = draft.options(device)
-    real = wire(draft, device, port, options["address"])
-    draft.put(port, "kind", "serial" if isinstance(real, SerialLine) else "tcp", f"{device}.address")
-    if isinstance(real, SerialLine):
-        draft.put(port, "baud", real.baud, f"{device}.address")
-    return options
+    if kind == line_type:
+        move_address(draft, device, draft.options(device)["address"])
+        return
+    instead = {"type": line_type, "address": f"serial:{SIM_STATE}/{line_type.removesuffix('_line')}?baud=115200"}
+    draft.replace_device(device, instead, f"there is no simulated {kind!r}")
+    draft.plugin(plugin)

@@ -1,9 +1,9 @@
-"""What is gathered of a cell before anything is written: SIM.toml's values with their origins, the cell's changes."""
+"""What a rehearsal has otherwise than the cell, before anything is written; its folder."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import tomlkit
 
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.cell import FILES, CellConfig, device_options, overlay
-from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp, parse_address
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
 from polishd.plugin_loader import Hooks
@@ -32,33 +32,17 @@ class RehearsalDraft:
     config: CellConfig
     hooks: Hooks
     sim: dict[str, dict[str, tuple[Any, str]]] = field(default_factory=dict)
-    """SIM.toml: by section and key a value, and where it comes from."""
+    """sim.toml: by section and key a value, and the comment behind it."""
     laid: dict[str, Any] = field(default_factory=dict)
-    """What the rehearsal's cell has else than the cell, by dotted key; None: the key is taken out."""
+    """What the rehearsal's cell has otherwise than the cell, by dotted key; None: the key is removed."""
     notes: list[str] = field(default_factory=list)
-    """What the simulator cannot be, and what stands in for it."""
+    """What the simulator cannot be, and what is simulated instead."""
     files: dict[str, bytes] = field(default_factory=dict)
-    """What both refer to, by name in the folder."""
+    """Files that the rehearsal's cell names, by name in the folder."""
 
-    def put(self, section: str, key: str, value: Any, origin: str) -> None:
-        """A value of SIM.toml; one that is None is left out."""
-        table = self.sim.setdefault(section, {})
-        if value is not None:
-            table[key] = (value, origin)
-
-    def take(self, section: str, keys: Sequence[str], given: str, values: Any) -> None:
-        """Values of SIM.toml that the cell's section ``given`` has under the same names."""
-        for key in keys:
-            self.put(section, key, getattr(values, key), self.origin(f"{given}.{key}"))
-
-    def origin(self, key: str) -> str:
-        """Where the cell has a value: its key, and the fragment, or that it is a default."""
-        inner: Any = self.config.raw
-        for name in key.split("."):
-            inner = inner.get(name) if isinstance(inner, Mapping) else None
-        if inner is None:
-            return f"{key}, its default"
-        return f"{key} of {self.config.included[key]}" if key in self.config.included else key
+    def put(self, section: str, key: str, value: Any, comment: str) -> None:
+        """A value of sim.toml, and the comment behind it."""
+        self.sim.setdefault(section, {})[key] = (value, comment)
 
     def options(self, device: str) -> dict[str, Any]:
         """A device's options with their defaults, as its type judges them; ConfigError as of the cell."""
@@ -66,66 +50,54 @@ class RehearsalDraft:
         return dict(options)
 
     def replace_device(self, device: str, section: Mapping[str, Any], why: str) -> None:
-        """Another type of device stands in for one that the simulator has not; keys of the port stay."""
+        """Another type of device, for one that is not simulated; keys of the port stay."""
         raw = self.config.devices[device]
         kept = {key: getattr(raw, key) for key in type(raw).model_fields if key != "type"}
         self.laid[device] = {**kept, **section}
-        self.notes.append(f"{device}: {why}; {section['type']} stands in for it")
+        self.notes.append(f"{device}: {why}; {section['type']} is simulated instead")
 
     def instead(self, key: str, value: Any, why: str) -> None:
-        """The rehearsal's cell has another value than the cell, and says so; None: none."""
+        """Another value than the cell's, with a note; None: the key is left out."""
         self.laid[key] = value
-        said = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
-        self.notes.append(f"{key}: {why}; it {said}")
+        state = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
+        self.notes.append(f"{key}: {why}; it {state}")
 
     def plugin(self, name: str) -> None:
-        """A stand-in needs this plugin."""
+        """A device that is simulated instead of the cell's needs this plugin."""
         loaded = self.laid.get("plugins.load", list(self.config.plugins.load))
         if name not in loaded:
             self.laid["plugins.load"] = [*loaded, name]
 
-    def copy(self, name: str, path: Path) -> str:
-        """A file goes into the folder; its name there."""
-        self.files[name] = path.read_bytes()
-        return name
 
-
-# A simulated device's address: of the same kind as the cell's, on this computer.
-
-
-def wire(
-    draft: RehearsalDraft, device: str, port_name: str, address: str
-) -> Tcp | SerialLine | SlcanAddress | SocketcandAddress:
-    """Lay the simulated device's address over the cell's; the cell's own, read. ConfigError where it is none."""
+def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
+    """Give a device of the rehearsal's cell an address of the same kind on this computer. ConfigError: it is none."""
     real = parse_address(address, draft.config.base_dir)
     query = urlsplit(address).query
     if isinstance(real, SerialLine | SlcanAddress):
-        scheme = address.partition(":")[0]
-        draft.laid[f"{device}.address"] = f"{scheme}:{SIM_STATE}/{port_name}" + (f"?{query}" if query else "")
-        return real
-    port = free_port()
-    draft.put(port_name, "port", port, "free on this computer")
-    at = f"{LOOPBACK}:{port}"
+        path = f"{address.partition(':')[0]}:{SIM_STATE}/{port_of(device)}"
+        draft.laid[f"{device}.address"] = path + (f"?{query}" if query else "")
+        return
+    at = f"{LOOPBACK}:{free_port()}"
     draft.laid[f"{device}.address"] = f"tcp://{at}" if isinstance(real, Tcp) else f"socketcand://{at}/{real.channel}"
-    return real
 
 
-# The two files as text: SIM.toml with the origin behind each value, and the cell's own file with few of its values.
+# The two files as text: sim.toml, and the cell's own file with few of its values.
 
 COLUMN = 45
 """In which comments begin, where a value leaves room."""
 
 
-def sim_text(draft: RehearsalDraft) -> str:
-    """SIM.toml."""
+def sim_text(draft: RehearsalDraft, cell: str) -> str:
+    """sim.toml of the rehearsal's cell, which has that file name."""
     lines = [
         f"# Made by polishd sim --from {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
-        "# Behind each value: the key of the cell that it comes from. All keys: docs/reference/simulator.md",
+        "# What is not here is as the cell has it. All keys: docs/reference/simulator.md",
         *(f"# {note}" for note in draft.notes),
+        f"cell = {toml(cell)}",
     ]
     for section, values in draft.sim.items():
         lines += ["", f"[{section}]"]
-        lines += [f"{f'{key} = {toml(value)}':<{COLUMN}} # {origin}" for key, (value, origin) in values.items()]
+        lines += [f"{f'{key} = {toml(value)}':<{COLUMN}} # {comment}" for key, (value, comment) in values.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -179,7 +151,7 @@ def _set(table: MutableMapping[str, Any], path: list[str], value: Any) -> None:
 # Where a rehearsal is written: nowhere near what the real cell writes.
 
 FOLDER_KEYS = ("folder", "claimed", "refused", "program_dir")
-"""Options of devices that name folders which somebody writes into."""
+"""Options of devices that name folders into which the cell or its devices write."""
 
 
 def usual_folder(config: CellConfig) -> Path:

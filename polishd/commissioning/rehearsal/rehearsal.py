@@ -17,7 +17,7 @@ from polishd.commissioning.rehearsal.devices import (
     speed_of,
 )
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text, usual_folder
-from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_kinematics, add_part, add_process
+from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_part, note_process
 from polishd.commissioning.rehearsal.simulated_cell import measure_artefact, run_simulator
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.simulator import load_simulator
@@ -52,7 +52,7 @@ class Rehearsal:
     sim: Path
     cell: Path
     notes: tuple[str, ...]
-    """What the simulator is not, and what stands in for it."""
+    """What the simulator is not, and what is simulated instead."""
 
 
 def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
@@ -124,15 +124,15 @@ def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, flo
 
 def _write(draft: RehearsalDraft, folder: Path, own: str) -> None:
     """All files; ConfigError where what is written would be no simulated cell."""
-    texts = {SIM: sim_text(draft), own: cell_text(draft)}
+    texts = {SIM: sim_text(draft, own), own: cell_text(draft)}
     for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
         write_atomic(folder / name, content)
+    load_config(folder / own)
     try:
-        load_simulator(folder / SIM)
+        load_simulator(folder / SIM).require_simulated()
     except ConfigError as error:
         wrong = "; ".join(line.split(": ", 1)[-1] for line in str(error).splitlines())
         raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
-    load_config(folder / own)
     measure_artefact(folder / SIM, folder / ARTEFACT)
     prove_profile(folder / PROFILE, folder / ARTEFACT)
 
@@ -142,14 +142,10 @@ def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     draft = RehearsalDraft(config, hooks)
     used = _used(draft)
     add_part(draft, speed_of(config.devices[used["robot"]].type))
-    add_process(draft)
-    add_kinematics(draft)
+    note_process(draft)
     for port, add in ONE_OF_A_PORT.items():
         if port in used:
             add(draft, used[port])
-    for port in ("loader", "force_sensor"):
-        if port in used:
-            draft.sim.setdefault(port, {})
     if monitors := [name for name in config.devices if port_of(name) == "monitor"]:
         add_monitors(draft, monitors)
     _add_folders(draft)

@@ -151,7 +151,7 @@ class Start:
 
     def again(self) -> Start:
         """With what SIM.toml says now."""
-        return changed(self, config=read_config(Path(self.config.source.file)))
+        return changed(self, config=read_config(self.config.path))
 
 
 @dataclass(slots=True)

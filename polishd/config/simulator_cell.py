@@ -1,0 +1,386 @@
+"""What the simulator takes from a cell's file: the part, the tool, the robot, and how each device is reached."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from polishd.config.cell import CellConfig
+from polishd.config.cell_sections import BoundsSection, SignalSection
+from polishd.config.controller_profile import load_controller_profile
+from polishd.config.device_profile import DeviceProfile
+from polishd.config.device_profile_checks import load_device_profile
+from polishd.config.fields import OUTLINES, as_keys
+from polishd.config.instrument_profile import ProfileFile
+from polishd.config.toml_loader import Location, load_toml
+from polishd.model.devices import LoaderTimes, SensorTimes, SpindleTimes, port_of
+from polishd.model.errors import ConfigError
+
+PART = ("edge_mm", "curvature_radius_mm", "conic", "even", "off_axis_mm", "origin_mm", "rotation_rpy_deg")
+TOOL = (
+    "tool_radius_mm", "normal_force", "spot_offset_mm", "tool_modulus_mpa", "tool_poisson", "part_modulus_mpa",
+    "part_poisson",
+)  # fmt: skip
+MACHINE = ("corner_deg", "max_feed_mm_s", "x_mm", "y_mm", "z_mm")
+MORE_ACCEL = 1.25
+"""What the robot truly accelerates with, over `machine.accel_mm_s2`, which is on the safe side."""
+FINEST_MM, COARSEST_MM = 0.2, 1.0
+"""Spacing of maps that a simulated part can have in a sensible time."""
+USUAL_ARTEFACT_MM = 100.0
+LANDS_S, LIFTS_S, SPINS_S, USUAL_RPM = 2.0, 4.0, 3.0, 3000
+LOADS_S, UNLOADS_S, FILTER_S, RANGE_N = 30.0, 20.0, 0.03, 60.0
+DRIVE_TIME_SHARE = 0.8
+"""Share of the longest time that the cell allows which a simulated drive takes at most."""
+LOADER_TIME_SHARE = 0.4
+"""Share of the longest change that loading, or unloading, takes at most."""
+NO_WATCHDOG_S = 600.0
+"""Watchdog of a simulated controller whose real one has none."""
+SIGNAL_MARGIN = 0.1
+"""How far a signal is inside a bound, relative to it."""
+
+
+@dataclass(slots=True)
+class CellValues:
+    """Values of sim.toml's sections that come from the cell."""
+
+    cell: CellConfig
+    folder: Path
+    """Of sim.toml: paths start there."""
+    given: Mapping[str, Any]
+    """What sim.toml has: a value that is there counts."""
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict)
+    locations: list[tuple[Location, Location]] = field(default_factory=list)
+    """Which key of the cell each key is."""
+    not_simulated: dict[str, ConfigError] = field(default_factory=dict)
+    """By port, why the cell's device there is not simulated as it is."""
+
+    def put(self, section: str, key: str, value: Any, source: str, *, inner: tuple[str, ...] = ()) -> None:
+        """A value of a section, or of its table ``inner``, if it is not None; ``source`` is the cell's dotted key."""
+        if value is not None:
+            table = self.sections.setdefault(section, {})
+            for name in inner:
+                table = table.setdefault(name, {})
+            table[key] = value
+            self.locations.append(((section, *inner, key), tuple(source.split("."))))
+
+    def take(self, section: str, keys: tuple[str, ...], source: str) -> None:
+        """Values that the cell's section ``source`` has under the same names."""
+        for key in keys:
+            self.put(section, key, getattr(getattr(self.cell, source), key), f"{source}.{key}")
+
+    def given_keys(self, section: str) -> Mapping[str, Any]:
+        """What sim.toml has in a section."""
+        found = self.given.get(section, {})
+        return found if isinstance(found, Mapping) else {}
+
+    def path(self, name: str) -> str:
+        """A file that the cell names, as sim.toml would name it."""
+        return Path(os.path.relpath(self.cell.resolve(name).absolute(), self.folder.absolute())).as_posix()
+
+    def options(self, device: str) -> dict[str, Any]:
+        """A device's keys as they are in the cell's file."""
+        return dict(self.cell.devices[device].model_extra or {})
+
+    def number(self, device: str, key: str, usual: float) -> float:
+        """A number of a device's section; ConfigError where it is none."""
+        value = self.options(device).get(key, usual)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.cell.error(f"{device}.{key}", f"must be a number, not {value!r}. Correct it.")
+        return float(value)
+
+
+def add_physics(values: CellValues) -> None:
+    """Part, tool, robot and instrument: all that a plant without links needs."""
+    _add_part(values)
+    _add_process(values)
+    _add_kinematics(values)
+    _add_machine(values)
+    _add_instrument(values)
+
+
+def _add_part(values: CellValues) -> None:
+    cell = values.cell
+    values.put("plant", "part_id", cell.part.id, "part.id")
+    if not any(key in values.given_keys("plant") for key in (*OUTLINES, "hole_mm")):
+        for key, value in as_keys(cell.outline()).items():
+            values.put("plant", key, value, f"part.{cell.part.outline_key}")
+    values.take("plant", PART, "part")
+    for key in ("offset_mm", "rotation_deg"):
+        values.put("plant", f"program_{key}", getattr(cell.program, key), f"program.{key}")
+
+
+def _add_process(values: CellValues) -> None:
+    process = values.cell.process
+    values.take("process", TOOL, "process")
+    values.put("process", "preston", f"{process.preston!r} cm2/N", "process.preston")
+    values.put("process", "projection", values.cell.compliance.projection, "compliance.projection")
+    if process.removal_model == "measured_tif" and process.tif is not None:
+        values.put("process", "tif", values.path(process.tif), "process.tif")
+        values.take("process", ("force_n", "rpm", "dip_deg"), "process")
+
+
+def _add_kinematics(values: CellValues) -> None:
+    section = values.cell.kinematics
+    if values.given_keys("kinematics").get("type", section.type) == section.type:
+        for key, value in section.model_dump(mode="json", exclude_none=True).items():
+            values.put("kinematics", key, values.path(value) if key == "table" else value, f"kinematics.{key}")
+
+
+def _add_machine(values: CellValues) -> None:
+    """The machine's limits, where it stands at first, and how fast it truly accelerates."""
+    cell, machine = values.cell, values.cell.machine
+    values.take("robot", MACHINE, "machine")
+    lean_deg = most_lean_deg(cell)
+    values.put("robot", "a_deg", (-lean_deg, lean_deg), "process.dip_deg")
+    values.put("robot", "home", home(cell), "machine.z_mm")
+    values.put("truth", "accel_mm_s2", MORE_ACCEL * machine.accel_mm_s2, "machine.accel_mm_s2")
+    values.put("truth", "overhead_s", machine.block_overhead_s or None, "machine.block_overhead_s")
+
+
+def home(cell: CellConfig) -> tuple[float, float, float, float, float]:
+    """Over the part's centre, as high as the program may go: X Y Z A C of the program's frame."""
+    (dx, dy, _), turn, machine = cell.program.offset_mm, math.radians(cell.program.rotation_deg), cell.machine
+    x = -(math.cos(turn) * dx + math.sin(turn) * dy)
+    y = math.sin(turn) * dx - math.cos(turn) * dy
+    x, y = (min(max(round(at, 6), least), most) + 0.0 for at, (least, most) in ((x, machine.x_mm), (y, machine.y_mm)))
+    return x, y, machine.z_mm[1], 0.0, 0.0
+
+
+def most_lean_deg(cell: CellConfig) -> float:
+    """How far the tool leans on the part: its dip, the part's slope, and some room."""
+    part, slope_deg = cell.part, 0.0
+    if part.curvature_radius_mm is not None:
+        share = (cell.outline().radius_mm + math.hypot(*part.off_axis_mm)) / abs(part.curvature_radius_mm)
+        slope_deg = math.degrees(math.asin(min(share, 1.0)))
+    return max(60.0, math.ceil(cell.process.dip_deg + slope_deg + 15.0))
+
+
+def _add_instrument(values: CellValues) -> None:
+    """Arrays and numbers such that the instrument's profile puts them right, and the artefact that proves it."""
+    if values.cell.profile_path is None:
+        return
+    profile = ProfileFile.of(*load_toml(values.cell.profile_path))
+    put = partial(values.put, source="instrument.profile")
+    if profile.lateral.pitch_mm is not None and FINEST_MM <= profile.lateral.pitch_mm <= COARSEST_MM:
+        put("plant", "pitch_mm", profile.lateral.pitch_mm)
+    turn, height = profile.orientation, profile.height
+    back_deg = turn.rotation_deg if turn.mirror else -turn.rotation_deg % 360
+    faults = {"mirror": turn.mirror, "rotation_deg": back_deg, "sign": height.sign, "factor": 1.0 / height.factor}
+    for key, value in faults.items():
+        put("interferometer", key, value, inner=("faults",))
+    if profile.artefact is not None and not any(bump.angle_deg for bump in profile.artefact.bumps):
+        bumps = [bump.model_dump(exclude={"angle_deg"}) for bump in profile.artefact.bumps]
+        far_mm = max(max(abs(b["x_mm"]), abs(b["y_mm"])) + 3 * max(b["sigma_x_mm"], b["sigma_y_mm"]) for b in bumps)
+        put("interferometer", "bumps", bumps, inner=("artefact",))
+        put("interferometer", "diameter_mm", max(USUAL_ARTEFACT_MM, 2.0 * far_mm), inner=("artefact",))
+
+
+# How each device is reached: its protocol, its address on this computer, and times within those that the cell allows.
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """An address of the cell, as far as the simulator needs it."""
+
+    scheme: str
+    port: int | None
+    baud: int | None
+
+    @property
+    def is_serial(self) -> bool:
+        """It is a line in the simulator's state folder, not a port."""
+        return self.scheme in {"serial", "slcan"}
+
+
+def add_devices(values: CellValues) -> None:
+    """What the cell's own devices are on their links; what is not simulated goes to ``not_simulated``."""
+    add: Mapping[str, Callable[[CellValues, str, str], None]] = {
+        "robot": _add_robot,
+        "actuator": _add_actuator,
+        "spindle": _add_spindle,
+        "metrology": _add_folder,
+        "loader": _add_loader,
+        "force_sensor": _add_force_sensor,
+        "monitor": _add_monitor,
+    }
+    used = dict(values.cell.used)
+    if monitors := [name for name in values.cell.devices if port_of(name) == "monitor"]:
+        used["monitor"] = monitors[0]
+    for port, device in used.items():
+        section = "interferometer" if port == "metrology" else port
+        values.sections.setdefault(section, {})
+        if "kind" not in values.given_keys(section):
+            try:
+                add[port](values, device, str(values.cell.devices[device].type))
+            except ConfigError as error:
+                values.not_simulated[section] = error
+
+
+def _link_of(values: CellValues, device: str) -> _Link:
+    """Where the cell reaches a device; ConfigError where that is not on this computer."""
+    text = str(values.options(device).get("address", ""))
+    try:
+        url = urlsplit(text)
+        host, port, query = url.hostname or "", url.port, parse_qs(url.query)
+        baud = int(query["baud"][0]) if "baud" in query else None
+    except ValueError as error:
+        raise values.cell.error(f"{device}.address", f"{text!r} is no address: {error}. Correct it.") from error
+    is_line = url.scheme in {"serial", "slcan"}
+    if url.path.startswith("/dev/") if is_line else not (host == "localhost" or host.startswith("127.")):
+        raise _unlike(values, f"{device}.address", f"{text!r} is not on this computer")
+    if url.scheme == "ads":
+        _, high, low, _ = map(int, host.split("."))
+        port = 256 * high + low
+    return _Link(url.scheme, port, baud)
+
+
+def _unlike(values: CellValues, key: str, problem: str) -> ConfigError:
+    return values.cell.error(
+        key, f"{problem}, so it is not simulated. Write a rehearsal: polishd sim --from {values.cell.path}"
+    )
+
+
+def _add_link(values: CellValues, device: str, serial: str, tcp: str) -> None:
+    """Kind, port and baud of a device whose protocol has those two names."""
+    link, port = _link_of(values, device), port_of(device)
+    values.put(port, "kind", serial if link.is_serial else tcp, f"{device}.address")
+    values.put(port, "port", None if link.is_serial else link.port, f"{device}.address")
+    if port != "spindle":
+        values.put(port, "baud", link.baud, f"{device}.address")
+
+
+def _add_robot(values: CellValues, device: str, kind: str) -> None:
+    options = values.options(device)
+    if kind not in {"robot_link", "linuxcnc", "universal_robots", "handover"}:
+        raise _unlike(values, f"{device}.type", f"no simulated robot is a {kind!r}")
+    if kind == "handover":
+        profile = load_controller_profile(str(options.get("profile")), values.cell.base_dir)
+        values.put("robot", "kind", profile.link, f"{device}.profile")
+        values.put("robot", "report_ms", profile.report_ms, f"{device}.profile")
+        values.put("robot", "watchdog_s", profile.watchdog_s or NO_WATCHDOG_S, f"{device}.profile")
+    else:
+        values.put("robot", "kind", {"robot_link": "link"}.get(kind, kind), f"{device}.type")
+        none_s = NO_WATCHDOG_S if kind == "linuxcnc" else None
+        values.put("robot", "watchdog_s", options.get("watchdog_s", none_s), f"{device}.watchdog_s")
+    if kind == "universal_robots":
+        values.put("robot", "dashboard_port", options.get("dashboard_port", 29999), f"{device}.dashboard_port")
+        values.put("robot", "primary_port", options.get("primary_port", 30001), f"{device}.primary_port")
+        is_fast = values.number(device, "rate_hz", 125.0) > 125.0
+        values.put("robot", "cycle_hz", 500 if is_fast else 125, f"{device}.rate_hz")
+    values.put("robot", "port", _link_of(values, device).port, f"{device}.address")
+
+
+def _add_actuator(values: CellValues, device: str, kind: str) -> None:
+    options = values.options(device)
+    match kind:
+        case "voice_coil_modbus":
+            _add_link(values, device, "modbus_rtu", "modbus_tcp")
+        case "voice_coil_serial" if _link_of(values, device).is_serial:
+            _add_link(values, device, "serial", "serial")
+        case "cia402_actuator":
+            _add_link(values, device, "slcan", "socketcand")
+        case "actuator_profile":
+            profile = _add_profile(values, device)
+            table = profile.actuator.model_dump() if profile.actuator is not None else {}
+            options = {**table, **options}
+            if profile.modbus is not None:
+                options.setdefault("unit", profile.modbus.unit)
+        case _:
+            raise _unlike(values, f"{device}.type", f"no simulated actuator is a {kind!r} at that address")
+    values.put("actuator", "unit", options.get("unit"), f"{device}.unit")
+    values.put("actuator", "node", options.get("node"), f"{device}.node")
+    values.put("actuator", "unpowered", options.get("unpowered"), f"{device}.unpowered")
+    for key, usual_s, allowed in (("land_s", LANDS_S, "landing_s"), ("lift_s", LIFTS_S, "retract_s")):
+        allowed_s = values.number(device, allowed, options.get(allowed, usual_s / DRIVE_TIME_SHARE))
+        values.put("actuator", key, min(usual_s, DRIVE_TIME_SHARE * allowed_s), f"{device}.{allowed}")
+
+
+def _add_profile(values: CellValues, device: str) -> DeviceProfile:
+    """A device that speaks what a profile says."""
+    name, port = str(values.options(device).get("profile", "")), port_of(device)
+    if not name.endswith(".toml"):
+        raise _unlike(values, f"{device}.profile", f"{name!r} is not a file")
+    profile = load_device_profile(values.cell.resolve(name))
+    _add_link(values, device, "profile", "profile_tcp")
+    values.put(port, "profile", values.path(name), f"{device}.profile")
+    if port == "actuator":
+        values.put(port, "baud", _link_of(values, device).baud or profile.serial.baud, f"{device}.address")
+    return profile
+
+
+def _add_spindle(values: CellValues, device: str, kind: str) -> None:
+    options, rpm = values.options(device), values.cell.process.rpm
+    if kind == "spindle_profile":
+        table = _add_profile(values, device).spindle
+        options = {**(table.model_dump() if table is not None else {}), **options}
+        values.put("spindle", "unit", options.get("unit"), f"{device}.unit")
+        values.put("spindle", "pole_pairs", options.get("pole_pairs"), f"{device}.pole_pairs")
+    elif kind in {"spindle_can", "cia402_spindle"}:
+        _add_link(values, device, "slcan", "socketcand")
+        values.put("spindle", "drive", "cia402" if kind == "cia402_spindle" else kind, f"{device}.type")
+        values.put("spindle", "node", options.get("node"), f"{device}.node")
+    else:
+        raise _unlike(values, f"{device}.type", f"no simulated spindle is a {kind!r}")
+    most_rpm = math.ceil(max(values.number(device, "max_rpm", options.get("max_rpm", USUAL_RPM)), rpm))
+    values.put("spindle", "max_rpm", most_rpm, f"{device}.max_rpm")
+    values.put("spindle", "watchdog_s", options.get("watchdog_s"), f"{device}.watchdog_s")
+    allowed_s = values.number(device, "spin_s", options.get("spin_s", SpindleTimes().spin_s))
+    values.put("spindle", "spin_s", min(SPINS_S, DRIVE_TIME_SHARE * allowed_s * 1000.0 / rpm), f"{device}.spin_s")
+
+
+def _add_folder(values: CellValues, device: str, kind: str) -> None:
+    request = values.options(device).get("request_file")
+    if kind != "watched_folder" or (request is not None and Path(request).name != request):
+        raise _unlike(values, f"{device}.type", f"no simulated instrument is a {kind!r} with that request file")
+    values.put("interferometer", "request_file", request, f"{device}.request_file")
+
+
+def _add_line(values: CellValues, device: str, kind: str) -> None:
+    """A small device on a line of text."""
+    if kind != f"{port_of(device)}_line":
+        raise _unlike(values, f"{device}.type", f"no simulated {port_of(device)} is a {kind!r}")
+    _add_link(values, device, "serial", "tcp")
+
+
+def _add_loader(values: CellValues, device: str, kind: str) -> None:
+    _add_line(values, device, kind)
+    change_s = LOADER_TIME_SHARE * values.number(device, "change_s", LoaderTimes().change_s)
+    values.put("loader", "load_s", min(LOADS_S, change_s), f"{device}.change_s")
+    values.put("loader", "unload_s", min(UNLOADS_S, change_s), f"{device}.change_s")
+
+
+def _add_force_sensor(values: CellValues, device: str, kind: str) -> None:
+    _add_line(values, device, kind)
+    delay_s = values.number(device, "delay_s", SensorTimes().delay_s)
+    values.put("force_sensor", "latency_s", min(FILTER_S, delay_s / 2), f"{device}.delay_s")
+    values.put("force_sensor", "range_n", max(RANGE_N, 3.0 * values.cell.process.force_n), "process.force_n")
+
+
+def _add_monitor(values: CellValues, device: str, kind: str) -> None:
+    """One box that reports what all of the cell's monitors do, each signal well inside its bounds."""
+    _add_line(values, device, kind)
+    for name, signal in values.cell.signals.items():
+        reported = ("signals", signal.signal or name)
+        values.put("monitor", "value", inside(signal), f"signals.{name}", inner=reported)
+
+
+def inside(signal: SignalSection) -> float | bool:
+    """A value that is as it should be before contact, in contact and at a start."""
+    given = (signal.before, signal.in_contact, signal.on_order)
+    bounds: list[BoundsSection] = [one for one in given if one is not None]
+    states = [one.state for one in bounds if one.state is not None]
+    if states:
+        return states[0]
+    low = max((one.min for one in bounds if one.min is not None), default=None)
+    high = min((one.max for one in bounds if one.max is not None), default=None)
+    if low is not None and high is not None:
+        return (low + high) / 2.0
+    if low is not None:
+        return low + (SIGNAL_MARGIN * abs(low) or 1.0)
+    return 0.0 if high is None else high - (SIGNAL_MARGIN * abs(high) or 1.0)
