@@ -497,10 +497,7 @@ def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
         return raw, source, None
     if not isinstance(named, str):
         raise ConfigError(source.error(("cell",), f"must be the name of a file, not {named!r}. Correct it."))
-    cell = path.parent / Path(named).expanduser()
-    if not cell.exists():
-        raise ConfigError(source.error(("cell",), f"{cell}: there is no such file. Name the cell's file."))
-    values = CellValues(load_config(cell), path.parent, raw)
+    values = CellValues(load_config(path.parent / Path(named).expanduser()), path.parent, raw)
     add_physics(values)
     return raw, source, values
 

@@ -15,7 +15,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.cell_sections import BoundsSection, SignalSection
 from polishd.config.controller_profile import load_controller_profile
 from polishd.config.device_profile import DeviceProfile
-from polishd.config.device_profile_checks import load_device_profile
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR, profile_of
 from polishd.config.fields import OUTLINES, as_keys
 from polishd.config.instrument_profile import ProfileFile
 from polishd.config.toml_loader import Location, load_toml
@@ -79,9 +79,9 @@ class CellValues:
         found = self.given.get(section, {})
         return found if isinstance(found, Mapping) else {}
 
-    def path(self, name: str) -> str:
-        """A file that the cell names, as sim.toml would name it."""
-        return Path(os.path.relpath(self.cell.resolve(name).absolute(), self.folder.absolute())).as_posix()
+    def path(self, file: Path) -> str:
+        """A file as sim.toml would name it."""
+        return Path(os.path.relpath(file.absolute(), self.folder.absolute())).as_posix()
 
     def options(self, device: str) -> dict[str, Any]:
         """A device's keys as they are in the cell's file."""
@@ -121,7 +121,7 @@ def _add_process(values: CellValues) -> None:
     values.put("process", "preston", f"{process.preston!r} cm2/N", "process.preston")
     values.put("process", "projection", values.cell.compliance.projection, "compliance.projection")
     if process.removal_model == "measured_tif" and process.tif is not None:
-        values.put("process", "tif", values.path(process.tif), "process.tif")
+        values.put("process", "tif", values.path(values.cell.resolve(process.tif)), "process.tif")
         values.take("process", ("force_n", "rpm", "dip_deg"), "process")
 
 
@@ -129,7 +129,8 @@ def _add_kinematics(values: CellValues) -> None:
     section = values.cell.kinematics
     if values.given_keys("kinematics").get("type", section.type) == section.type:
         for key, value in section.model_dump(mode="json", exclude_none=True).items():
-            values.put("kinematics", key, values.path(value) if key == "table" else value, f"kinematics.{key}")
+            used = values.path(values.cell.resolve(value)) if key == "table" else value
+            values.put("kinematics", key, used, f"kinematics.{key}")
 
 
 def _add_machine(values: CellValues) -> None:
@@ -304,11 +305,10 @@ def _add_actuator(values: CellValues, device: str, kind: str) -> None:
 def _add_profile(values: CellValues, device: str) -> DeviceProfile:
     """A device that speaks what a profile says."""
     name, port = str(values.options(device).get("profile", "")), port_of(device)
-    if not name.endswith(".toml"):
-        raise _unlike(values, f"{device}.profile", f"{name!r} is not a file")
-    profile = load_device_profile(values.cell.resolve(name))
+    profile = profile_of(name, values.cell.base_dir)
+    file = values.cell.resolve(name) if name.endswith(".toml") else DEVICE_PROFILE_DIR / f"{name}.toml"
     _add_link(values, device, "profile", "profile_tcp")
-    values.put(port, "profile", values.path(name), f"{device}.profile")
+    values.put(port, "profile", values.path(file), f"{device}.profile")
     if port == "actuator":
         values.put(port, "baud", _link_of(values, device).baud or profile.serial.baud, f"{device}.address")
     return profile

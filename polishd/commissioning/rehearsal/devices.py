@@ -9,7 +9,6 @@ from typing import Any
 from polishd.commissioning.rehearsal.draft import LOOPBACK, SIM_STATE, RehearsalDraft, move_address
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR
 from polishd.util.serialization import toml
 
 MOST_N = 50.0
@@ -40,8 +39,8 @@ def add_actuator(draft: RehearsalDraft, device: str) -> None:
         move_address(draft, device, address)
         if kind == "cia402_actuator":
             _adopt_drive(draft, device, options, CIA402_ACTUATOR)
-        elif kind == "actuator_profile":
-            _copy_profile(draft, device, options["profile"])
+        elif kind == "actuator_profile" and options["profile"].endswith(".toml"):
+            draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
     touch_off = draft.config.touch_off
     given_mm = None if touch_off is None else touch_off.position_mm or float(options.get("stroke_mm") or 10.0) / 2
     if given_mm not in {None, TOUCH_MM}:
@@ -58,8 +57,8 @@ def add_spindle(draft: RehearsalDraft, device: str) -> None:
         return
     options = draft.options(device)
     move_address(draft, device, options["address"])
-    if kind == "spindle_profile":
-        _copy_profile(draft, device, options["profile"])
+    if kind == "spindle_profile" and options["profile"].endswith(".toml"):
+        draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
     elif kind == "cia402_spindle":
         _adopt_drive(draft, device, options, CIA402_SPINDLE)
 
@@ -70,15 +69,6 @@ def _adopt_drive(draft: RehearsalDraft, device: str, options: Mapping[str, Any],
     for key, value in simulated.items():
         if options[key] != value:
             draft.instead(f"{device}.{key}", value, f"is {options[key]:g} at your drive; the simulated one has its own")
-
-
-def _copy_profile(draft: RehearsalDraft, device: str, name: str) -> None:
-    """The device profile as a file: the simulator reads no others."""
-    if name.endswith(".toml"):
-        draft.laid[f"{device}.profile"] = str(draft.config.resolve(name).absolute())
-    else:
-        draft.files[f"{name}.toml"] = (DEVICE_PROFILE_DIR / f"{name}.toml").read_bytes()
-        draft.laid[f"{device}.profile"] = f"{name}.toml"
 
 
 # The robot: its program's language, its controller's address and folders.

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from polishd.api import ActuatorTimes, ConfigError, PolishdError, SensorTimes, SpindleTimes
 from polishd.config.device_profile import DeviceProfile, ModbusTable, Quantity, Value, write_of
-from polishd.config.device_profile_checks import ORDERS, load_device_profile
-from polishd.config.toml_loader import did_you_mean, join_words
+from polishd.config.device_profile_checks import ORDERS
 from polishd.drivers.profile_device import codec
 from polishd.drivers.profile_device.codec import Values
 from polishd.drivers.profile_device.device import ProfileTransport
@@ -65,29 +64,6 @@ def force_sensor(
     """A force sensor; opens nothing."""
     times = times or SensorTimes()
     return ProfiledForceSensor(wire_of(profile, address, times.silence_s, unit=unit), times)
-
-
-# The profiles that polishd brings, by name, and those of the user's own, by file.
-
-DEVICE_PROFILE_DIR = Path(__file__).with_name("profiles")
-
-
-def shipped() -> list[str]:
-    """Names, in order."""
-    return sorted(path.stem for path in DEVICE_PROFILE_DIR.glob("*.toml"))
-
-
-def profile_of(name: str, base_dir: Path) -> DeviceProfile:
-    """The profile of a name, or in a file (``.toml``) in ``base_dir``; ConfigError says what is wrong, and where."""
-    if name.endswith(".toml"):
-        return load_device_profile(base_dir / Path(name).expanduser())
-    known = shipped()
-    if name not in known:
-        hint = (
-            f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
-        )
-        raise ConfigError(f"profile {name!r} is not known{hint}")
-    return load_device_profile(DEVICE_PROFILE_DIR / f"{name}.toml")
 
 
 # What a profile makes of a device: the requests as they go over the wire, and how raw values read. Opens nothing.

@@ -20,9 +20,9 @@ from polishd.api import (
     hookimpl,
 )
 from polishd.config.device_profile import DeviceProfile, Kind
+from polishd.config.device_profile_checks import profile_of
 from polishd.config.fields import ConfigSection
 from polishd.drivers.profile_device import build
-from polishd.drivers.profile_device.build import profile_of
 
 POLISHD_API = 1
 

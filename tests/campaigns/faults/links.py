@@ -120,8 +120,7 @@ def _small(folder: Path, cell: Sections | None = None, sim: Sections | None = No
     """The demo's small cell with other keys."""
     files = write_small(folder, patient=False, **ONE_PASS)
     files.cell.write_text(with_keys(with_keys(files.cell.read_text(), SILENT), cell or {}))
-    spindle = {"spindle": {"watchdog_s": 3.0}}
-    files.sim.write_text(with_keys(with_keys(files.sim.read_text(), spindle), sim or {}))
+    files.sim.write_text(with_keys(files.sim.read_text(), sim or {}))
     return files
 
 
@@ -129,7 +128,7 @@ def _actuator(folder: Path, kind: str) -> DemoFiles:
     port = free_port()
     tcp = {"address": f"tcp://127.0.0.1:{port}"}
     cell = {"actuator": {**SILENT["actuator"], **(tcp if kind == "modbus_tcp" else {})}}
-    files = _small(folder, cell, {"actuator": {"kind": kind, **({"port": port} if kind == "modbus_tcp" else {})}})
+    files = _small(folder, cell)
     if kind == "serial":
         files.cell.write_text(with_values(files.cell.read_text(), {"actuator": {"type": "voice_coil_serial"}}))
         files.cell.write_text(files.cell.read_text().replace("unit = 1\n", ""))
@@ -139,12 +138,12 @@ def _actuator(folder: Path, kind: str) -> DemoFiles:
 def _spindle(folder: Path) -> DemoFiles:
     port = free_port()
     cell = {"spindle": {**SILENT["spindle"], "address": f"socketcand://127.0.0.1:{port}/can0"}}
-    return _small(folder, cell, {"spindle": {"watchdog_s": 3.0, "kind": "socketcand", "port": port}})
+    return _small(folder, cell)
 
 
 def _cia402(folder: Path) -> DemoFiles:
     """Both drives off the shelf."""
-    files = _small(folder, sim={"actuator": {"kind": "slcan"}, "spindle": {"drive": "cia402"}})
+    files = _small(folder)
     text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)

@@ -17,6 +17,7 @@ from polishd.cli.app import app
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text
 from polishd.commissioning.rehearsal.rehearsal import draft_rehearsal, write_rehearsal
 from polishd.config.cell import load_config
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.config.table_files import write_tif
 from polishd.model.errors import ConfigError
@@ -210,7 +211,7 @@ def test_drives_by_profile_and_on_canopen_and_what_the_simulated_ones_count_in(t
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert (sim.actuator.kind, sim.actuator.node) == ("slcan", 9)
     assert (sim.spindle.kind, sim.spindle.unit, sim.spindle.pole_pairs) == ("profile", 3, 2)
-    assert sim.resolve(sim.spindle.profile).read_bytes() == draft.files["delta_ms300.toml"]
+    assert sim.resolve(sim.spindle.profile).samefile(DEVICE_PROFILE_DIR / "delta_ms300.toml")
     assert other["actuator.n_per_permille"] == 0.05
     assert other["touch_off.position_mm"] == 5.0
     assert other["actuator.address"] == "slcan:sim/actuator?bitrate=500000"
