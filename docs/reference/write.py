@@ -81,8 +81,8 @@ of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`
     "controller": """The profile of a robot controller that loads files (`[robot] type = "handover"`), as
 [the shipped ones](../../polishd/config/controller_profiles) show it; what each variable is for:
 [handover.md](../protocols/handover.md).""",
-    "simulator": """The simulated cell, as [examples/sim.toml](../../examples/sim.toml) shows it with comments. Every
-key may be left out.""",
+    "simulator": """What only a simulator knows of a cell, as [examples/sim.toml](../../examples/sim.toml) shows it with
+comments. Every key may be left out: with `cell` it is then as the cell has it, else the default of this page.""",
     "shop": """The file of a shop of several cells; how one is set up: [shop.md](../shop.md).""",
 }
 

@@ -37,6 +37,7 @@ from polishd.config.table_files import read_tif
 from polishd.config.toml_loader import TomlDocument, TomlSource, key_lines, load_toml
 from polishd.model.errors import ConfigError
 from polishd.model.process import FLAT, MeasuredTif, NormalForce, Projection, RobotModel, ToolProcess
+from polishd.util.files import toml_text
 
 # The sections of SIM.toml that say what is physical: the part, how its tool removes, and what nobody is told.
 
@@ -497,7 +498,12 @@ def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
         return raw, source, None
     if not isinstance(named, str):
         raise ConfigError(source.error(("cell",), f"must be the name of a file, not {named!r}. Correct it."))
-    values = CellValues(load_config(path.parent / Path(named).expanduser()), path.parent, raw)
+    cell = path.parent / Path(named).expanduser()
+    try:
+        toml_text(cell)
+    except ConfigError as error:
+        raise ConfigError(source.error(("cell",), str(error))) from error
+    values = CellValues(load_config(cell), path.parent, raw)
     add_physics(values)
     return raw, source, values
 

@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from polishd.config.cell import PORTS, CellConfig, load_config
-from polishd.config.fields import as_keys
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell.cell import OPEN_S
 from polishd.daemon.cell.recorder import place, recording_to
@@ -36,18 +35,26 @@ from polishd.util.threads import run_loop
 MODULE = "polishd.sim_backends"
 END_S = 10.0
 SIM = """
+cell = {cell}
 [plant]
 speed = 20.0
-part_id = {part_id}
-{outline}
-origin_mm = {origin_mm}
-rotation_rpy_deg = {rotation_rpy_deg}
+program_offset_mm = [0.0, 0.0, 0.0]
+program_rotation_deg = 0.0
 [robot]
+kind = "link"
 port = 0
 watchdog_s = 60.0
+x_mm = [-150.0, 150.0]
+y_mm = [-150.0, 150.0]
+z_mm = [-2.0, 120.0]
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
+[actuator]
+kind = "modbus_rtu"
+[spindle]
+kind = "slcan"
 """
-"""The robot stands with the tool's tip on the part, so that there is something to press on."""
+"""The cell's part, with polishd's own devices. The tip of the tool is on the part, so that there is something to press
+on."""
 PATIENT: Mapping[str, Mapping[str, Any]] = {
     "robot": {"type": "robot_link", "watchdog_s": 60.0},
     "actuator": {"type": "voice_coil_modbus", "silence_s": 1.0, "watchdog_ms": 2000},
@@ -76,14 +83,9 @@ def stand_ins(config: CellConfig, names: Sequence[str], folder: Path) -> Iterato
     if not names:
         yield {}
         return
-    part = config.part
-    sim = folder / "sim.toml"
-    written = {"part_id": part.id}
-    outline = "\n".join(f"{key} = {json.dumps(value)}" for key, value in as_keys(config.outline()).items())
-    placed = {"origin_mm": list(part.origin_mm), "rotation_rpy_deg": list(part.rotation_rpy_deg)}
-    text = SIM.format(outline=outline, **{key: json.dumps(value) for key, value in {**written, **placed}.items()})
-    ports = [port_of(name) for name in names]
-    sim.write_text(text + ("[loader]\n" if "loader" in ports else ""))
+    sim, ports = folder / "sim.toml", [port_of(name) for name in names]
+    loader = '[loader]\nkind = "tcp"\n' if "loader" in ports else ""
+    sim.write_text(SIM.format(cell=json.dumps(str(config.path))) + loader)
     only = [word for port in ports for word in ("--only", port)]
     with _running([str(sim), "--state", str(folder / "sim"), *only]) as endpoints:
         devices = {name: {**PATIENT[port_of(name)], "address": endpoints[port_of(name)]} for name in names}
