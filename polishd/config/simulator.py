@@ -152,7 +152,7 @@ class SimContactSection(ConfigSection):
     tool_radius_mm: Positive = _TOOL.tool_radius_mm
     """Radius of the bonnet's sphere."""
     preston: Preston = _TOOL.preston_cm2_per_n
-    """Preston's constant with its unit, as a cell has it; `truth.rate` says how far off it the truth may be.
+    """Preston's constant with its unit, as a cell has it; `hidden_truth.rate` says how far off it the truth may be.
     [as written]"""
     normal_force: NormalForce = _TOOL.normal_force
     """What Hertz is given: the actuator's force, or that over the cosine of the dip."""
@@ -425,7 +425,7 @@ class SimConfig(TomlDocument):
     those that it allows. A key that is here as well has the value that is true of the machine. Left out: the defaults
     of this page."""
     plant: Plant = Plant()
-    truth: Truth = Truth()
+    hidden_truth: Truth = Truth()
     effects: Effects = Effects()
     process: SimContactSection = SimContactSection()
     kinematics: KinematicsSection = HybridSection()
@@ -438,6 +438,13 @@ class SimConfig(TomlDocument):
     monitor: SimMonitorSection | None = None
     fault: Annotated[tuple[FaultSection, ...], BeforeValidator(as_tuple)] = ()
     _not_simulated: Mapping[str, ConfigError] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_new_names(cls, raw: Any) -> Any:
+        if isinstance(raw, Mapping) and "truth" in raw:
+            raise ValueError("truth: is called hidden_truth now. Rename the section here, in scenarios and in studies.")
+        return raw
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -452,7 +459,7 @@ class SimConfig(TomlDocument):
         return self._path
 
     def robot_model(self) -> RobotModel:
-        """The robot as it is on paper: `truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
+        """The robot as it is on paper: `hidden_truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
         return robot_of(self.kinematics, self.resolve)
 
     def measured_tif(self) -> MeasuredTif | None:

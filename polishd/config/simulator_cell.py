@@ -140,8 +140,8 @@ def _add_machine(values: CellValues) -> None:
     lean_deg = most_lean_deg(cell)
     values.put("robot", "a_deg", (-lean_deg, lean_deg), "process.dip_deg")
     values.put("robot", "home", home(cell), "machine.z_mm")
-    values.put("truth", "accel_mm_s2", MORE_ACCEL * machine.accel_mm_s2, "machine.accel_mm_s2")
-    values.put("truth", "overhead_s", machine.block_overhead_s or None, "machine.block_overhead_s")
+    values.put("hidden_truth", "accel_mm_s2", MORE_ACCEL * machine.accel_mm_s2, "machine.accel_mm_s2")
+    values.put("hidden_truth", "overhead_s", machine.block_overhead_s or None, "machine.block_overhead_s")
 
 
 def home(cell: CellConfig) -> tuple[float, float, float, float, float]:

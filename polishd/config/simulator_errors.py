@@ -228,6 +228,6 @@ class InstrumentErrors(ConfigSection):
     retrace_nm_per_urad: float = 0.0
     """What a slope along x adds, where the beam does not come back the way it went. [nm/urad]"""
     slope_noise_nm_per_urad: NotNegative = 0.0
-    """Noise of a sample by the slope there, beside `truth.map_noise_nm`. [nm/urad]"""
+    """Noise of a sample by the slope there, beside `hidden_truth.map_noise_nm`. [nm/urad]"""
     dead_pixels: ShareOrNone = 0.0
     """Share of the samples that never have data. [1]"""

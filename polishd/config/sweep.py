@@ -102,7 +102,7 @@ class GroupSection(ConfigSection):
     """How many of `drawn` and `latin`. [1]"""
     over: Annotated[dict[str, AxisSection], Field(min_length=1)]
     """By dotted key of the study, as `"process.force_n"`; in a study of loops also `"cell_with.process.force_n"`,
-    `"plant_with.truth.rate"` and `"loops.NAME.process.correction"`."""
+    `"plant_with.hidden_truth.rate"` and `"loops.NAME.process.correction"`."""
 
     @model_validator(mode="after")
     def _draws_where_drawn(self) -> Self:

@@ -33,7 +33,7 @@ class BatchPlant:
         self.config = config
         self.world = World(
             config,
-            hidden_truth.draw(config.truth, seed, config.robot_model()),
+            hidden_truth.draw(config.hidden_truth, seed, config.robot_model()),
             parts.make(config.plant, seed),
             hidden_truth.stream(seed, "plant"),
             config.robot.home,

@@ -40,7 +40,7 @@ def add_instrument_errors(
     errors = config.interferometer.errors
     height = _imaged(_shifted(np.rot90(add_mount_errors(true_nm, config), quarters), shift_px), errors)
     x, y = _places(height)
-    noise = config.truth.map_noise_nm * rng.standard_normal(height.shape)
+    noise = config.hidden_truth.map_noise_nm * rng.standard_normal(height.shape)
     if errors.retrace_nm_per_urad or errors.slope_noise_nm_per_urad:
         down, across = np.gradient(_whole(height), pitch_mm)  # nm/mm: microradians
         noise += errors.slope_noise_nm_per_urad * np.hypot(across, down) * rng.standard_normal(height.shape)
@@ -204,7 +204,7 @@ def write_artefact(config: SimConfig, path: Path, rng: np.random.Generator) -> N
     artefact, pitch = config.interferometer.artefact, config.plant.pitch_mm
     n = 2 * math.ceil(artefact.diameter_mm / 2 / pitch) + 1
     grid = Grid(n, n, pitch)
-    height = config.truth.map_noise_nm * rng.standard_normal(grid.shape)
+    height = config.hidden_truth.map_noise_nm * rng.standard_normal(grid.shape)
     for bump in artefact.bumps:
         across = (grid.x_mm - bump.x_mm) / bump.sigma_x_mm
         down = (grid.y_mm - bump.y_mm) / bump.sigma_y_mm

@@ -113,7 +113,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
     if controller.beyond_s is not None:
         lines = 2 if controller.encoding == "dwell" else 1  # a point's
         hidden = {"overhead_s": controller.beyond_s / lines, "overhead_spread": 0.0}
-        files.sim.write_text(with_keys(files.sim.read_text(), {"truth": hidden}))
+        files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": hidden}))
     files.sim.write_text(with_keys(files.sim.read_text(), {"effects": {"eq_44": [1.0, 1.0], "friction": [0.0, 0.0]}}))
     late = linuxcnc_rig.LATE["limits"] if controller.kind == "linuxcnc" else {}
     changed: dict[str, dict[str, Any]] = {"limits": {**CALM, **late}}

@@ -26,7 +26,7 @@ def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFi
     """The demo's files with a small part and such a controller."""
     files = write_small(out, **job)
     hand_over(files, kind)
-    files.sim.write_text(with_keys(files.sim.read_text(), {"truth": TRUTH}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": TRUTH}))
     with_part(files, {"aperture_mm": aperture_mm})
     return files
 

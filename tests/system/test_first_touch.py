@@ -28,7 +28,7 @@ PLANTS = 40
 MACHINE = {"learns": "machine"}
 AGAIN = {"settle.wait_s": 1.0, "settle.maps": 3}  # where a map is doubted: real seconds
 PLANT = {
-    "truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0},
+    "hidden_truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0},
     "effects": {"eq_44": [1.0, 1.0]},  # else what is not lost as depth is a rate, too
 }
 
@@ -91,8 +91,8 @@ def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -
     with PlantProcess() as plant:
         for seed in range(PLANTS):
             rate = float(np.clip(np.random.default_rng([seed, 5]).normal(0.0, 0.15), -0.3, 0.35))
-            truth = {**PLANT["truth"], "rate": [rate, rate]}
-            plant.new({**plain, **PLANT, "truth": {**plain["truth"], **truth}}, seed)
+            truth = {**PLANT["hidden_truth"], "rate": [rate, rate]}
+            plant.new({**plain, **PLANT, "hidden_truth": {**plain["hidden_truth"], **truth}}, seed)
             _, begun = loop._begun(plant, _Account())
             assert isinstance(begun, EstimatesInUse), begun
             found = begun.removal.rate

@@ -119,7 +119,7 @@ def test_a_part_that_is_warm_of_its_pass_is_measured_until_it_has_settled(tmp_pa
     cell = with_keys(files.cell.read_text(), {"between": {"settle.wait_s": 0.5, "settle.maps": 100}})
     files.cell.write_text(cell)
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"truth": {"warm_nm": 20.0, "warm_s": 40.0}}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"warm_nm": 20.0, "warm_s": 40.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "20"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"), Daemon(files) as daemon:
         assert daemon.wait() == 0, daemon.output.read_text()

@@ -27,7 +27,7 @@ LONGEST_NAME = 39
 
 
 def add_part(draft: RehearsalDraft, speed: float) -> None:
-    """``[plant]`` and ``[truth]``: how the part starts, and what is drawn from the seed."""
+    """``[plant]`` and ``[hidden_truth]``: how the part starts, and what is drawn from the seed."""
     part, job, machine, hidden = draft.config.part, draft.config.job, draft.config.machine, Truth()
     if len(part.id.encode()) > LONGEST_NAME:
         raise draft.config.error("part.id", f"is longer than the {LONGEST_NAME} bytes that a MetroPro map has room for")
@@ -40,9 +40,9 @@ def add_part(draft: RehearsalDraft, speed: float) -> None:
         draft.put("plant", "rms_nm", round(rms_nm, 3), start)
         draft.put("plant", "pv_nm", round(PV_OVER_RMS * rms_nm, 3), f"{PV_OVER_RMS:g} x rms_nm")
     for key in ("rate", "stiffness", "drift", "force_noise", "map_noise_nm"):
-        draft.put("truth", key, getattr(hidden, key), "drawn from the seed; 0: a perfect machine")
+        draft.put("hidden_truth", key, getattr(hidden, key), "drawn from the seed; 0: a perfect machine")
     accel = f"{MORE_ACCEL:g} x machine.accel_mm_s2, which is on the safe side"
-    draft.put("truth", "accel_mm_s2", MORE_ACCEL * machine.accel_mm_s2, accel)
+    draft.put("hidden_truth", "accel_mm_s2", MORE_ACCEL * machine.accel_mm_s2, accel)
     if part.rim == "free":
         draft.notes.append("part.rim = 'free': the simulated part sits in a flush ring; no tool sinks over its rim")
     if part.nominal is not None:

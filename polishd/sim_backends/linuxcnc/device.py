@@ -50,7 +50,7 @@ class LinuxCncServer:
     def __init__(self, runtime: SimRuntime) -> None:
         start = runtime.start
         pose = tuple(runtime.link.welcome.get("pose") or start.config.robot.home)
-        hidden = hidden_truth.draw(start.config.truth, start.seed)
+        hidden = hidden_truth.draw(start.config.hidden_truth, start.seed)
         self.folder = start.state / "linuxcnc"
         self.machine = LinuxCncConfig(start.config.robot, pose, hidden.accel_mm_s2)
         self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.turns))

@@ -274,7 +274,7 @@ class PlantServer:
 def build(start: Start) -> PlantServer:
     """Draw the truth, make the part, leave a note of both in the state folder."""
     config = start.config
-    hidden = hidden_truth.draw(config.truth, start.seed, config.robot_model())
+    hidden = hidden_truth.draw(config.hidden_truth, start.seed, config.robot_model())
     part = parts.from_map(start.surface, config.plant) if start.surface else parts.make(config.plant, start.seed)
     rng = hidden_truth.stream(start.seed, "plant")
     drawn = effects.draw(config, start.seed)

@@ -344,7 +344,7 @@ class World:
         booked = self.account.way_out is not None or self.account.pit is not None
         before = self.part.height_nm.copy() if booked else None
         touches = ContactPoints(place, axis, self._shape.under(place))
-        rate = (1.0 - self.config.truth.worn) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
+        rate = (1.0 - self.config.hidden_truth.worn) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
         seconds = rows[:, DT] * rate
         self._tool.wear(self.part, touches, self._frames, force_n=force, rpm=rpm, seconds=seconds)
         self._book(program, rows, place, np.stack([force, np.abs(rpm)], axis=1))
@@ -442,7 +442,7 @@ class World:
 
     def _force_noise(self, seconds: FloatArray) -> FloatArray:
         """Relative force error, correlated over ``force_noise_s`` of process time."""
-        truth = self.config.truth
+        truth = self.config.hidden_truth
         keep = np.exp(-seconds / truth.force_noise_s)
         kick = truth.force_noise * np.sqrt(1.0 - keep**2) * self.rng.standard_normal(len(seconds))
         noise = np.empty(len(seconds))

@@ -333,7 +333,7 @@ class SimRobotBody:
 
     def __init__(self, runtime: SimRuntime) -> None:
         start, robot = runtime.start, runtime.start.config.robot
-        hidden = hidden_truth.draw(start.config.truth, start.seed)
+        hidden = hidden_truth.draw(start.config.hidden_truth, start.seed)
         limits = Limits(
             accel_mm_s2=hidden.accel_mm_s2,
             overhead_s=hidden.overhead_s,

@@ -169,7 +169,7 @@ class UniversalRobotServer:
 
     def __init__(self, runtime: SimRuntime) -> None:
         start, config = runtime.start, runtime.start.config.robot
-        hidden = hidden_truth.draw(start.config.truth, start.seed)
+        hidden = hidden_truth.draw(start.config.hidden_truth, start.seed)
         arm = UrArm.at(tuple(runtime.link.welcome.get("pose") or config.home))
         self.machine = UrController(
             config, arm, 1.0 / config.cycle_hz, hidden.overhead_s, start.speed, time.monotonic()

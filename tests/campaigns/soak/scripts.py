@@ -173,7 +173,7 @@ BY_A_PERSON = (
     Script(
         "tool has lost half of its rate",
         2.0,
-        {"truth": {"worn": 0.5}},
+        {"hidden_truth": {"worn": 0.5}},
         end=ASIDE,
         faults=("RemovalCheckStop", "ToolStop"),
         visits=(TOOL,),

@@ -128,7 +128,7 @@ def test_files_are_found_from_the_studys_folder(tmp_path: Path) -> None:
 def test_keys_of_loops_have_dots_of_their_own() -> None:
     assert location_of("cell_with.process.force_n") == ("cell_with", "process.force_n")
     assert location_of("loops.exact.process.force_n") == ("loops", "exact", "process.force_n")
-    assert location_of("plant_with.truth.rate") == ("plant_with", "truth", "rate")
+    assert location_of("plant_with.hidden_truth.rate") == ("plant_with", "hidden_truth", "rate")
     raw: dict[str, Any] = {"cell_with": {"a": 1}}
     put(raw, "cell_with.process.force_n", 12.0)
     assert raw == {"cell_with": {"a": 1, "process.force_n": 12.0}}

@@ -42,7 +42,7 @@ class Link:
 
 def instrument(folder: Path, *, faults: MapFaults | None = None, **section: Any) -> SimInterferometer:
     config = SimConfig(
-        truth=Truth(map_noise_nm=0.5),
+        hidden_truth=Truth(map_noise_nm=0.5),
         interferometer=Section(write_s=section.pop("write_s", 0.0), faults=faults or MapFaults(), **section),
     )
     runtime: Any = SimpleNamespace(start=SimpleNamespace(config=config), link=Link())
@@ -221,7 +221,7 @@ def test_an_instrument_mirrors_first_and_turns_then() -> None:
 def test_the_artefact_has_its_bump_where_it_says(tmp_path: Path) -> None:
     bump = BumpSection(x_mm=5.0, y_mm=8.0, sigma_x_mm=3.0, sigma_y_mm=1.5, height_nm=100.0)
     section = Section(artefact=Artefact(diameter_mm=40.0, bumps=(bump,)))
-    config = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section)
+    config = SimConfig(hidden_truth=Truth(map_noise_nm=0.0), interferometer=section)
     write_artefact(config, tmp_path / "a.dat", np.random.default_rng(1))
     found = metropro.read(tmp_path / "a.dat")
     row, column = np.unravel_index(int(np.nanargmax(found.height_nm)), found.height_nm.shape)

@@ -20,7 +20,7 @@ X, Y = (np.broadcast_to(a / 20.25, GRID.shape) for a in GRID.axes_mm)
 
 def seen(true_nm: FloatArray | float = 0.0, *, quarters: int = 0, noise_nm: float = 0.0, **errors: Any) -> FloatArray:
     section = SimInterferometerSection(errors=InstrumentErrors(**errors))
-    config = SimConfig(truth=Truth(map_noise_nm=noise_nm), interferometer=section)
+    config = SimConfig(hidden_truth=Truth(map_noise_nm=noise_nm), interferometer=section)
     part = np.where(DISC, true_nm, np.nan)
     return add_instrument_errors(part, config, GRID.pitch_mm, np.random.default_rng(1), quarters=quarters)
 
@@ -68,7 +68,7 @@ def test_a_mount_turns_with_the_part_or_does_not(turns: bool) -> None:
 @pytest.mark.full
 def test_a_mount_that_presses_anew_is_a_trefoil_of_another_size_and_direction_in_each_map() -> None:
     section = SimInterferometerSection(errors=InstrumentErrors(mount_nm=2.0, mount_anew=True))
-    config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
+    config, rng = SimConfig(hidden_truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
     terms = zernike.values(zernike.order("noll", 11), "rms", X[DISC], Y[DISC]).T
     part = np.where(DISC, 0.0, np.nan)
     maps = [add_instrument_errors(part, config, 0.5, rng)[DISC] for _ in range(300)]
@@ -82,7 +82,7 @@ def test_a_mount_that_presses_anew_is_a_trefoil_of_another_size_and_direction_in
 
 def test_tilt_is_another_with_each_map() -> None:
     section = SimInterferometerSection(errors=InstrumentErrors(tilt_nm=50.0))
-    config, rng = SimConfig(truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
+    config, rng = SimConfig(hidden_truth=Truth(map_noise_nm=0.0), interferometer=section), np.random.default_rng(3)
     first, second = (add_instrument_errors(np.zeros(GRID.shape), config, 0.5, rng) for _ in range(2))
     for one in (first, second):
         plane = np.linalg.lstsq(np.column_stack([X.ravel(), Y.ravel()]), one.ravel(), rcond=None)[0]

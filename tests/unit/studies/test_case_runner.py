@@ -30,7 +30,7 @@ named = {named}
 [plant.plant]
 aperture_mm = 30.0
 pv_nm = 100.0
-[plant.truth]
+[plant.hidden_truth]
 rate = [{rate}, {rate}]
 """
 LOOPS = """
@@ -154,7 +154,7 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
     path = study_file(tmp_path)
     with pytest.raises(ConfigError, match=r"no \.toml file"):
         looped(path, 1)
-    (tmp_path / "wrong" / "odd.toml").write_text('what = "x"\n[plan.truth]\nrate = [0.0, 0.0]\n')
+    (tmp_path / "wrong" / "odd.toml").write_text('what = "x"\n[plan.hidden_truth]\nrate = [0.0, 0.0]\n')
     with pytest.raises(ConfigError, match=r"odd\.toml:1: plan.*plant"):
         looped(path, 1)
 
@@ -169,7 +169,7 @@ def test_every_shipped_scenario_is_another_plant() -> None:
         for name, scenario in study.all_scenarios().items():
             plant.new(laid_over(sections, scenario), 1)
             told, _ = plant.truth()
-            own = [{k: v for k, v in scenario.plant.get("truth", {}).items() if k in {"worn", "warm_nm"}}]
+            own = [{k: v for k, v in scenario.plant.get("hidden_truth", {}).items() if k in {"worn", "warm_nm"}}]
             undrawn = [scenario.plant.get(section) for section in ("interferometer", "process")]
             drawn[name] = json.dumps([told["machines"], told["effects"], own, undrawn])
     assert "nothing" in drawn

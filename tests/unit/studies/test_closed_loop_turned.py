@@ -29,7 +29,7 @@ def plant() -> Iterator[PlantProcess]:
 
 def drawn(plant: PlantProcess, **errors: Any) -> None:
     part = {"aperture_mm": 30.0, "pv_nm": 100.0}
-    plant.new({"plant": part, "truth": {"map_noise_nm": 0.3}, "interferometer": {"errors": errors}}, 1)
+    plant.new({"plant": part, "hidden_truth": {"map_noise_nm": 0.3}, "interferometer": {"errors": errors}}, 1)
 
 
 def rms_nm(height_nm: FloatArray) -> float:

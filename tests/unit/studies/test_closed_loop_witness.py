@@ -31,7 +31,7 @@ passes = 2
 [plant_with.plant]
 aperture_mm = 30.0
 pv_nm = 100.0
-[plant_with.truth]
+[plant_with.hidden_truth]
 rate = [{RATE}, {RATE}]
 stiffness = 0.0
 drift = 0.0
@@ -108,7 +108,7 @@ def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(
 
 @pytest.mark.full
 def test_a_touch_that_stops_says_why_and_no_part_is_polished(tmp_path: Path) -> None:
-    worn = wrong_with(study(tmp_path, TOUCHED), "truth", worn=0.5, rate=[0.0, 0.0])
+    worn = wrong_with(study(tmp_path, TOUCHED), "hidden_truth", worn=0.5, rate=[0.0, 0.0])
     (run,) = runs_here(worn)
     assert (run.ended, run.named, run.passes) == ("gate", ("rate",), 0)
     assert "about half" in run.why

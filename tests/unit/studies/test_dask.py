@@ -23,7 +23,7 @@ how = "drawn"
 draws = 4
 [sweep.group.over]
 "first_seed" = { numbers_from = 1 }
-"plant_with.truth.rate" = { uniform = [-0.2, 0.1], pair = true }
+"plant_with.hidden_truth.rate" = { uniform = [-0.2, 0.1], pair = true }
 """
 Rows = dict[int, tuple[dict[str, Any], ...]]
 

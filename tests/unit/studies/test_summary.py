@@ -19,7 +19,7 @@ def row(point: int, loop: str, rms_nm: float, passes: int, **more: Any) -> dict[
         "case": point,
         "point": point,
         "over.first_seed": point,
-        "over.plant_with.truth.rate": point / POINTS,
+        "over.plant_with.hidden_truth.rate": point / POINTS,
         "over.passes": 2 + point % 2,
         "scenario": "nothing",
         "loop": loop,
@@ -71,9 +71,11 @@ def test_groups_pairs_and_what_goes_with_what(rows: list[dict[str, Any]]) -> Non
     assert rms.difference.median == pytest.approx(1.0)
     assert (passes.figure, passes.pairs, passes.higher) == ("passes_to_tolerance", 30, 1), "one is accepted no more"
     by = {one.key: one for one in found.sensitivity if one.label == {"loop": "a"}}
-    assert set(by) == {"plant_with.truth.rate", "passes"}, "nothing goes with a seed"
-    assert by["plant_with.truth.rate"].figure == pytest.approx(1.0)
-    rate = [one.share[0] for one in found.fails if one.label == {"loop": "a"} and one.key == "plant_with.truth.rate"]
+    assert set(by) == {"plant_with.hidden_truth.rate", "passes"}, "nothing goes with a seed"
+    assert by["plant_with.hidden_truth.rate"].figure == pytest.approx(1.0)
+    rate = [
+        one.share[0] for one in found.fails if one.label == {"loop": "a"} and one.key == "plant_with.hidden_truth.rate"
+    ]
     assert rate == [0.0, 0.0, 1.0]
     assert {one.where for one in found.fails if one.key == "passes"} == {"2", "3"}, "few values are told each"
 

@@ -93,7 +93,7 @@ def test_spots_have_a_row_a_reading(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_loops_are_shown_with_what_was_swept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rates = '\n[[sweep.group]]\nover."plant_with.truth.stiffness" = [0.0, 0.1, 0.3]\n'
+    rates = '\n[[sweep.group]]\nover."plant_with.hidden_truth.stiffness" = [0.0, 0.1, 0.3]\n'
     study, out = study_file(tmp_path, f"{LOOPS}{NONE}{rates}", near=-0.1), tmp_path / "out"
     study_verb(study, StudyOptions(out=out, limit=4), as_json=True)
     assert len(table(out)) == 4
@@ -112,7 +112,7 @@ def test_loops_are_shown_with_what_was_swept(tmp_path: Path, capsys: pytest.Capt
 
 
 REFUSED = {
-    'over."plant_with.truth.drft" = [0.1]': "plant_with.truth.drft: unknown key; did you mean 'drift'?",
+    'over."plant_with.hidden_truth.drft" = [0.1]': "plant_with.hidden_truth.drft: unknown key; did you mean 'drift'?",
     'over."plant_with.effects.eq_44" = [[0.5, 2.0]]': "plant_with.effects.eq_44: [0.5, 2] is no range within 0 to 1",
     'over."cell_with.process.forc_n" = [12.0]': "cell_with.process.forc_n: unknown key; did you mean 'force_n'?",
     'over."loops.exact.process.force_n" = [900.0]': "loops.exact.process.force_n: 900.0 is out of range",

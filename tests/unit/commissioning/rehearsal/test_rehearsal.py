@@ -95,7 +95,7 @@ def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None
     assert (plant.origin_mm, plant.rotation_rpy_deg) == ((300.0, 220.0, 2315.0), (180.0, 0.0, 0.0))
     assert (tool.preston_cm2_per_n, tool.tool_radius_mm, tool.normal_force) == (2.2e-9, 40.0, "resolved")
     assert sim.robot_model() == replace(HybridRobot(), **calibrated) == draft.config.robot_model()
-    assert set(tomllib.loads(sim_text(draft, "cell.toml"))) == {"cell", "plant", "truth", "robot"}
+    assert set(tomllib.loads(sim_text(draft, "cell.toml"))) == {"cell", "plant", "hidden_truth", "robot"}
 
 
 @pytest.mark.parametrize(

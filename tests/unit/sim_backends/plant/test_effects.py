@@ -26,7 +26,7 @@ def plant(**wrong: object) -> BatchPlant:
     wrong = {"eq_44": [1, 1], "friction": [0, 0]} | wrong
     config = SimConfig(
         plant=Plant(aperture_mm=40.0, rms_nm=0.0, pitch_mm=0.25),
-        truth=PERFECT,
+        hidden_truth=PERFECT,
         effects=Effects.model_validate(wrong),
     )
     return BatchPlant(config, 3)

@@ -70,7 +70,7 @@ def track(**effects: object) -> tuple[BatchPlant, FloatArray, FloatArray]:
     """Ten seconds along a part that is tilted by 1 degree in its seat: plant, removal, and the force as measured."""
     config = SimConfig(
         plant=Plant(aperture_mm=40.0, rms_nm=0.0, seat_tilt_deg=(0.0, 1.0)),
-        truth=Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0),
+        hidden_truth=Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0),
         effects=Effects.model_validate({"eq_44": [0, 0], "friction": [0, 0]} | effects),
     )
     return polished(BatchPlant(config, 3))

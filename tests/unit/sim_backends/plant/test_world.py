@@ -28,7 +28,7 @@ LIMITS = Limits(
 
 def world(hidden: Truth = PERFECT, pose: Pose = HOME, **seat: Any) -> World:
     """A small flat part that the tool touches with 12 N at 1000 rpm from the start."""
-    config = SimConfig(plant=Plant(aperture_mm=40.0, rms_nm=0.0, **seat), truth=hidden)
+    config = SimConfig(plant=Plant(aperture_mm=40.0, rms_nm=0.0, **seat), hidden_truth=hidden)
     made = World(
         config,
         hidden_truth.draw(hidden, 1),
