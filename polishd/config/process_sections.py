@@ -201,7 +201,29 @@ LEAST_FORCE_MARGIN_N = 2.0
 FORCE_MARGIN = 1.5
 
 
-class ProcessSection(ConfigSection):
+class ContactKeys(ConfigSection):
+    """Tool and contact of Hertz's and Preston's equations; the defaults are the paper's Table II."""
+
+    tool_radius_mm: Positive = _TOOL.tool_radius_mm
+    """Radius of the bonnet's sphere."""
+    normal_force: NormalForce = _TOOL.normal_force
+    """What Hertz is given: the actuator's force, or that over the cosine of the dip (eq. 44)."""
+    preston: Preston = _TOOL.preston_cm2_per_n
+    """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
+    Learning scales it from pass to pass. [as written]"""
+    spot_offset_mm: Pair = _TOOL.spot_offset_mm
+    """Where the spot's centre lies from the programmed point, in the tool's frame: y where the spindle leans."""
+    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
+    """Young's modulus of the bonnet."""
+    tool_poisson: Poisson = _TOOL.tool_poisson
+    """Poisson's ratio of the bonnet. [1]"""
+    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
+    """Young's modulus of the part."""
+    part_poisson: Poisson = _TOOL.part_poisson
+    """Poisson's ratio of the part. [1]"""
+
+
+class ProcessSection(ContactKeys):
     """Tool and contact, and how removal is computed; the defaults are the paper's Table II and its main process."""
 
     removal_model: Text = "hertz_preston"
@@ -219,35 +241,18 @@ class ProcessSection(ConfigSection):
     costs time and memory with its square."""
     tif: Text | None = None
     """File of a measured TIF, as `polishd calibrate tif` writes it, for `removal_model = "measured_tif"`."""
-    tool_radius_mm: Positive = _TOOL.tool_radius_mm
-    """Radius of the bonnet's sphere."""
     force_n: Force = _TOOL.force_n
     """Force along the actuator that is held in contact."""
     force_max_n: Force | None = None
     """Largest force that any device may read in contact and while landing: one reading above it, or a rise that would
     pass it before the next one, leaves contact at once. Left out: 1.5 times `force_n`, at least 2 N above it."""
-    normal_force: NormalForce = _TOOL.normal_force
-    """What Hertz is given: the actuator's force, or that over the cosine of the dip (eq. 44)."""
     rpm: Speed = _TOOL.rpm
     """Speed of the spindle in contact."""
     dip_deg: Dip = _TOOL.dip_deg
     """Angle between the spindle and the surface's normal; at 0 the contact's centre does not slide."""
-    preston: Preston = _TOOL.preston_cm2_per_n
-    """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
-    Learning scales it from pass to pass. [as written]"""
     depth_exponent: Annotated[float, Field(gt=0, le=4)] = _TOOL.depth_exponent
     """m of the correction `power`: removal goes as gamma to this power; 1.5 for Hertz, or as `polishd calibrate
     exponent` finds it. [1]"""
-    spot_offset_mm: Pair = _TOOL.spot_offset_mm
-    """Where the spot's centre lies from the programmed point, in the tool's frame: y where the spindle leans."""
-    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
-    """Young's modulus of the bonnet."""
-    tool_poisson: Poisson = _TOOL.tool_poisson
-    """Poisson's ratio of the bonnet. [1]"""
-    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
-    """Young's modulus of the part."""
-    part_poisson: Poisson = _TOOL.part_poisson
-    """Poisson's ratio of the part. [1]"""
     viscosity_mpa_s: NotNegative = _TOOL.viscosity_mpa_s
     """Shear viscosity of the bonnet, for the dissipative stress; 0: none."""
     second_viscosity_mpa_s: NotNegative = _TOOL.second_viscosity_mpa_s

@@ -19,7 +19,7 @@ from polishd.config.fields import (
     Force,
     Name,  # fmt: skip
     NotNegative,  # fmt: skip
-    OutlineKeys,
+    OpticKeys,
     Pair,  # fmt: skip
     Positive,  # fmt: skip
     ShareOrNone,  # fmt: skip
@@ -30,13 +30,13 @@ from polishd.config.fields import (
     as_tuple,  # fmt: skip
     require_cells,
 )
-from polishd.config.process_sections import HybridSection, KinematicsSection, Poisson, Preston, robot_of
+from polishd.config.process_sections import ContactKeys, HybridSection, KinematicsSection, robot_of
 from polishd.config.simulator_cell import CellValues, add_devices, add_physics
 from polishd.config.simulator_errors import FRAMES, MOTION, STATES, Effects, FaultSection, InstrumentErrors
 from polishd.config.table_files import read_tif
 from polishd.config.toml_loader import TomlDocument, TomlSource, key_lines, load_toml
 from polishd.model.errors import ConfigError
-from polishd.model.process import FLAT, MeasuredTif, NormalForce, Projection, RobotModel, ToolProcess
+from polishd.model.process import MeasuredTif, Projection, RobotModel, ToolProcess
 from polishd.util.files import toml_text
 
 # The sections of SIM.toml that say what is physical: the part, how its tool removes, and what nobody is told.
@@ -48,7 +48,7 @@ MOST_OF_RADIUS = 0.99
 """So near to its end may a sphere or an ellipsoid come under the part and its ring."""
 
 
-class Plant(OutlineKeys):
+class Plant(OpticKeys):
     """The part, where it lies, and the surface it starts with."""
 
     seed: int = 1
@@ -69,14 +69,6 @@ class Plant(OutlineKeys):
     """Of the surface at the start, in the clear aperture; 0: it starts flat."""
     pv_nm: NotNegative = 150.0
     """Peak to valley of the same; one bump makes up what the RMS does not give."""
-    curvature_radius_mm: float | None = FLAT.radius_mm
-    """Vertex radius of the optic, positive where it is concave; left out: flat. `part.curvature_radius_mm`."""
-    conic: float = FLAT.conic
-    """Conic constant: 0 a sphere, -1 a paraboloid. [1]"""
-    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
-    """Even aspheric terms A4, A6, ..., positive up. [mm^-3, mm^-5, ...]"""
-    off_axis_mm: Pair = FLAT.offset_mm
-    """Where the part's centre lies from the vertex, in the parent's x and y."""
     origin_mm: Vector = (230.0, 160.0, 2085.0)
     """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
     rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
@@ -146,26 +138,9 @@ class Truth(ConfigSection):
     """How far off that it is drawn, either way, relative. [1]"""
 
 
-class SimContactSection(ConfigSection):
+class SimContactSection(ContactKeys):
     """The tool, and how it removes: Hertz's contact and Preston's equation, or a spot that was measured."""
 
-    tool_radius_mm: Positive = _TOOL.tool_radius_mm
-    """Radius of the bonnet's sphere."""
-    preston: Preston = _TOOL.preston_cm2_per_n
-    """Preston's constant with its unit, as a cell has it; `hidden_truth.rate` says how far off it the truth may be.
-    [as written]"""
-    normal_force: NormalForce = _TOOL.normal_force
-    """What Hertz is given: the actuator's force, or that over the cosine of the dip."""
-    spot_offset_mm: Pair = _TOOL.spot_offset_mm
-    """Where the spot's centre lies from the tool's tip, in the tool's frame: y where the spindle leans."""
-    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
-    """Young's modulus of the bonnet."""
-    tool_poisson: Poisson = _TOOL.tool_poisson
-    """Poisson's ratio of the bonnet. [1]"""
-    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
-    """Young's modulus of the part."""
-    part_poisson: Poisson = _TOOL.part_poisson
-    """Poisson's ratio of the part. [1]"""
     tif: Text | None = None
     """File of a measured TIF, as `polishd calibrate tif` writes it: the tool removes that instead of Hertz's spot."""
     force_n: Force = _TOOL.force_n

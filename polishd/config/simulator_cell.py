@@ -16,17 +16,15 @@ from polishd.config.cell_sections import BoundsSection, SignalSection
 from polishd.config.controller_profile import load_controller_profile
 from polishd.config.device_profile import DeviceProfile
 from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR, profile_of
-from polishd.config.fields import OUTLINES, as_keys
+from polishd.config.fields import OUTLINES, OpticKeys, as_keys
 from polishd.config.instrument_profile import ProfileFile
+from polishd.config.process_sections import ContactKeys
 from polishd.config.toml_loader import Location, load_toml
 from polishd.model.devices import LoaderTimes, SensorTimes, SpindleTimes, port_of
 from polishd.model.errors import ConfigError
 
-PART = ("edge_mm", "curvature_radius_mm", "conic", "even", "off_axis_mm", "origin_mm", "rotation_rpy_deg")
-TOOL = (
-    "tool_radius_mm", "normal_force", "spot_offset_mm", "tool_modulus_mpa", "tool_poisson", "part_modulus_mpa",
-    "part_poisson",
-)  # fmt: skip
+PART = ("edge_mm", "origin_mm", "rotation_rpy_deg", *OpticKeys.__annotations__)
+TOOL = tuple(name for name in ContactKeys.__annotations__ if name != "preston")
 MACHINE = ("corner_deg", "max_feed_mm_s", "x_mm", "y_mm", "z_mm")
 MORE_ACCEL = 1.25
 """What the robot truly accelerates with, over `machine.accel_mm_s2`, which is on the safe side."""
@@ -184,19 +182,27 @@ def _add_instrument(values: CellValues) -> None:
 
 # How each device is reached: its protocol, its address on this computer, and times within those that the cell allows.
 
-
-@dataclass(frozen=True, slots=True)
-class _Link:
-    """An address of the cell, as far as the simulator needs it."""
-
-    scheme: str
-    port: int | None
-    baud: int | None
-
-    @property
-    def is_serial(self) -> bool:
-        """It is a line in the simulator's state folder, not a port."""
-        return self.scheme in {"serial", "slcan"}
+CAN, PROFILE, LINE = ("slcan", "socketcand"), ("profile", "profile_tcp"), ("serial", "tcp")
+SIMULATED: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "robot": {
+        "robot_link": ("", "link"),
+        "linuxcnc": ("", "linuxcnc"),
+        "universal_robots": ("", "universal_robots"),
+        "handover": ("", "opcua"),
+    },
+    "actuator": {
+        "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),
+        "voice_coil_serial": ("serial", ""),
+        "cia402_actuator": CAN,
+        "actuator_profile": PROFILE,
+    },
+    "spindle": {"spindle_can": CAN, "cia402_spindle": CAN, "spindle_profile": PROFILE},
+    "metrology": {"watched_folder": ("", "")},
+    "loader": {"loader_line": LINE},
+    "force_sensor": {"force_sensor_line": LINE},
+    "monitor": {"monitor_line": LINE},
+}
+"""By port the device types of a cell that are simulated, with their `kind` on a serial line and on TCP; empty: none."""
 
 
 def add_devices(values: CellValues) -> None:
@@ -208,37 +214,24 @@ def add_devices(values: CellValues) -> None:
         "metrology": _add_folder,
         "loader": _add_loader,
         "force_sensor": _add_force_sensor,
-        "monitor": _add_monitor,
+        "monitor": _add_signals,
     }
     used = dict(values.cell.used)
     if monitors := [name for name in values.cell.devices if port_of(name) == "monitor"]:
         used["monitor"] = monitors[0]
     for port, device in used.items():
-        section = "interferometer" if port == "metrology" else port
+        section, kind = "interferometer" if port == "metrology" else port, str(values.cell.devices[device].type)
         values.sections.setdefault(section, {})
-        if "kind" not in values.given_keys(section):
-            try:
-                add[port](values, device, str(values.cell.devices[device].type))
-            except ConfigError as error:
-                values.not_simulated[section] = error
-
-
-def _link_of(values: CellValues, device: str) -> _Link:
-    """Where the cell reaches a device; ConfigError where that is not on this computer."""
-    text = str(values.options(device).get("address", ""))
-    try:
-        url = urlsplit(text)
-        host, port, query = url.hostname or "", url.port, parse_qs(url.query)
-        baud = int(query["baud"][0]) if "baud" in query else None
-    except ValueError as error:
-        raise values.cell.error(f"{device}.address", f"{text!r} is no address: {error}. Correct it.") from error
-    is_line = url.scheme in {"serial", "slcan"}
-    if url.path.startswith("/dev/") if is_line else not (host == "localhost" or host.startswith("127.")):
-        raise _unlike(values, f"{device}.address", f"{text!r} is not on this computer")
-    if url.scheme == "ads":
-        _, high, low, _ = map(int, host.split("."))
-        port = 256 * high + low
-    return _Link(url.scheme, port, baud)
+        if "kind" in values.given_keys(section):
+            continue
+        try:
+            if kind not in SIMULATED[port]:
+                raise _unlike(values, f"{device}.type", f"no simulated {port} is a {kind!r}")
+            if port != "metrology":
+                _add_link(values, device, *SIMULATED[port][kind])
+            add[port](values, device, kind)
+        except ConfigError as error:
+            values.not_simulated[section] = error
 
 
 def _unlike(values: CellValues, key: str, problem: str) -> ConfigError:
@@ -248,55 +241,55 @@ def _unlike(values: CellValues, key: str, problem: str) -> ConfigError:
 
 
 def _add_link(values: CellValues, device: str, serial: str, tcp: str) -> None:
-    """Kind, port and baud of a device whose protocol has those two names."""
-    link, port = _link_of(values, device), port_of(device)
-    values.put(port, "kind", serial if link.is_serial else tcp, f"{device}.address")
-    values.put(port, "port", None if link.is_serial else link.port, f"{device}.address")
-    if port != "spindle":
-        values.put(port, "baud", link.baud, f"{device}.address")
+    """Kind, port and baud; ConfigError where the cell reaches the device otherwise, or not on this computer."""
+    text, key, section = str(values.options(device).get("address", "")), f"{device}.address", port_of(device)
+    try:
+        url = urlsplit(text)
+        host, port, query = url.hostname or "", url.port, parse_qs(url.query)
+        baud = int(query["baud"][0]) if "baud" in query else None
+    except ValueError as error:
+        raise values.cell.error(key, f"{text!r} is no address: {error}. Correct it.") from error
+    is_serial = url.scheme in {"serial", "slcan"}
+    if url.path.startswith("/dev/") if is_serial else not (host == "localhost" or host.startswith("127.")):
+        raise _unlike(values, key, f"{text!r} is not on this computer")
+    if not (kind := serial if is_serial else tcp):
+        raise _unlike(values, key, f"{text!r} is no link of the simulated {section}")
+    if url.scheme == "ads":  # one TCP port only: the address is the number
+        _, high, low, _ = map(int, host.split("."))
+        port = 256 * high + low
+    values.put(section, "kind", kind, key)
+    values.put(section, "port", None if is_serial else port, key)
+    if section != "spindle":
+        values.put(section, "baud", baud, key)
 
 
 def _add_robot(values: CellValues, device: str, kind: str) -> None:
     options = values.options(device)
-    if kind not in {"robot_link", "linuxcnc", "universal_robots", "handover"}:
-        raise _unlike(values, f"{device}.type", f"no simulated robot is a {kind!r}")
     if kind == "handover":
         profile = load_controller_profile(str(options.get("profile")), values.cell.base_dir)
         values.put("robot", "kind", profile.link, f"{device}.profile")
         values.put("robot", "report_ms", profile.report_ms, f"{device}.profile")
         values.put("robot", "watchdog_s", profile.watchdog_s or NO_WATCHDOG_S, f"{device}.profile")
-    else:
-        values.put("robot", "kind", {"robot_link": "link"}.get(kind, kind), f"{device}.type")
-        none_s = NO_WATCHDOG_S if kind == "linuxcnc" else None
-        values.put("robot", "watchdog_s", options.get("watchdog_s", none_s), f"{device}.watchdog_s")
+        return
+    none_s = NO_WATCHDOG_S if kind == "linuxcnc" else None
+    values.put("robot", "watchdog_s", options.get("watchdog_s", none_s), f"{device}.watchdog_s")
     if kind == "universal_robots":
+        is_fast = values.number(device, "rate_hz", 125.0) > 125.0
         values.put("robot", "dashboard_port", options.get("dashboard_port", 29999), f"{device}.dashboard_port")
         values.put("robot", "primary_port", options.get("primary_port", 30001), f"{device}.primary_port")
-        is_fast = values.number(device, "rate_hz", 125.0) > 125.0
         values.put("robot", "cycle_hz", 500 if is_fast else 125, f"{device}.rate_hz")
-    values.put("robot", "port", _link_of(values, device).port, f"{device}.address")
 
 
 def _add_actuator(values: CellValues, device: str, kind: str) -> None:
     options = values.options(device)
-    match kind:
-        case "voice_coil_modbus":
-            _add_link(values, device, "modbus_rtu", "modbus_tcp")
-        case "voice_coil_serial" if _link_of(values, device).is_serial:
-            _add_link(values, device, "serial", "serial")
-        case "cia402_actuator":
-            _add_link(values, device, "slcan", "socketcand")
-        case "actuator_profile":
-            profile = _add_profile(values, device)
-            table = profile.actuator.model_dump() if profile.actuator is not None else {}
-            options = {**table, **options}
-            if profile.modbus is not None:
-                options.setdefault("unit", profile.modbus.unit)
-        case _:
-            raise _unlike(values, f"{device}.type", f"no simulated actuator is a {kind!r} at that address")
-    values.put("actuator", "unit", options.get("unit"), f"{device}.unit")
-    values.put("actuator", "node", options.get("node"), f"{device}.node")
-    values.put("actuator", "unpowered", options.get("unpowered"), f"{device}.unpowered")
+    if kind == "actuator_profile":
+        profile = _add_profile(values, device)
+        table = profile.actuator.model_dump() if profile.actuator is not None else {}
+        options = {"unit": None if profile.modbus is None else profile.modbus.unit, **table, **options}
+        if "baud" not in values.sections["actuator"]:
+            values.put("actuator", "baud", profile.serial.baud, f"{device}.profile")
+    for key in ("unit", "node", "unpowered"):
+        values.put("actuator", key, options.get(key), f"{device}.{key}")
     for key, usual_s, allowed in (("land_s", LANDS_S, "landing_s"), ("lift_s", LIFTS_S, "retract_s")):
         allowed_s = values.number(device, allowed, options.get(allowed, usual_s / DRIVE_TIME_SHARE))
         values.put("actuator", key, min(usual_s, DRIVE_TIME_SHARE * allowed_s), f"{device}.{allowed}")
@@ -304,13 +297,10 @@ def _add_actuator(values: CellValues, device: str, kind: str) -> None:
 
 def _add_profile(values: CellValues, device: str) -> DeviceProfile:
     """A device that speaks what a profile says."""
-    name, port = str(values.options(device).get("profile", "")), port_of(device)
+    name = str(values.options(device).get("profile", ""))
     profile = profile_of(name, values.cell.base_dir)
     file = values.cell.resolve(name) if name.endswith(".toml") else DEVICE_PROFILE_DIR / f"{name}.toml"
-    _add_link(values, device, "profile", "profile_tcp")
-    values.put(port, "profile", values.path(file), f"{device}.profile")
-    if port == "actuator":
-        values.put(port, "baud", _link_of(values, device).baud or profile.serial.baud, f"{device}.address")
+    values.put(port_of(device), "profile", values.path(file), f"{device}.profile")
     return profile
 
 
@@ -319,52 +309,37 @@ def _add_spindle(values: CellValues, device: str, kind: str) -> None:
     if kind == "spindle_profile":
         table = _add_profile(values, device).spindle
         options = {**(table.model_dump() if table is not None else {}), **options}
-        values.put("spindle", "unit", options.get("unit"), f"{device}.unit")
-        values.put("spindle", "pole_pairs", options.get("pole_pairs"), f"{device}.pole_pairs")
-    elif kind in {"spindle_can", "cia402_spindle"}:
-        _add_link(values, device, "slcan", "socketcand")
-        values.put("spindle", "drive", "cia402" if kind == "cia402_spindle" else kind, f"{device}.type")
-        values.put("spindle", "node", options.get("node"), f"{device}.node")
     else:
-        raise _unlike(values, f"{device}.type", f"no simulated spindle is a {kind!r}")
-    most_rpm = math.ceil(max(values.number(device, "max_rpm", options.get("max_rpm", USUAL_RPM)), rpm))
-    values.put("spindle", "max_rpm", most_rpm, f"{device}.max_rpm")
-    values.put("spindle", "watchdog_s", options.get("watchdog_s"), f"{device}.watchdog_s")
+        values.put("spindle", "drive", "cia402" if kind == "cia402_spindle" else kind, f"{device}.type")
+    for key in ("unit", "pole_pairs", "node", "watchdog_s"):
+        values.put("spindle", key, options.get(key), f"{device}.{key}")
+    most_rpm = values.number(device, "max_rpm", options.get("max_rpm", USUAL_RPM))
+    values.put("spindle", "max_rpm", math.ceil(max(most_rpm, rpm)), f"{device}.max_rpm")
     allowed_s = values.number(device, "spin_s", options.get("spin_s", SpindleTimes().spin_s))
     values.put("spindle", "spin_s", min(SPINS_S, DRIVE_TIME_SHARE * allowed_s * 1000.0 / rpm), f"{device}.spin_s")
 
 
-def _add_folder(values: CellValues, device: str, kind: str) -> None:
+def _add_folder(values: CellValues, device: str, _: str) -> None:
     request = values.options(device).get("request_file")
-    if kind != "watched_folder" or (request is not None and Path(request).name != request):
-        raise _unlike(values, f"{device}.type", f"no simulated instrument is a {kind!r} with that request file")
+    if request is not None and Path(request).name != request:
+        raise _unlike(values, f"{device}.request_file", f"{request!r} is not a name in the folder of the maps")
     values.put("interferometer", "request_file", request, f"{device}.request_file")
 
 
-def _add_line(values: CellValues, device: str, kind: str) -> None:
-    """A small device on a line of text."""
-    if kind != f"{port_of(device)}_line":
-        raise _unlike(values, f"{device}.type", f"no simulated {port_of(device)} is a {kind!r}")
-    _add_link(values, device, "serial", "tcp")
-
-
-def _add_loader(values: CellValues, device: str, kind: str) -> None:
-    _add_line(values, device, kind)
+def _add_loader(values: CellValues, device: str, _: str) -> None:
     change_s = LOADER_TIME_SHARE * values.number(device, "change_s", LoaderTimes().change_s)
     values.put("loader", "load_s", min(LOADS_S, change_s), f"{device}.change_s")
     values.put("loader", "unload_s", min(UNLOADS_S, change_s), f"{device}.change_s")
 
 
-def _add_force_sensor(values: CellValues, device: str, kind: str) -> None:
-    _add_line(values, device, kind)
+def _add_force_sensor(values: CellValues, device: str, _: str) -> None:
     delay_s = values.number(device, "delay_s", SensorTimes().delay_s)
     values.put("force_sensor", "latency_s", min(FILTER_S, delay_s / 2), f"{device}.delay_s")
     values.put("force_sensor", "range_n", max(RANGE_N, 3.0 * values.cell.process.force_n), "process.force_n")
 
 
-def _add_monitor(values: CellValues, device: str, kind: str) -> None:
-    """One box that reports what all of the cell's monitors do, each signal well inside its bounds."""
-    _add_line(values, device, kind)
+def _add_signals(values: CellValues, _device: str, _kind: str) -> None:
+    """One box reports what all of the cell's monitors do, each signal well inside its bounds."""
     for name, signal in values.cell.signals.items():
         reported = ("signals", signal.signal or name)
         values.put("monitor", "value", inside(signal), f"signals.{name}", inner=reported)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from polishd.commissioning.rehearsal.draft import LOOPBACK, SIM_STATE, RehearsalDraft, move_address
+from polishd.commissioning.rehearsal.draft import LOOPBACK, REQUEST, SIM_STATE, RehearsalDraft, move_address
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
+from polishd.config.simulator_cell import SIMULATED
+from polishd.model.devices import port_of
 from polishd.util.serialization import toml
 
 MOST_N = 50.0
@@ -19,53 +21,81 @@ CIA402_SPINDLE = {"rpm_per_unit": 0.1}
 """What the simulated drive's numbers mean."""
 
 
+INSTEAD: Mapping[str, tuple[Mapping[str, Any], str]] = {
+    "robot": ({"type": "robot_link"}, "rnc_robot"),
+    "actuator": (
+        {"type": "voice_coil_modbus", "address": f"serial:{SIM_STATE}/actuator?baud=115200"},
+        "voice_coil",
+    ),
+    "spindle": ({"type": "spindle_can", "address": f"slcan:{SIM_STATE}/spindle?bitrate=500000"}, "spindle"),
+    "metrology": (
+        {"type": "watched_folder", "request_file": REQUEST, "stable_s": 0.3, "poll_s": 0.1},
+        "interferometer",
+    ),
+    "loader": ({"type": "loader_line", "address": f"serial:{SIM_STATE}/loader"}, "loader"),
+    "force_sensor": ({"type": "force_sensor_line", "address": f"serial:{SIM_STATE}/force_sensor"}, "force_sensor"),
+    "monitor": ({"type": "monitor_line", "address": f"serial:{SIM_STATE}/monitor"}, "monitors"),
+}
+"""By port the section of what is simulated instead of a type that is not, and its plugin."""
+
+
+def is_simulated(draft: RehearsalDraft, device: str, **more: Any) -> bool:
+    """Whether its type is; else the cell has another one, with a note, and the keys ``more``."""
+    kind, (section, plugin) = draft.config.devices[device].type, INSTEAD[port_of(device)]
+    if kind in SIMULATED[port_of(device)]:
+        return True
+    draft.replace_device(device, {**section, **more}, f"there is no simulated {kind!r}")
+    draft.plugin(plugin)
+    return False
+
+
+def add_line(draft: RehearsalDraft, device: str) -> None:
+    """A loader, a force sensor or a monitor."""
+    if is_simulated(draft, device):
+        move_address(draft, device, draft.options(device)["address"])
+
+
 def add_actuator(draft: RehearsalDraft, device: str) -> None:
     """ConfigError where the simulated one cannot press as the process asks."""
     if draft.config.process.force_n > MOST_N:
         raise draft.config.error("process.force_n", f"the simulated actuator presses with {MOST_N:g} N at most")
-    kind, options = str(draft.config.devices[device].type), dict[str, Any]()
-    if kind not in {"voice_coil_modbus", "voice_coil_serial", "cia402_actuator", "actuator_profile"}:
-        instead = {"type": "voice_coil_modbus", "address": f"serial:{SIM_STATE}/actuator?baud=115200"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("voice_coil")
-    else:
+    kind, stroke_mm = draft.config.devices[device].type, 10.0
+    if is_simulated(draft, device):
         options = draft.options(device)
-        address = options["address"]
+        address, stroke_mm = options["address"], float(options.get("stroke_mm") or stroke_mm)
         if kind == "voice_coil_serial" and not address.startswith("serial:"):
             draft.notes.append(
                 f"{device}.address: the simulated actuator has its lines of text on a serial line, not on TCP"
             )
             address = "serial:none?baud=115200"
         move_address(draft, device, address)
-        if kind == "cia402_actuator":
-            _adopt_drive(draft, device, options, CIA402_ACTUATOR)
-        elif kind == "actuator_profile" and options["profile"].endswith(".toml"):
-            draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
+        _adopt_files(draft, device, options)
+        _adopt_scales(draft, device, options, CIA402_ACTUATOR if kind == "cia402_actuator" else {})
     touch_off = draft.config.touch_off
-    given_mm = None if touch_off is None else touch_off.position_mm or float(options.get("stroke_mm") or 10.0) / 2
+    given_mm = None if touch_off is None else touch_off.position_mm or stroke_mm / 2
     if given_mm not in {None, TOUCH_MM}:
         draft.instead("touch_off.position_mm", TOUCH_MM, "the simulated actuator meets the part half-way of its 10 mm")
 
 
 def add_spindle(draft: RehearsalDraft, device: str) -> None:
     """The spindle."""
-    kind = str(draft.config.devices[device].type)
-    if kind not in {"spindle_can", "cia402_spindle", "spindle_profile"}:
-        instead = {"type": "spindle_can", "address": f"slcan:{SIM_STATE}/spindle?bitrate=500000"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("spindle")
-        return
-    options = draft.options(device)
-    move_address(draft, device, options["address"])
-    if kind == "spindle_profile" and options["profile"].endswith(".toml"):
-        draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
-    elif kind == "cia402_spindle":
-        _adopt_drive(draft, device, options, CIA402_SPINDLE)
+    if is_simulated(draft, device):
+        options = draft.options(device)
+        move_address(draft, device, options["address"])
+        _adopt_files(draft, device, options)
+        is_drive = draft.config.devices[device].type == "cia402_spindle"
+        _adopt_scales(draft, device, options, CIA402_SPINDLE if is_drive else {})
 
 
-def _adopt_drive(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
-    """The simulated drive has the cell's EDS file, and counts in its own units."""
-    draft.laid[f"{device}.eds"] = str(draft.config.resolve(options["eds"]).absolute())
+def _adopt_files(draft: RehearsalDraft, device: str, options: Mapping[str, Any]) -> None:
+    """EDS file and device profile are the cell's."""
+    for key in ("eds", "profile"):
+        if (key == "eds" and key in options) or options.get(key, "").endswith(".toml"):
+            draft.laid[f"{device}.{key}"] = str(draft.config.resolve(options[key]).absolute())
+
+
+def _adopt_scales(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
+    """The simulated drive counts in its own units."""
     for key, value in simulated.items():
         if options[key] != value:
             draft.instead(f"{device}.{key}", value, f"is {options[key]:g} at your drive; the simulated one has its own")
@@ -98,21 +128,15 @@ def speed_of(type_name: str | None) -> float:
 
 def add_robot(draft: RehearsalDraft, device: str) -> None:
     """ConfigError where no simulated controller reads the cell's program."""
-    kinds: dict[str, Callable[[RehearsalDraft, str], None]] = {
-        "robot_link": _link,
-        "linuxcnc": _linuxcnc,
-        "universal_robots": _universal_robots,
-        "handover": _handover,
-    }
     kind = str(draft.config.devices[device].type)
     _require_language(draft, kind)
-    if kind in kinds:
-        kinds[kind](draft, device)
+    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "handover": _handover}
+    address = f"tcp://{LOOPBACK}:{free_port()}"
+    if is_simulated(draft, device, address=address):
+        draft.laid[f"{device}.address"] = address
+    if kind in add:
+        add[kind](draft, device)
     else:
-        instead = {"type": "robot_link", "address": f"tcp://{LOOPBACK}:{free_port()}"}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("rnc_robot")
-    if kind not in kinds or kind == "robot_link":
         why = f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}"
         draft.put("robot", "window", WINDOW * MOST_SPEED, why)
 
@@ -135,13 +159,8 @@ def _require_language(draft: RehearsalDraft, kind: str) -> None:
         )
 
 
-def _link(draft: RehearsalDraft, device: str) -> None:
-    draft.laid[f"{device}.address"] = f"tcp://{LOOPBACK}:{free_port()}"
-
-
 def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
     draft.laid |= {
-        f"{device}.address": f"tcp://{LOOPBACK}:{free_port()}",
         f"{device}.program_dir": f"{SIM_STATE}/linuxcnc/nc",
         f"{device}.controller_dir": "/mnt/nc",
         f"{device}.password": None,
@@ -158,7 +177,6 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
     if options["tool_z"] != "into_part":
         raise draft.config.error(f"{device}.tool_z", "the simulated arm's tool frame has its z into the part only")
     draft.laid |= {
-        f"{device}.address": f"tcp://{LOOPBACK}:{free_port()}",
         f"{device}.dashboard_port": free_port(),
         f"{device}.primary_port": free_port(),
     }
@@ -199,25 +217,13 @@ def _with_its_times(profile: ControllerProfile, usual: ControllerProfile) -> byt
     return ("\n".join(f"{key} = {toml(value)}" for key, value in {**source, **times}.items()) + "\n" + tables).encode()
 
 
-# Loader, force sensor and monitor.
-
 _NO_NAME = re.compile(r"[^A-Za-z0-9._-]")
-
-
-def add_loader(draft: RehearsalDraft, device: str) -> None:
-    """The part loader."""
-    _add_line(draft, device, "loader_line", "loader")
-
-
-def add_force_sensor(draft: RehearsalDraft, device: str) -> None:
-    """The force sensor."""
-    _add_line(draft, device, "force_sensor_line", "force_sensor")
 
 
 def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
     """One simulated box reports what all of the cell's monitors do."""
     first, *others = devices
-    _add_line(draft, first, "monitor_line", "monitors")
+    add_line(draft, first)
     address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
     for device in others:
         if draft.config.devices[device].type == "monitor_line":
@@ -232,14 +238,3 @@ def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
         if _NO_NAME.search(reported):
             why = "a name on the simulated monitor's link has no such characters"
             draft.instead(f"signals.{name}.signal", _NO_NAME.sub("_", reported), why)
-
-
-def _add_line(draft: RehearsalDraft, device: str, line_type: str, plugin: str) -> None:
-    """A small device on a line: its own type, or that which is simulated in its place."""
-    kind = str(draft.config.devices[device].type)
-    if kind == line_type:
-        move_address(draft, device, draft.options(device)["address"])
-        return
-    instead = {"type": line_type, "address": f"serial:{SIM_STATE}/{line_type.removesuffix('_line')}?baud=115200"}
-    draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-    draft.plugin(plugin)

@@ -21,6 +21,8 @@ from polishd.util.files import require_writable
 from polishd.util.serialization import toml
 
 LOOPBACK = "127.0.0.1"
+REQUEST = "measure.request"
+"""File that asks the simulated instrument for a map."""
 SIM_STATE = "sim"
 """The simulator's state folder, beside SIM.toml."""
 

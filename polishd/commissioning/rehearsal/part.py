@@ -7,7 +7,8 @@ from pathlib import Path
 
 import tomlkit
 
-from polishd.commissioning.rehearsal.draft import SIM_STATE, RehearsalDraft
+from polishd.commissioning.rehearsal.devices import is_simulated
+from polishd.commissioning.rehearsal.draft import REQUEST, SIM_STATE, RehearsalDraft
 from polishd.config.instrument_profile import ProfileFile
 from polishd.config.process_sections import MeasuredSection
 from polishd.config.simulator import Truth
@@ -82,7 +83,6 @@ def note_process(draft: RehearsalDraft) -> None:
 # The instrument: its folder, and a copy of its profile, which the simulated artefact proves anew.
 
 PROFILE = "instrument.toml"
-REQUEST = "measure.request"
 
 
 def add_instrument(draft: RehearsalDraft, device: str) -> None:
@@ -106,11 +106,8 @@ def add_instrument(draft: RehearsalDraft, device: str) -> None:
 
 
 def _add_folder(draft: RehearsalDraft, device: str) -> None:
-    kind, folder = draft.config.devices[device].type, f"{SIM_STATE}/maps"
-    if kind != "watched_folder":
-        instead = {"type": "watched_folder", "folder": folder, "request_file": REQUEST, "stable_s": 0.3, "poll_s": 0.1}
-        draft.replace_device(device, instead, f"there is no simulated {kind!r}")
-        draft.plugin("interferometer")
+    folder = f"{SIM_STATE}/maps"
+    if not is_simulated(draft, device, folder=folder):
         return
     options = draft.options(device)
     draft.laid[f"{device}.folder"] = folder

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from polishd.commissioning.rehearsal.devices import (
     add_actuator,
-    add_force_sensor,
-    add_loader,
+    add_line,
     add_monitors,
     add_robot,
     add_spindle,
@@ -40,8 +39,8 @@ ONE_OF_A_PORT: dict[str, Callable[[RehearsalDraft, str], None]] = {
     "actuator": add_actuator,
     "spindle": add_spindle,
     "metrology": add_instrument,
-    "loader": add_loader,
-    "force_sensor": add_force_sensor,
+    "loader": add_line,
+    "force_sensor": add_line,
 }
 
 

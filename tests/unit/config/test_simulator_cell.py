@@ -59,7 +59,9 @@ def test_a_device_that_is_not_simulated_is_refused_at_its_line(
     tmp_path: Path, section: str, keys: dict[str, str], device: str
 ) -> None:
     sim = simulator(tmp_path, with_keys(CELL, {section: keys}))
-    with pytest.raises(ConfigError, match=rf"cell\.toml:\d+: {section}\.(address|type): .*polishd sim --from"):
+    with pytest.raises(
+        ConfigError, match=rf"cell\.toml:\d+: {section}\.(address|type|request_file): .*polishd sim --from"
+    ):
         sim.require_simulated((device,))
     sim.require_simulated({"robot", "actuator", "spindle", "interferometer"} - {device})
     assert load_plant(tmp_path / "sim.toml")[0]["plant"]["part_id"] == "DEMO-100", "a plant has no links"
