@@ -21,9 +21,9 @@ import numpy as np
 
 from benchmarks.dwell_cases import Case, build
 from benchmarks.harness import Progress, Row, running_cell
+from polishd.config.device_profile_checks import profile_of
 from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.profile_device import build as make
-from polishd.drivers.profile_device.build import profile_of
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SocketcandAddress, Tcp, parse_address

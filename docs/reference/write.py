@@ -179,7 +179,7 @@ def files() -> dict[str, list[Table]]:
         "study": [*kinds.items(), *(table for table in below if table not in of_cell), *tables(Swept)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
         "device": [("", DeviceProfile), *tables(DeviceProfile)],
-        "simulator": list(tables(SimConfig)),
+        "simulator": [("", SimConfig), *tables(SimConfig)],
         "shop": list(tables(ShopFile)),
         "controller": _each_once([("", ControllerProfile), *tables(ControllerProfile)]),
     }
