@@ -24,10 +24,10 @@ from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.plugin_loader import load_cell
-from polishd.plugins import removal_along_path
+from polishd.plugins import removal_models
 
 RMS_NM = 100.0
-CHOSEN = removal_along_path.WORTH_S, removal_along_path.WIDE
+CHOSEN = removal_models.WORTH_S, removal_models.WIDE
 MATRIX, NONE = (float("inf"), 0), (-1.0, 0)
 """The same with which it always takes a matrix, and with which it always tries to do without."""
 
@@ -108,5 +108,5 @@ def prepared(case: Case, folder: Path) -> Part:
 
 def solved(part: Part, choice: tuple[float, int]) -> None:
     """The whole solve step. It runs in a fork, so what is set here is gone with it."""
-    removal_along_path.WORTH_S, removal_along_path.WIDE = choice
+    removal_models.WORTH_S, removal_models.WIDE = choice
     dwell_step.solve(part.recipe, part.program, part.measured)

@@ -29,7 +29,7 @@ from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.process.metrology import registration, zernike
 from polishd.process.metrology.conditioning import fill_holes
 from polishd.process.metrology.spectra import radial_psd, split_bands
-from polishd.process.metrology.statistics import slope, without
+from polishd.process.metrology.statistics import remove_terms, slope
 
 SIDE = 1024
 PITCH_MM = 0.44
@@ -98,11 +98,11 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
     """Ours and prysm's of each step, given what the steps before made."""
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
-    level = without(height, mask, "tilt")
+    level = remove_terms(height, mask, "tilt")
     theirs = Interferogram.from_zygo_dat(path)
     return {
         "import .dat": (lambda: METROPRO.read(path), lambda: Interferogram.from_zygo_dat(path)),
-        "level": (lambda: without(height, mask, "tilt"), lambda: theirs.copy().remove_tiptilt()),
+        "level": (lambda: remove_terms(height, mask, "tilt"), lambda: theirs.copy().remove_tiptilt()),
         "register by the outline": (lambda: register(height), None),
         "fill 40 holes": (lambda: filled(level, mask), None),
         f"{TERMS} Zernike terms": (lambda: zernike.fit(level, mask, TERMS), lambda: zernike_prysm(theirs)),
@@ -114,7 +114,7 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
 
 def figures(height_nm: FloatArray, mask: np.ndarray) -> object:
     """Each figure that prysm has, and slope, one after the other."""
-    level = without(height_nm, mask, "tilt")
+    level = remove_terms(height_nm, mask, "tilt")
     bands = split_bands(level, mask, PITCH_MM, EDGES_MM)
     terms = zernike.fit(level, mask, TERMS)
     return bands, terms, radial_psd(level, mask, PITCH_MM), slope(level, mask, PITCH_MM)
@@ -133,7 +133,7 @@ def whole(path: Path) -> object:
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
     place = register(height)
-    level = without(height, mask, "tilt")
+    level = remove_terms(height, mask, "tilt")
     whole_surface = filled(level, mask)
     terms = zernike.fit(level, mask, TERMS)
     psd = radial_psd(level, mask, PITCH_MM)

@@ -22,11 +22,14 @@ import numpy as np
 from benchmarks.dwell_cases import Case, build
 from benchmarks.harness import Progress, Row, running_cell
 from polishd.config.device_profile_checks import profile_of
-from polishd.drivers.force_sensor_line import ForceSensorLine
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
+from polishd.drivers.cia402.drive import CanNodeAddress
+from polishd.drivers.cia402.protocol import read_dictionary
+from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.profile_device import build as make
 from polishd.drivers.robot_link.driver import RobotLink
-from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SocketcandAddress, Tcp, parse_address
+from polishd.model.devices import SpindleTimes
 from polishd.process.dwell import newton_cg
 
 RATE_HZ = 100.0
@@ -88,8 +91,9 @@ async def devices(endpoints: dict[str, str], opened: AsyncExitStack) -> list[Ask
         raise TypeError(f"the simulated spindle is not on CAN: {endpoints}")
     robot = RobotLink(robot_at, client="benchmark")
     actuator = make.actuator(profile_of("voice_coil_modbus", Path()), actuator_at)
-    spindle = SpindleCan(spindle_at)
-    sensor = ForceSensorLine(sensor_at)
+    place = CanNodeAddress(spindle_at, 5, 0x45, SpindleTimes().silence_s, SpindleTimes().watchdog_s)
+    spindle = Cia402Spindle(place, read_dictionary(SIMULATED_EDS, 5), SpindleScale(rpm_per_unit=0.1), SpindleTimes())
+    sensor = make.force_sensor(profile_of("force_sensor_line", Path()), sensor_at)
     for one in (robot, actuator, spindle, sensor):
         await one.open()
         opened.push_async_callback(one.close)

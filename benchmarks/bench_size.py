@@ -24,7 +24,7 @@ from polishd.model.surface import Grid
 from polishd.process.dwell import alternating_directions
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
-from polishd.process.removal.contact import on_curved
+from polishd.process.removal.contact import contact_on_curved_part
 from polishd.process.removal.spread_effect import spread_effect
 from polishd.process.toolpath.apertures import circle, over_outline
 from polishd.process.toolpath.paths import raster
@@ -62,7 +62,7 @@ def measured(case: Case, *, hexagon: bool) -> dict[str, float]:
     gamma = np.asarray(0.875 + 0.035 * np.sin(program.end_mm[:, 0] / 30))
     begun_s = time.process_time()
     factor, bent = np.ones(program.n), None
-    curved = on_curved(case.process, OFF_AXIS if hexagon else FLAT, program.end_mm)
+    curved = contact_on_curved_part(case.process, OFF_AXIS if hexagon else FLAT, program.end_mm)
     if curved is not None:
         gamma, factor, bent = gamma * curved.deeper, curved.seen, np.column_stack([curved.wider, curved.askew])
     effect = spread_effect(grid, case.spot, program, gamma, factor, tolerance=case.tolerance, bent=bent)

@@ -15,7 +15,7 @@ from benchmarks.bench_dwell import Goal, require
 from polishd.model.surface import FloatArray
 from polishd.plugins import dwell_solvers
 from polishd.process.dwell import douglas_rachford, newton_cg
-from polishd.process.dwell.douglas_rachford import SplittingState, splitting
+from polishd.process.dwell.douglas_rachford import SplittingState, start_splitting
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import QuadraticObjective
 from polishd.process.fft.simd import COUNT, load, store
@@ -86,7 +86,7 @@ def started(
     problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal
 ) -> tuple[SplittingState, douglas_rachford.Stop]:
     assert isinstance(problem.effect, ConvolutionEffect)
-    return splitting(problem, problem.effect), lambda t: "reached" if value(t) <= goal.objective else None
+    return start_splitting(problem, problem.effect), lambda t: "reached" if value(t) <= goal.objective else None
 
 
 def iterations(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> int:

@@ -23,7 +23,7 @@ from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray
 from polishd.process.removal.contact import hertz_depth_mm
 from polishd.process.robot.compliance import depth_ratio, equivalent_compliance, reachable, tip_compliance_mm_per_n
-from polishd.process.robot.hybrid import geometry_of, place
+from polishd.process.robot.hybrid import geometry_of, solve_pose
 
 PUBLISHED_UM_PER_N = np.array([1.04, 1.97])
 ROUNDING_UM_PER_N = 0.005
@@ -62,7 +62,7 @@ def main() -> int:
     table.add_row("compliance, um/N (published 1.04-1.97)", *(f"{low:.3f}-{high:.3f}" for low, high in ranges))
     table.add_row("gamma", *("{:.3f}-{:.3f}".format(*gamma(limits)) for limits in ranges))
     Console().print(table)
-    limb = place(shipped, geometry_of(shipped), sample.tip_mm.T, sample.axis.T).parallel.limb_mm
+    limb = solve_pose(shipped, geometry_of(shipped), sample.tip_mm.T, sample.axis.T).parallel.limb_mm
     low, high = shipped.stroke_mm
     Console().print(f"limbs {limb.min():.0f}-{limb.max():.0f} mm (published stroke {low:g}-{high:g})")
     whole = len(sample.tip_mm) + sample.out_of_stroke

@@ -37,7 +37,7 @@ def main() -> None:
 def _leave(code: object) -> NoReturn:
     """Exit, whatever hangs."""
     if (threads := sys.modules.get("polishd.util.threads")) is not None:
-        threads.leave_hung(code if isinstance(code, int) else int(code is not None))
+        threads.exit_if_hung(code if isinstance(code, int) else int(code is not None))
     sys.exit(code)  # type: ignore[arg-type]
 
 

@@ -123,7 +123,7 @@ def loop_job(
         "title": _JOB,
         "cell": str(Path(cell).absolute()),
         "plant": str(Path(plant).absolute()),
-        "loops": {_JOB: dict(cell_with or {})},
+        "controllers": {_JOB: dict(cell_with or {})},
         "plant_with": {name: dict(keys) for name, keys in (plant_with or {}).items()},
         "passes": passes,
         "raster": raster,

@@ -94,7 +94,7 @@ from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.removal.convolution import ConvolutionEffect
 from polishd.process.removal.effect import Effect, SparseEffect
-from polishd.util.secret_files import SecretPlace, hide, read_secret
+from polishd.util.secret_files import SecretPlace, read_secret, redact_secrets
 
 if TYPE_CHECKING:
     from polishd.drivers.transport.address import Address, SerialLine, Tcp, line_address, parse_address
@@ -210,13 +210,13 @@ __all__ = [
     "WrongPart",
     "claim_address",
     "events",
-    "hide",
     "hookimpl",
     "learn_rate",
     "line_address",
     "open_stream",
     "parse_address",
     "read_secret",
+    "redact_secrets",
 ]
 
 _TRANSPORT = {

@@ -37,7 +37,7 @@ from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.identification import removal_fit
-from polishd.process.metrology.conditioning import is_plausible
+from polishd.process.metrology.conditioning import drop_implausible
 from polishd.process.removal.effect import Effect
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
@@ -66,6 +66,17 @@ class DeviceType:
     own_lines: Callable[[Any, DeviceContext], OwnLines] | None = None
     """Of a robot: (validated options, context) -> the lines that its driver adds to a program; None: it adds none.
     ``polishd check`` refuses a program in whose format these lines mean something else."""
+    program_format: str = ""
+    """Robot: the only program format that its controller reads; empty: several."""
+    usual_address: str = ""
+    """Address that ``polishd init`` proposes."""
+    simulated_by: str = ""
+    """``SimDevice.name`` of the simulated device that speaks the same protocol; empty: there is none."""
+    simulation_speed: float = 10.0
+    """Robot: process seconds per wall second that its simulated controller and its driver can keep up with."""
+    substitute: Mapping[str, Any] | None = None
+    """The simulated device can take the place of any device of this port: keys of its section besides ``type`` and
+    ``address``, for a busy computer. None: it cannot. One device type a port has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +167,7 @@ class SurfaceReader:
                 f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
             ) from error
         if isinstance(surface, SurfaceMap):
-            return is_plausible(surface, datetime.now(UTC), _written(path))
+            return drop_implausible(surface, datetime.now(UTC), _written(path))
         raise MapError(
             f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin"
         )
@@ -258,7 +269,7 @@ class Learner:
     beliefs: Estimates
     """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn
-    later: Later = removal_fit.later
+    later: Later = removal_fit.rate_for_next_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,9 +281,9 @@ class RemovalModel:
     beliefs: Estimates = UNTAUGHT
     """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
     learn: Learn = learn_rate
-    later: Later = removal_fit.later
+    later: Later = removal_fit.rate_for_next_part
     learners: Mapping[str, Learner] = field(default_factory=dict)
-    """Other ways, by the name that ``process.learns`` gives them; ``effect`` knows the beliefs of each."""
+    """Other ways, by the name that ``process.estimates`` gives them; ``effect`` knows the beliefs of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +303,7 @@ class NotifierType:
 
     name: str
     options: type[Any]
-    """A pydantic model: the keys of the notifier's config section besides ``type``, ``severity`` and ``repeat_s``."""
+    """A pydantic model: the keys of the notifier's section besides ``type``, ``severity`` and ``remind_after_s``."""
     build: Callable[[Any, Path], Callable[[Notification], None]]
     """(validated options, folder that relative paths start from) -> what sends. Sends nothing.
 

@@ -110,6 +110,14 @@ log = logging.getLogger(__name__)
 
 GROUP = "polishd"
 OWN = "polishd"
+RENAMED = {
+    "plan_guard": "plan_checks",
+    **dict.fromkeys(
+        ("spindle", "cia402", "device_profiles", "loader", "force_sensor", "monitors", "universal_robots", "handover"),
+        "devices",
+    ),
+}
+"""Names that plugins had before: a cell file with one is refused with the new name."""
 SLOW_S = 0.25
 """A plugin that takes longer over an event is named in the log."""
 
@@ -156,6 +164,11 @@ class Hooks:
     def plugin_of(self, hook: str, name: str) -> str:
         """The plugin that declared the record of that name."""
         return next(plugin.name for plugin in self.report.loaded if name in _names(plugin.records[hook]))
+
+    def substitute(self, port: str) -> DeviceType | None:
+        """The type whose simulated device can take the place of any device of a port."""
+        types = self.device_types().values()
+        return next((one for one in types if one.port == port and one.substitute is not None), None)
 
     def program_formats(self) -> dict[str, ProgramFormat]:
         """By name."""
@@ -265,6 +278,8 @@ def _load(names: Sequence[str], points: Sequence[EntryPoint], profiles: Sequence
 def _load_one(
     name: str, candidates: Sequence[EntryPoint], points: Sequence[EntryPoint], profiles: Sequence[Path]
 ) -> LoadedPlugin | RefusedPlugin:
+    if not candidates and name in RENAMED:
+        return RefusedPlugin(name, f"it is now {RENAMED[name]!r}. Write {RENAMED[name]!r} in plugins.load, once.")
     if not candidates:
         known = {point.name for point in points}
         return RefusedPlugin(name, f"it is not installed{did_you_mean(name, known)} Installed: {join_words(known)}")

@@ -133,7 +133,7 @@ def children() -> dict[int, str]:
         for pid in map(int, read(listing).split()):
             state = read(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split()[:1]
             command = read(Path(f"/proc/{pid}/cmdline")).replace("\0", " ").strip()
-            if state not in ([], ["Z"]) and pid not in helpers and sandbox.WORKER not in command:
+            if state not in ([], ["Z"]) and pid not in helpers and sandbox.TARGET not in command:
                 found[pid] = command
     return found
 

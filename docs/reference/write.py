@@ -26,6 +26,7 @@ from polishd.config.sweep import SweepSection
 from polishd.config.toml_loader import meanings, section_of, toml_type, variants
 from polishd.plugin_loader import load_own
 from polishd.reports.certificate.model import schema
+from polishd.sim_backends.common.registry import sim_devices
 
 
 class Swept(ConfigSection):
@@ -78,9 +79,9 @@ bring others.""",
 comments; how it is proved: [instruments.md](../instruments.md).""",
     "device": """A profile of a drive or a sensor; how one is made and tried: [devices.md](../devices.md). It has one
 of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`.""",
-    "controller": """The profile of a robot controller that loads files (`[robot] type = "handover"`), as
+    "controller": """The profile of a robot controller that loads files (`[robot] type = "plc_robot"`), as
 [the shipped ones](../../polishd/config/controller_profiles) show it; what each variable is for:
-[handover.md](../protocols/handover.md).""",
+[plc-robot.md](../protocols/plc_robot.md).""",
     "simulator": """What only a simulator knows of a cell, as [examples/sim.toml](../../examples/sim.toml) shows it with
 comments. Every key may be left out: with `cell` it is then as the cell has it, else the default of this page.""",
     "shop": """The file of a shop of several cells; how one is set up: [shop.md](../shop.md).""",
@@ -179,10 +180,18 @@ def files() -> dict[str, list[Table]]:
         "study": [*kinds.items(), *(table for table in below if table not in of_cell), *tables(Swept)],
         "profile": [("", ProfileFile), *tables(ProfileFile)],
         "device": [("", DeviceProfile), *tables(DeviceProfile)],
-        "simulator": [("", SimConfig), *tables(SimConfig)],
+        "simulator": simulator(),
         "shop": list(tables(ShopFile)),
         "controller": _each_once([("", ControllerProfile), *tables(ControllerProfile)]),
     }
+
+
+def simulator() -> list[Table]:
+    """The tables of SIM.toml: those that simulated devices share, and those that a device declares."""
+    shared: list[Table] = [("", SimConfig), *tables(SimConfig)]
+    known = {model for _, model in shared}
+    declared = [(f'[{one.device}] kind = "{one.name}"', one.section) for one in sim_devices()]
+    return shared + [table for table in declared if table[1] not in known]
 
 
 def _each_once(found: list[Table]) -> list[Table]:

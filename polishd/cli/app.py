@@ -1,17 +1,15 @@
-"""The command line: the verbs of a cell, and beside them those of the workbench. What they do lives elsewhere."""
+"""The command line: the commands of a cell and those without a cell. Options only; the packages do the work."""
 
 from __future__ import annotations
 
 import errno
 import os
-import re
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal, cast
 
 import typer
-import typer.core
 from typer import Argument, Option
 
 from polishd import __version__
@@ -24,9 +22,9 @@ from polishd.cli.shop import app as shops
 from polishd.cli.study import app as studies
 from polishd.model.errors import ComputeError, PolishdError
 from polishd.rendering.terminal import escape_logs, say
-from polishd.util.command_line import Cell, Json, Picture
+from polishd.util.command_line import Cell, CommandGroup, Json, Picture
 
-# The verbs of the workbench: what people do without a daemon. Options only; what they do lives in the packages.
+# Commands that need no daemon.
 
 offline_app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
 offline_app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
@@ -44,10 +42,16 @@ def init(
         Path | None, Option("--from", metavar="ANSWERS.toml", help="What is known of it; left out: you are asked.")
     ] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="Show what it would write; write nothing.")] = False,
-    force: Annotated[bool, Option("--force", help="Overwrite what is there.")] = False,
+    force: Annotated[bool, Option("--force", help="Overwrite existing files")] = False,
+    status: Annotated[bool, Option("--status", help="Show the next step of a cell that exists; write nothing")] = False,
     as_json: Json = False,
 ) -> None:
-    """Begin a cell: its commented file, an instrument's profile, a program, and what is still to be done."""
+    """Begin a cell: its commented file, an instrument's profile, a program, and the steps that remain."""
+    if status:
+        from polishd.commissioning.init.steps import setup_verb
+
+        setup_verb(folder if folder.suffix == ".toml" else folder / "cell.toml", as_json=as_json)
+        return
     from polishd.commissioning.init.write_cell import init_verb
 
     init_verb(folder, answers, dry_run=dry_run, force=force, as_json=as_json)
@@ -79,19 +83,8 @@ def compliance(
     compliance_verb(cell, program, out, as_json=as_json)
 
 
-class PlainHelp(typer.core.TyperGroup):
-    """The group of all verbs: no markup is taken from a help text, so that ``polishd[testing]`` is shown whole."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """See TyperGroup."""
-        found = super().get_command(ctx, cmd_name)
-        if found is not None:
-            _escape_help(found)
-        return found
-
-
 app = typer.Typer(
-    cls=PlainHelp,
+    cls=CommandGroup,
     name="polishd",
     help="Controller daemon of an unattended robotic polishing cell.",
     no_args_is_help=True,
@@ -100,8 +93,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-_MARKUP = re.compile(r"(?<!\\)\[(?=[a-z#/@])")
-"""What rich would take for the beginning of a tag."""
 STDOUT = 1
 """Its descriptor."""
 
@@ -161,7 +152,7 @@ def run(
     ],
     correction: Correction = None,
     no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
-    queue: Annotated[bool, Option("--queue", help="Work the queue of polishd job; wait for more.")] = False,
+    queue: Annotated[bool, Option("--queue", help="Work the queue of polishd queue; wait for more.")] = False,
     until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits.")] = False,
     record: Record = None,
     as_json: Json = False,
@@ -243,17 +234,9 @@ def notify(cell: Cell, as_json: Json = False) -> None:
 @app.command()
 def status(
     cell: Cell,
-    setup: Annotated[
-        bool, Option("--setup", help="How far the cell is from its first pass, by what is on disk.")
-    ] = False,
     as_json: Json = False,
 ) -> None:
-    """What the daemon of a cell is doing."""
-    if setup:
-        from polishd.commissioning.init.steps import setup_verb
-
-        setup_verb(cell, as_json=as_json)
-        return
+    """Show what the daemon of a cell is doing."""
     from polishd.cli.status import status_verb
 
     status_verb(cell, as_json=as_json)
@@ -347,7 +330,7 @@ def history(
 
 
 @app.command()
-def beliefs(
+def estimates(
     cell: Cell,
     forget: Annotated[bool, Option("--forget", help="Begin anew: the next job begins with nothing learned.")] = False,
     reason: Reason = "",
@@ -377,23 +360,26 @@ def plugins(
 def sim(
     *,
     context: typer.Context,
-    config: Annotated[Path | None, Argument(metavar="SIM.toml", show_default=False)] = None,
-    cell: Annotated[
-        Path | None, Option("--from", metavar="CELL.toml", help="Simulate this cell, to rehearse its job.")
-    ] = None,
-    out: Annotated[Path | None, Option(metavar="DIR", help="With --from: folder for what it writes.")] = None,
-    write_only: Annotated[bool, Option("--write-only", help="With --from: start nothing.")] = False,
+    config: Annotated[Path, Argument(metavar="SIM.toml", show_default=False)],
 ) -> None:
-    """Start a simulated cell, as processes of their own; ends with Ctrl-C. Further options go to the simulator."""
-    from polishd.commissioning.rehearsal.rehearsal import rehearsal_verb
+    """Start a simulated cell as separate processes, until Ctrl-C. Further options go to the simulator."""
     from polishd.commissioning.rehearsal.simulated_cell import run_simulator
 
-    if cell is not None:  # what looks like SIM.toml is the first of the further options
-        further = [*([] if config is None else [str(config)]), *context.args]
-        raise typer.Exit(rehearsal_verb(cell, out, further, write_only=write_only))
-    if config is None or out is not None or write_only:
-        raise typer.BadParameter("give SIM.toml, or --from CELL.toml, with which --out and --write-only go")
     raise typer.Exit(run_simulator(config, context.args))
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def rehearse(
+    *,
+    context: typer.Context,
+    cell: Cell,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for the simulated copy of the cell")] = None,
+    write_only: Annotated[bool, Option("--write-only", help="Write the files; start nothing")] = False,
+) -> None:
+    """Start the simulated copy of a cell, to rehearse its job. Further options go to the simulator."""
+    from polishd.commissioning.rehearsal.rehearsal import rehearsal_verb
+
+    raise typer.Exit(rehearsal_verb(cell, out, context.args, write_only=write_only))
 
 
 @app.command()
@@ -403,22 +389,12 @@ def version() -> None:
 
 
 app.command()(opcua)
-app.add_typer(jobs, name="job", no_args_is_help=True)
+app.add_typer(jobs, name="queue", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
-app.add_typer(recordings, name="record", no_args_is_help=True)
+app.add_typer(recordings, name="recording", no_args_is_help=True)
 app.add_typer(reports, name="report", no_args_is_help=True)
 app.add_typer(shops, name="shop", no_args_is_help=True)
 app.add_typer(offline_app)
-
-
-def _escape_help(command: Any) -> None:
-    """Escape markup in the help of a command, of its options, and of the commands below it; once each."""
-    for one in (command, *command.params):
-        text = getattr(one, "help", None)
-        if isinstance(text, str):
-            one.help = _MARKUP.sub(r"\\[", text)
-    for below in getattr(command, "commands", {}).values():
-        _escape_help(below)
 
 
 def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:

@@ -8,12 +8,14 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.util.command_line import Json
+from polishd.util.command_line import CommandGroup, Json
 
 Fragment = Annotated[Path | None, Option("--out", metavar="FRAGMENT.toml", help="Write what a cell includes.")]
 OfCell = Annotated[Path | None, Option("--cell", metavar="CELL.toml", help="The cell; default: the shipped values.")]
 
-app = typer.Typer(help="Fit the cell's numbers to measurements; writes fragments that a cell includes.")
+app = typer.Typer(
+    cls=CommandGroup, help="Fit the cell's numbers to measurements; writes fragments that a cell includes."
+)
 
 
 @app.command()
@@ -68,7 +70,7 @@ def exponent(
     exponent_verb(spots, out, as_json=as_json)
 
 
-@app.command(name="cell")
+@app.command(name="first-touch")
 def cell_(
     cell: Annotated[Path, Argument(metavar="CELL.toml", help="The cell, for parts like the witness.")],
     *,

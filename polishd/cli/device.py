@@ -7,9 +7,11 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.util.command_line import Json
+from polishd.util.command_line import CommandGroup, Json
 
-app = typer.Typer(help="Profiles of drives and sensors: what a Modbus or line device speaks, as data.")
+app = typer.Typer(
+    cls=CommandGroup, help="Profiles of drives and sensors: what a Modbus or line device speaks, as data."
+)
 
 Profile = Annotated[str, Argument(metavar="NAME|FILE.toml", help="One of polishd's own, or a file.")]
 Raw = Annotated[
@@ -59,7 +61,7 @@ def new(
 
 
 @app.command()
-def find(
+def scan(
     profile: Profile,
     address: Annotated[str, Argument(metavar="ADDRESS", help="serial:PATH or tcp://host:port.")],
     units: Annotated[int, Option(min=1, max=247, help="Modbus units to try, from 1.")] = 16,

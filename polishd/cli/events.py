@@ -55,7 +55,7 @@ def _words(value: Any) -> str:
     return " ".join(words.split())
 
 
-# ``polishd record``: what a recording of a cell's wires holds.
+# ``polishd recording``: what a recording of a cell's wires holds.
 
 COLUMNS = ("device", "link", "opened", "out", "in", "from s", "to s", "longest silence s")
 

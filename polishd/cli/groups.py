@@ -10,20 +10,20 @@ from typer import Argument, Option
 
 from polishd.cli.calibrate import app as calibrations
 from polishd.commissioning.calibration.options import InstrumentOptions
-from polishd.reports.certificate.options import CertificateOptions
-from polishd.util.command_line import Cell, Json, spread
+from polishd.reports.certificate.issue import CertificateOptions
+from polishd.util.command_line import Cell, CommandGroup, Json, spread_options
 
 jobs = typer.Typer(help="The queue of a cell: parts, one after another.")
 services = typer.Typer(help="Run a cell as a service of systemd.")
 recordings = typer.Typer(help="Recordings of a cell's wires (run --record).")
-reports = typer.Typer(help="Certificates of parts: made, signed, verified.")
+reports = typer.Typer(cls=CommandGroup, help="Certificates of parts: made, signed, verified.")
 
 Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
 JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
 Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)]
 Queued = Annotated[bool, Option("--queue", help="They work their queues, as with polishd run --queue.")]
 Beside = Annotated[
-    Literal["web", "opcua", "shop-link", "shop-serve"] | None,
+    Literal["web", "opcua", "shop-connect", "shop-serve"] | None,
     Option(help="Not of the daemon, but of what runs beside it; of shop-serve the file is SHOP.toml."),
 ]
 Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
@@ -37,7 +37,7 @@ def opcua(cell: Cell) -> None:
 
 
 @jobs.command("add")
-def job_add(
+def queue_add(
     *,
     cell: Cell,
     files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order.", show_default=False)],
@@ -50,7 +50,7 @@ def job_add(
 
 
 @jobs.command("list")
-def job_list(cell: Cell, as_json: Json = False) -> None:
+def queue_list(cell: Cell, as_json: Json = False) -> None:
     """The queue: what is under way, what waits, and how each job ended."""
     from polishd.cli.queue import list_verb
 
@@ -58,7 +58,7 @@ def job_list(cell: Cell, as_json: Json = False) -> None:
 
 
 @jobs.command("move")
-def job_move(
+def queue_move(
     *,
     cell: Cell,
     job: JobId,
@@ -73,15 +73,15 @@ def job_move(
 
 
 @jobs.command("remove")
-def job_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = False) -> None:
-    """Take a job out that waits; the one over which the cell is held is put aside."""
+def queue_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = False) -> None:
+    """Take a job out that waits; the one over which the cell is held is set aside."""
     from polishd.cli.queue import remove_verb
 
     remove_verb(cell, job, reason, as_json=as_json)
 
 
 @calibrations.command("instrument")
-@spread
+@spread_options
 def calibrate_instrument(
     cell: Annotated[Path, Argument(metavar="CELL.toml", help="The cell whose instrument it is.")],
     maps: Annotated[
@@ -124,7 +124,7 @@ def record_show(
 
 
 @reports.command("certificate")
-@spread
+@spread_options
 def report_certificate(
     run: Annotated[
         Path, Argument(metavar="RUN|CELL.toml", help="A run folder, or a cell: its last job.", show_default=False)
@@ -152,7 +152,7 @@ def report_verify(
     verify_verb(file, key, as_json=as_json)
 
 
-@reports.command("key")
+@reports.command("keygen")
 def report_key(
     file: Annotated[
         Path, Argument(metavar="FILE", help="The new private key; FILE.pub beside it.", show_default=False)

@@ -190,7 +190,7 @@ def _monday(at_s: float) -> float:
     return day - (day + 3) % 7
 
 
-# ``polishd beliefs``: what a cell has learned and the next job begins with; and how it is forgotten.
+# ``polishd estimates``: what a cell has learned and the next job begins with; and how it is forgotten.
 
 ESTIMATE_COLUMNS = ("tool", "job", "pass", "taught, UTC", "rate", "+-", "ms a block", "more")
 PARAMETERS = ("parameter", "value", "+-", "plans count with")
@@ -202,10 +202,10 @@ def beliefs_verb(cell: Path, *, as_json: bool) -> None:
     with read_only(config.state_dir) as journal:
         last = list(_last(journalled_estimates(lambda sql, values: journal.execute(sql, values).fetchall())))
     emit(
-        {"cell": config.cell.name, "remember": config.memory.remember, "beliefs": [asdict(one) for one in last]},
+        {"cell": config.cell.name, "remember": config.estimates.use_previous, "beliefs": [asdict(one) for one in last]},
         as_json=as_json,
         table=lambda: Group(_table(config.cell.name, last), *(_parameters(one) for one in last if _means(one))),
-        lines=_words(remember=config.memory.remember, found=bool(last)),
+        lines=_words(remember=config.estimates.use_previous, found=bool(last)),
     )
 
 
@@ -231,7 +231,7 @@ def _last(found: Iterable[JournalledEstimates]) -> Iterator[JournalledEstimates]
 
 def _words(*, remember: bool, found: bool) -> Iterator[str]:
     if not remember:
-        yield "memory.remember is false: a job begins with nothing learned"
+        yield "estimates.use_previous is false: a job begins with nothing learned"
     elif not found:
         yield "nothing is remembered: the next job begins with the rate as it is configured"
     else:

@@ -21,7 +21,7 @@ from polishd.maps.options import (
     StitchOptions,
     WriteOptions,
 )
-from polishd.util.command_line import spread
+from polishd.util.command_line import spread_options
 
 DEFAULT = "figures"
 """What ``polishd map FILE`` does."""
@@ -46,7 +46,7 @@ app = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND
 
 
 @app.command(DEFAULT)
-@spread
+@spread_options
 def figures(
     files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
     *,
@@ -60,7 +60,7 @@ def figures(
 
 
 @app.command()
-@spread
+@spread_options
 def compare(
     before: Annotated[Path, Argument(metavar="BEFORE", readable=False)],
     after: Annotated[Path, Argument(metavar="AFTER", readable=False)],
@@ -75,7 +75,7 @@ def compare(
 
 
 @app.command()
-@spread
+@spread_options
 def report(
     files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
     *,
@@ -89,7 +89,7 @@ def report(
 
 
 @app.command()
-@spread
+@spread_options
 def convert(
     source: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
     target: Annotated[Path, Argument(metavar="B", help="The new file; its ending says the format.")],
@@ -104,7 +104,7 @@ def convert(
 
 
 @app.command()
-@spread
+@spread_options
 def average(
     files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeats.", readable=False)],
     *,
@@ -118,7 +118,7 @@ def average(
 
 
 @app.command()
-@spread
+@spread_options
 def subtract(
     first: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
     second: Annotated[Path, Argument(metavar="B", help="What is taken off it: a reference, say.", readable=False)],
@@ -133,7 +133,7 @@ def subtract(
 
 
 @app.command()
-@spread
+@spread_options
 def stitch(
     files: Annotated[
         list[Path], Argument(metavar="MAP...", help="Sub-apertures; the first is the reference.", readable=False)
@@ -149,7 +149,7 @@ def stitch(
 
 
 @app.command()
-@spread
+@spread_options
 def absolute(
     files: Annotated[list[Path], Argument(metavar="MAP...", help="One part, turned and shifted.", readable=False)],
     *,

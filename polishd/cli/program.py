@@ -9,7 +9,7 @@ import typer
 from typer import Argument, Option
 
 from polishd.programs.options import Encoding, MakeOptions
-from polishd.util.command_line import Json, spread
+from polishd.util.command_line import Json, spread_options
 
 app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the motion stayed, make new ones.")
 
@@ -83,7 +83,7 @@ def dialects(as_json: Json = False) -> None:
 
 
 @app.command()
-@spread
+@spread_options
 def make(asked: MakeOptions, as_json: Json = False) -> None:
     """Make a raster or a spiral over an aperture, on a flat, sphere or asphere, with the tool along its normals."""
     from polishd.programs.make import make_verb

@@ -1,4 +1,4 @@
-"""``polishd job``: the queue of a cell. A running daemon is asked; where none runs, the journal is written here."""
+"""``polishd queue``: the queue of a cell. A running daemon is asked; where none runs, the journal is written here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import emit, record_table
-from polishd.util.command_line import at_the_terminal
+from polishd.util.command_line import terminal_user
 from polishd.util.threads import run_loop
 
 COLUMNS = ("job", "part", "state", "added", "why")
@@ -27,26 +27,26 @@ def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
     config, hooks = load_cell(cell)
     jobs = check_jobs(config, hooks, files)
     texts = [{"path": str(job.file.path), "content": job.file.text} for job in jobs]
-    _ask(config, "job_add", files=texts, by=at_the_terminal())
+    _ask(config, "queue_add", files=texts, by=terminal_user())
     list_verb(cell, as_json=as_json)
 
 
 def list_verb(cell: Path, *, as_json: bool) -> None:
     """Show the queue."""
     config = load_config(cell)
-    _show(config, _ask(config, "job_list"), as_json=as_json)
+    _show(config, _ask(config, "queue_list"), as_json=as_json)
 
 
 def move_verb(cell: Path, job: str, where: str, other: str, *, as_json: bool) -> None:
     """Change the order."""
     config = load_config(cell)
-    _show(config, _ask(config, "job_move", job=job, where=where, other=other, by=at_the_terminal()), as_json=as_json)
+    _show(config, _ask(config, "queue_move", job=job, where=where, other=other, by=terminal_user()), as_json=as_json)
 
 
 def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
     """Take one out."""
     config = load_config(cell)
-    _show(config, _ask(config, "job_remove", job=job, reason=reason, by=at_the_terminal()), as_json=as_json)
+    _show(config, _ask(config, "queue_remove", job=job, reason=reason, by=terminal_user()), as_json=as_json)
 
 
 def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:

@@ -17,7 +17,7 @@ from polishd.daemon.app import CellRun, run_cells
 from polishd.daemon.runtime.exit_record import for_cell
 from polishd.model.errors import ConfigError, PolishdError, SafetyStop
 from polishd.model.events import Event
-from polishd.model.tolerance import judged_of, worst
+from polishd.model.tolerance import line_results, worst_line
 from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import emit, key_table, outcome_tables, say, stderr
 from polishd.util.threads import run_loop
@@ -28,7 +28,7 @@ Show = Callable[[str, int | None, Mapping[str, Any]], None]
 """(event's name, its cycle, its data)."""
 
 
-AFTER = {"pass_ended": "cycle {cycle}: measuring", "job_finished": "writing the report"}
+AFTER = {"pass_ended": "cycle {cycle}: measuring", "run_folder_completed": "writing the report"}
 """What goes on after an event."""
 
 
@@ -61,24 +61,24 @@ class _Line:
     def show(self, name: str, cycle: int | None, data: Mapping[str, Any]) -> None:
         """An event."""
         match name:
-            case "measured":
+            case "map_measured":
                 self._measured(cycle, data)
                 self._update(f"cycle {cycle}: solving", total=None, note="")
-            case "solved":
+            case "dwell_solved":
                 note = f"predicted RMS {data['predicted_rms_nm']:.2f} nm, KKT {data['kkt_residual']:.1e}"
                 self._update(f"cycle {cycle}: planning", note=note)
-            case "pass_begun":
+            case "pass_started":
                 note = f"{data['dwell_s'] / 60:.1f} min of dwell"
                 if expected := data.get("forecast"):
                     note += f", then {expected['low_nm']:.2f} to {expected['high_nm']:.2f} nm"
                 self._update(f"cycle {cycle}: polishing", total=data["blocks"], completed=0, note=note)
-            case "progress":
+            case "pass_progressed":
                 self._bar.update(self._task, completed=data["block"])
-            case "pass_ended" | "job_finished":
+            case "pass_ended" | "run_folder_completed":
                 self._update(AFTER[name].format(cycle=cycle), total=None, note="")
-            case "state":
+            case "state_changed":
                 self._state(data)
-            case "failed" | "found" | "notification_failed" | "signal_wrong" | "map_refused":
+            case "daemon_failed" | "finding_reported" | "notification_failed" | "signal_out_of_range" | "map_refused":
                 self._print(_trouble(name, data), style="red")
             case _:
                 self._show_queue(name, data)
@@ -89,10 +89,10 @@ class _Line:
         band = data["band_rms_nm"]
         beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
         self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
-        judged = judged_of(data)
+        judged = line_results(data)
         if len(judged) > 1 or any(one.bound is not None for one in judged):
             held = sum(one.holds for one in judged)
-            self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst(judged)}")
+            self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst_line(judged)}")
 
     def _state(self, data: Mapping[str, Any]) -> None:
         match data["state"]:
@@ -112,9 +112,9 @@ class _Line:
     def _show_queue(self, name: str, data: Mapping[str, Any]) -> None:
         """What happens between jobs."""
         match name:
-            case "job_begun":
+            case "job_started":
                 self._print(f"job {data['job']}, part {data['part_id']}")
-            case "job_ended":
+            case "queue_job_ended":
                 why = f": {data['reason']}" if data["verdict"] != "accepted" else ""
                 self._print(f"job {data['job']} {data['verdict']}{why}")
             case _:

@@ -20,7 +20,7 @@ from polishd.daemon.runtime.events import DRAIN_S
 from polishd.model.errors import ConfigError, DeviceError
 from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import say
-from polishd.util.command_line import account
+from polishd.util.command_line import account_name
 from polishd.util.files import write_atomic
 
 # What all units of systemd share: command lines as it reads them, and where a unit belongs.
@@ -69,7 +69,7 @@ def quoted(word: str, *, executable: bool = False) -> str:
 
 # Units of systemd for what runs beside a cell's daemon, and for a shop's server: each a process of its own.
 
-Beside = Literal["web", "opcua", "shop-link", "shop-serve"]
+Beside = Literal["web", "opcua", "shop-connect", "shop-serve"]
 
 WRONG_USE = 2
 """Exit code of a command line that is wrong."""
@@ -127,7 +127,7 @@ def _link(path: Path) -> str:
 PROCESSES: Mapping[Beside, _Process] = {
     "web": _Process(("web",), lambda path: load_config(path).cell.name),
     "opcua": _Process(("opcua",), _opcua),
-    "shop-link": _Process(("shop", "link"), _link),
+    "shop-connect": _Process(("shop", "link"), _link),
     "shop-serve": _Process(("shop", "serve"), lambda path: load_shop(path).shop.name),
 }
 
@@ -140,7 +140,7 @@ def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]
         what=" ".join(asked.words),
         name=name.replace("%", "%%"),
         command=command_line([*asked.words, str(path.absolute())]),
-        account=f"User={account(owner)}\n" if system and owner else "",
+        account=f"User={account_name(owner)}\n" if system and owner else "",
         wrong_use=WRONG_USE,
         wrong_file=ConfigError.exit_code,
         network=NETWORK if system else "",
@@ -239,7 +239,7 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
     text = DAEMON_UNIT.format(
         names=", ".join(names).replace("%", "%%"),
         command=command_line(words),
-        account=f"User={account(owner)}\n" if system and owner else "",
+        account=f"User={account_name(owner)}\n" if system and owner else "",
         watchdog=WATCHDOG_S,
         start=START_S,
         stop=math.ceil(end_s + DRAIN_S + WATCHDOG_S),

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.util.command_line import Cell, Json
+from polishd.util.command_line import Cell, CommandGroup, Json
 
-app = typer.Typer(help="A shop of several cells: parts, recipes, queue and history in one database.")
+app = typer.Typer(cls=CommandGroup, help="A shop of several cells: parts, recipes, queue and history in one database.")
 
 Shop = Annotated[Path, Argument(metavar="SHOP.toml", help="The shop's configuration.", show_default=False)]
 JobId = Annotated[str, Argument(metavar="JOB", help="Its job.id.", show_default=False)]
@@ -36,7 +36,7 @@ def shop_serve(
     serve_verb(shop, add_cell=add_cell, remove_cell=remove_cell, add_user=add_user, role=role, remove_user=remove_user)
 
 
-@app.command("link")
+@app.command("connect")
 def link(cell: Cell) -> None:
     """Tell the shop what happens in a cell, and ask it for parts; beside the daemon, ends with Ctrl-C."""
     from polishd.cli.shop_commands import link_verb
@@ -82,7 +82,7 @@ def history(shop: Shop, as_json: Json = False) -> None:
     history_verb(shop, as_json=as_json)
 
 
-@app.command("lessons")
+@app.command("estimates")
 def lessons(shop: Shop, as_json: Json = False) -> None:
     """What each cell has learned last of each recipe, and is offered to those that have no lesson of it."""
     from polishd.cli.shop_commands import lessons_verb
@@ -110,7 +110,7 @@ def release(
 
 @app.command("remove")
 def remove(*, shop: Shop, job: JobId, by: By, reason: Why = "", as_json: Json = False) -> None:
-    """Take a part out of the shop that waits, or that was put aside."""
+    """Take a part out of the shop that waits, or that was set aside."""
     from polishd.cli.shop_commands import remove_verb
 
     remove_verb(shop, job, by, reason, as_json=as_json)

@@ -18,7 +18,7 @@ from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.link import ShopLink
 from polishd.shop.parts import digests, read_part
 from polishd.shop.server import cells_of, people_of, serve
-from polishd.util.command_line import at_the_terminal
+from polishd.util.command_line import terminal_user
 from polishd.web.http.users import Role, UserFile
 
 NICE = 5
@@ -68,7 +68,7 @@ def link_verb(path: Path) -> None:
 def add_verb(path: Path, files: Sequence[Path], by: str, *, as_json: bool) -> None:
     """Judge them as far as that goes without a cell, and add them."""
     new = [read_part(file) for file in files]
-    _in(path, lambda sql: parts.add(sql, new, by or at_the_terminal(), [digests(part) for part in new]))
+    _in(path, lambda sql: parts.add(sql, new, by or terminal_user(), [digests(part) for part in new]))
     list_verb(path, as_json=as_json)
 
 
@@ -154,7 +154,7 @@ def _why(one: Mapping[str, Any]) -> str:
 
 def _heard(cell: Mapping[str, Any]) -> str:
     if cell["heard_s"] is None:
-        return "never: polishd shop link CELL.toml runs there?"
+        return "never: polishd shop connect CELL.toml runs there?"
     return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"
 
 

@@ -17,9 +17,9 @@ from polishd.daemon.runtime.exit_record import EndCause, for_cell, last_ending
 from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon
 from polishd.model.states import CellSafety
-from polishd.model.tolerance import judged_of, worst
+from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import emit, key_table, say
-from polishd.util.command_line import at_the_terminal
+from polishd.util.command_line import terminal_user
 
 # The last lines of ``polishd run``, for whoever finds the cell: is it safe, who did not confirm, what to do next.
 
@@ -72,7 +72,7 @@ def _refused(facts: Mapping[str, Any]) -> str:
 
 
 def _measured(cycle: Mapping[str, Any]) -> str:
-    farthest = worst(judged_of(cycle))
+    farthest = worst_line(line_results(cycle))
     judged = f"; {'in tolerance' if farthest.holds else 'not in tolerance'}: {farthest}" if farthest else ""
     return f"RMS {cycle['rms_nm']:.2f} nm{judged}"
 
@@ -101,7 +101,7 @@ def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
     """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
     place = cell_summary(cell)
     said = {"reason": reason} if reason else {}
-    _told(place, verb, client.request(place.state_dir, verb, args={**said, "by": at_the_terminal()}), cell, as_json)
+    _told(place, verb, client.request(place.state_dir, verb, args={**said, "by": terminal_user()}), cell, as_json)
 
 
 def approve_verb(cell: Path, *, as_json: bool) -> None:
@@ -111,7 +111,7 @@ def approve_verb(cell: Path, *, as_json: bool) -> None:
     _told(
         place,
         "approve",
-        client.request(place.state_dir, "approve", args={**waits, "by": at_the_terminal()}),
+        client.request(place.state_dir, "approve", args={**waits, "by": terminal_user()}),
         cell,
         as_json,
     )

@@ -10,7 +10,7 @@ from typer import Argument
 from typer.core import TyperGroup
 
 from polishd.studies.options import StudyOptions
-from polishd.util.command_line import Json, spread
+from polishd.util.command_line import Json, spread_options
 
 
 class _FileOrVerb(TyperGroup):
@@ -30,7 +30,7 @@ app = typer.Typer(
 
 
 @app.command()
-@spread
+@spread_options
 def run(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
     """Run a study: `polishd study STUDY.toml` is the same."""
     from polishd.studies.run import study_verb

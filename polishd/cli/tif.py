@@ -18,7 +18,8 @@ from polishd.plugin_loader import load_cell
 from polishd.process.removal.contact import hertz_depth_mm
 from polishd.process.removal.measured_tif import SpotFigures, map_nm_s, measured_figures, spot_figures
 from polishd.process.robot.compliance import ComplianceField, compliance_field, depth_ratio, path_compliance
-from polishd.rendering.plots import BLUE, NO_DATA, ORANGE, SEQUENTIAL, figure, png, polishd_style, save_picture
+from polishd.rendering.map_plots import color_bar, profiles, value_map
+from polishd.rendering.plots import BLUE, ORANGE, figure, png, polishd_style, save_picture
 from polishd.rendering.terminal import emit, key_table
 
 # Pictures of the physics: a removal spot with its profiles, the compliance over the workspace and along a program.
@@ -32,15 +33,14 @@ def spot_picture(figures: SpotFigures, spot: tuple[FloatArray, FloatArray], titl
         page = figure(7.6, 3.4)
         left, right = page.subplots(1, 2)
         x, rate = spot
-        half = (x[1] - x[0]) / 2
-        extent = (x[0] - half, x[-1] + half, x[0] - half, x[-1] + half)
-        shown = left.imshow(rate, extent=extent, cmap=SEQUENTIAL)
-        left.set(title=title, xlabel="x, mm", ylabel="y (where the spindle leans), mm")
-        page.colorbar(shown, ax=left, shrink=0.85, label="nm/s")
-        right.plot(figures.x_mm, figures.profile_x_nm_s, color=BLUE, label="along x")
-        right.plot(figures.y_mm, figures.profile_y_nm_s, color=ORANGE, label="along y")
-        right.set(title="profiles through the centre", xlabel="mm", ylabel="nm/s", ylim=(0, None))
-        right.legend()
+        value_map(left, rate, float(x[1] - x[0]), title, "nm/s")
+        left.set_ylabel("y (direction of the spindle's tilt), mm")
+        lines = {
+            "along x": (figures.x_mm, figures.profile_x_nm_s),
+            "along y": (figures.y_mm, figures.profile_y_nm_s),
+        }
+        profiles(right, lines, "profiles through the center", ylabel="nm/s")
+        right.set_ylim(0, None)
         return png(page)
 
 
@@ -58,15 +58,15 @@ def compliance_picture(field: ComplianceField, program: tuple[FloatArray, FloatA
 
 def _planes(part: Any, field: ComplianceField) -> None:
     panels = part.subplots(1, len(field.z_mm), squeeze=False)[0]
-    low, high = float(np.nanmin(field.compliance_um_per_n)), float(np.nanmax(field.compliance_um_per_n))
-    extent = (field.x_mm[0], field.x_mm[-1], field.y_mm[0], field.y_mm[-1])
-    shown = None
+    scale = float(np.nanmin(field.compliance_um_per_n)), float(np.nanmax(field.compliance_um_per_n))
+    extent_mm = (field.x_mm[0], field.x_mm[-1], field.y_mm[0], field.y_mm[-1])
+    images = []
     for axes, plane, z in zip(panels, field.compliance_um_per_n, field.z_mm, strict=True):
-        axes.set_facecolor(NO_DATA)
-        shown = axes.imshow(plane, extent=extent, origin="lower", cmap=SEQUENTIAL, vmin=low, vmax=high)
-        axes.set(title=f"z = {z:.0f} mm", xlabel="x, mm")
-    panels[0].set_ylabel("y, mm")
-    part.colorbar(shown, ax=list(panels), shrink=0.85, label="um/N")
+        look: dict[str, Any] = {"scale": scale, "extent_mm": extent_mm, "bar": False}
+        images.append(value_map(axes, plane[::-1], 1.0, f"z = {z:.0f} mm", **look))
+        if axes is not panels[0]:
+            axes.set_ylabel("")
+    color_bar(images, "um/N")
 
 
 def _along(axes: Axes, compliance_um_per_n: FloatArray, gamma: FloatArray) -> None:

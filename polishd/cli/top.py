@@ -22,7 +22,7 @@ from polishd.daemon.runtime.exit_record import for_cell, last_ending
 from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.model.states import CellSafety
-from polishd.model.tolerance import judged_of, worst
+from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import stdout
 
 LOOK_S = 0.5
@@ -137,7 +137,7 @@ def _rows(one: CellView, passed_s: float) -> Iterator[Row]:
 
 
 def _readings(live: Mapping[str, Any], passed_s: float) -> Iterator[Row]:
-    told = live.get("told", {})
+    told = live.get("readings", {})
     for key, name, words in READINGS:
         if (had := told.get(key)) is not None:
             yield name, _aged(words.format(**had), had["age_s"] + passed_s)
@@ -163,7 +163,7 @@ def _aged(text: str, age_s: float) -> Text:
 
 def _figure(cycles: Sequence[Mapping[str, Any]]) -> str:
     """From measurement to measurement, and what the pass under way is to leave."""
-    last, farthest = cycles[-1], worst(judged_of(cycles[-1]))
+    last, farthest = cycles[-1], worst_line(line_results(cycles[-1]))
     words = "RMS " + " > ".join(f"{cycle['rms_nm']:.2f}" for cycle in cycles[-5:]) + " nm"
     if last.get("predicted_rms_nm") is not None:
         words += f", then {last['predicted_rms_nm']:.2f} predicted"

@@ -106,16 +106,16 @@ def _read(profile: DeviceProfile, text: str) -> dict[str, str]:
 def _warnings(profile: DeviceProfile) -> list[str]:
     """What is allowed, and may yet be forgotten."""
     found = []
-    orders = profile.orders
-    if profile.kind != "force_sensor" and not orders.watchdog:
+    commands = profile.commands
+    if profile.kind != "force_sensor" and not commands.watchdog:
         watchdog_s = (profile.actuator or profile.spindle).watchdog_s  # type: ignore[union-attr]
-        found.append(f"no orders.watchdog: set {watchdog_s:g} s at the device, or nothing stops it when polishd dies")
+        found.append(f"no commands.watchdog: set {watchdog_s:g} s at the device, or nothing stops it when polishd dies")
     if build.poll_s(profile) > 0.1:
         found.append(f"one look takes {1000 * build.poll_s(profile):.0f} ms; raise serial.baud")
     if "TODO" in profile.source.text:
         found.append("it still says TODO")
-    if profile.spindle and not orders.reverse:
-        found.append("no orders.reverse: the spindle turns forward only")
+    if profile.spindle and not commands.reverse:
+        found.append("no commands.reverse: the spindle turns forward only")
     return found
 
 
@@ -126,7 +126,7 @@ def _give_text(text: str, *, as_json: bool) -> None:
         stdout.print(text, markup=False, highlight=False, soft_wrap=True, end="")
 
 
-# ``polishd device find``: at which settings of the line a device answers. Reads only.
+# ``polishd device scan``: at which settings of the line a device answers. Reads only.
 
 BAUDS = (9600, 19_200, 38_400, 57_600, 115_200, 4800)
 Place = tuple[SerialLine | Tcp, int | None]

@@ -32,6 +32,7 @@ from polishd.config.cell_sections import (
 )
 from polishd.config.fields import Name, Texts, as_tuple, require_cells
 from polishd.config.process_sections import ToolSection, tool_overlay
+from polishd.config.renamed_keys import RENAMED_TYPES, renamed_key
 from polishd.config.server_sections import ServedDocument
 from polishd.config.table_files import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
@@ -77,11 +78,11 @@ class CellConfig(ServedDocument):
     machine: MachineSection
     dwell: DwellSection = DwellSection()
     touch_off: TouchOffSection | None = None
-    between: BetweenSection = BetweenSection()
+    part_handling: BetweenSection = BetweenSection()
     tools: Mapping[Name, ToolSection] = {}
     """Tools that polish the part in turn, in this order; left out: the one of `[process]`."""
     job: JobSection
-    memory: MemorySection = MemorySection()
+    estimates: MemorySection = MemorySection()
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
     limits: LimitsSection = LimitsSection()
     notify: Mapping[Name, NotifySection] = {}
@@ -185,7 +186,7 @@ PORTS: Mapping[str, DeviceInterface] = {
 """What each port asks; in the order in which devices are opened."""
 
 FILES = (
-    "program.path", "program.dialects", "instrument.profile", "part.polygon_file", "part.nominal", "process.tif",
+    "program.path", "program.dialects", "instrument.profile", "part.polygon_file", "part.form", "process.tif",
     "kinematics.table",
 )  # fmt: skip
 """Keys that name files: what counts is the content, wherever it lies. A tool's have its name: `tool_files`."""
@@ -221,6 +222,7 @@ def consistent(config: CellConfig) -> CellConfig:
         *_wrong_force(config),
         *_wrong_grid(config),
         *_wrong_devices(config),
+        *_removed(config),
         *_wrong_signals(config),
         *_wrong_tolerance(config),
         *_wrong_tools(config),
@@ -254,14 +256,14 @@ def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
             "job.tolerance_period_mm",
             "goes with job.tolerance_nm; write periods_above_mm into the [[tolerance]] lines",
         )
-    if job.accept in {"bound", "bound_without_power"}:
+    if job.accept_by in {"bound", "bound_without_power"}:
         if config.part.alignment == "piston":
             yield (
-                "job.accept",
+                "job.accept_by",
                 'each map has a tilt of its own: there is no bound where it is figure; alignment = "tilt"',
             )
         if not any(line.bounded for line in config.lines):
-            yield "job.accept", 'no line is an RMS without periods_below_mm, which has a bound; accept = "figure"'
+            yield "job.accept_by", 'no line is an RMS without periods_below_mm, which has a bound; accept = "figure"'
     if config.part.alignment == "power" and any(line.figure == "A" for line in lines):
         yield (
             "tolerance",
@@ -289,13 +291,20 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
             "job.max_cycles",
             f"is {config.job.max_cycles}, but the tools have {passes} passes; set it to {passes} or more",
         )
-    if config.memory.tool is not None:
-        yield "memory.tool", "there are [tools], each with its name; remove the line"
-    if config.dwell.choose == AS_PROGRAMMED:
-        yield "dwell.choose", f"{AS_PROGRAMMED!r} is for one tool: leave the others of [tools] out"
+    if config.estimates.tool is not None:
+        yield "estimates.tool", "there are [tools], each with its name; remove the line"
+    if config.dwell.objective == AS_PROGRAMMED:
+        yield "dwell.objective", f"{AS_PROGRAMMED!r} is for one tool: leave the others of [tools] out"
     for name, tool in config.tools.items():
         if tool.position_mm is not None and config.touch_off is None:
             yield f"tools.{name}.position_mm", "is of [touch_off], and the cell has none; add it, or remove the line"
+
+
+def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """(key, what is wrong) of device types of earlier versions."""
+    for name, section in config.devices.items():
+        if section.type in RENAMED_TYPES:
+            yield f"{name}.type", f"{section.type!r} was removed or renamed. Write type = {RENAMED_TYPES[section.type]}"
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
@@ -353,7 +362,7 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
         raise config.error(
             f"{device}.type",
             f"unknown type {named!r}{did_you_mean(named, fitting)} The loaded plugins have: {join_words(fitting)}; "
-            "a type of another plugin needs that plugin in plugins.load",
+            "plugins.load must name its plugin, for polishd's own 'devices'",
         )
     if kind.port != port:
         raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {join_words(fitting)}")
@@ -401,7 +410,12 @@ def _unknown_options(
         return []
     known = {field.alias or name for name, field in options.model_fields.items()} | set(also)
     return [
-        config.source.error((*section, key), f"unknown key{did_you_mean(key, known)} Known here: {join_words(known)}")
+        config.source.error(
+            (*section, key),
+            f"was renamed: write {new}"
+            if (new := renamed_key(".".join(map(str, (*section, key)))))
+            else f"unknown key{did_you_mean(key, known)} Known here: {join_words(known)}",
+        )
         for key in given
         if key not in known
     ]

@@ -26,7 +26,7 @@ from polishd.config.fields import (
     Vector,
     as_tuple,
 )
-from polishd.model.devices import LeadsTo, SignalLimits, SignalRange
+from polishd.model.devices import SignalAction, SignalLimits, SignalRange
 from polishd.model.dwell import Choice
 from polishd.model.estimates import FindingLimits
 from polishd.model.outline import Outline
@@ -109,9 +109,9 @@ class ForceSensorSection(DeviceSection):
     `type` says which other keys there are.
     """
 
-    band_n: Positive = 1.0
-    """How far its word and the actuator's may be apart; farther for `grace_s` is a safety stop."""
-    grace_s: Annotated[float, Field(ge=0, le=10)] = 0.5
+    max_difference_n: Positive = 1.0
+    """How far its word and the actuator's may be apart; farther for `alarm_delay_s` is a safety stop."""
+    alarm_delay_s: Annotated[float, Field(ge=0, le=10)] = 0.5
     """How long they may be apart: filters differ, and a landing is steep."""
 
 
@@ -123,7 +123,7 @@ class NotifySection(ConfigSection):
     """A notifier type that a loaded plugin has: `email`, `webhook` and `command` of polishd's `notifications`."""
     severity: Literal["info", "warning", "alarm"] = "warning"
     """The least that is told: `warning` is all for which the cell needs a person, `alarm` what cannot wait."""
-    repeat_s: Annotated[float, Field(ge=0, le=86400)] = 1800.0
+    remind_after_s: Annotated[float, Field(ge=0, le=86400)] = 1800.0
     """What happens again within that time is counted, and told once at its end; 0: each time."""
 
 
@@ -159,7 +159,7 @@ class InstrumentSection(ConfigSection):
 
     profile: Text | None = None
     """File of the profile of the instrument whose maps the cell polishes by; without one `run` refuses."""
-    spike_mads: NotNegative = 0.0
+    spike_threshold_mad: NotNegative = 0.0
     """How far off the surface about it a sample is a spike and has no data, in scaled median absolute deviations; so
     has a steep bump. 0: none is looked for. [MAD]"""
 
@@ -173,11 +173,11 @@ class PartSection(OpticKeys):
     """Instead of `aperture_mm`: CSV file of the corners, columns `x_mm` and `y_mm`, in order around the part."""
     edge_mm: NotNegative = 3.0
     """Width of the rim that the clear aperture leaves out: figures and tolerance do not count it."""
-    rim: Literal["ring", "free"] = "ring"
-    """Whether the part sits in a flush ring, or is free, so that the bonnet sinks over its rim."""
+    free_edge: bool = False
+    """Whether the part's edge is free, so that the bonnet sinks over it; else the part sits in a flush ring."""
     alignment: Literal["piston", "tilt", "power"] = "tilt"
     """What of a map is alignment and no figure: piston; piston and tilt; piston, tilt and power."""
-    nominal: Text | None = None
+    form: Text | None = None
     """A map of the form wanted, in the part's frame, where no null makes that flat in the interferometer's eyes."""
     origin_mm: Vector
     """The part's centre in the robot's base frame."""
@@ -215,7 +215,7 @@ class ProgramSection(ConfigSection):
     """Its dialect, as `polishd program dialects` lists them."""
     dialects: Texts = ()
     """Profiles of your own (TOML), which `format` may then name."""
-    covers: Literal["aperture", "zone"] = "aperture"
+    coverage: Literal["aperture", "zone"] = "aperture"
     """Whether it reaches the whole clear aperture, or leaves a part of it alone on purpose."""
     offset_mm: Vector = (0.0, 0.0, 0.0)
     """Where the program's origin lies on the part: `part = rotation_z(rotation_deg) @ program + offset`."""
@@ -267,27 +267,27 @@ class DwellSection(ConfigSection):
     [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     """How the surface goes on beyond the part's rim, where the map has no data."""
-    within_s: Seconds = 120.0
+    cpu_limit_s: Seconds = 120.0
     """CPU seconds for the whole solve step of a cycle: removal model, rounds, choice, cross-check and curve. On the
     wall, 10 times as many and 60 s."""
     kkt_tolerance: Share = 1e-4
     """Largest KKT residual of a dwell that is used; one beyond it gives no plan. [1]"""
-    choose: Choice = "least"
+    objective: Choice = "least"
     """Which dwell: the least residual, or a point of the curve of residual against time, where 1 % more time buys
     less than 1 %, at `target_nm`, or within `budget_s`. Or `as_programmed`: the times that the program has, whatever
     the map says, for one pass that is to teach, not to correct."""
     budget_s: Positive | None = None
-    """Total dwell for `choose = "budget"`: the best residual in it."""
+    """Total dwell for `objective = "budget"`: the best residual in it."""
     target_nm: Positive | None = None
-    """RMS to reach for `choose = "target"`, in the least time."""
+    """RMS to reach for `objective = "target"`, in the least time."""
     curve: bool = False
     """Whether each plan comes with its curve of residual against time, which takes some 15 solves."""
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
         for rule, key in (("budget", "budget_s"), ("target", "target_nm")):
-            if (self.choose == rule) != (getattr(self, key) is not None):
-                raise ValueError(f'{key}: goes with choose = "{rule}", and only with it')
+            if (self.objective == rule) != (getattr(self, key) is not None):
+                raise ValueError(f'{key}: goes with objective = "{rule}", and only with it')
         if self.cross_check == self.solver:
             raise ValueError('cross_check: must be another solver than dwell.solver, or "" for none')
         return self
@@ -302,7 +302,7 @@ class JobSection(ConfigSection):
     """RMS in the clear aperture at which the part is done: the short form of a `[[tolerance]]` with `rms_nm`."""
     tolerance_period_mm: NotNegative = 0.0
     """Period above which `tolerance_nm` counts; 0: all periods."""
-    accept: Accept | None = None
+    accept_by: Accept | None = None
     """By what an RMS is accepted: as it was measured (`figure`), by the one-sided 95 % bound of the part's own RMS, or
     by that bound without power, which the certificate then says. Left out: `bound` where the instrument's profile has
     a system map, else `figure`."""
@@ -312,14 +312,14 @@ class JobSection(ConfigSection):
     """Most passes; after the last a measurement still decides. [1]"""
     approve: bool = False
     """Each plan waits for a person's `polishd approve` before its pass; nothing moves before."""
-    lookahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
+    stream_ahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
     """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
 
 
 class MemorySection(ConfigSection):
     """What a job takes over from the jobs before it (docs/beliefs.md)."""
 
-    remember: bool = True
+    use_previous: bool = True
     """Begin a job with what the last pass of its series has taught: the same tool, process, robot and instrument."""
     tool: Text | None = None
     """Name of the tool on the spindle: under another name all is learned anew."""
@@ -331,23 +331,23 @@ class CertificateSection(ConfigSection):
     shop: str = ""
     """The shop's name, as a certificate has it."""
     key: Text | None = None
-    """File of the shop's private key, made by `polishd report key`: certificates are signed with it; left out: they are
-    not signed."""
+    """File of the shop's private key, made by `polishd report keygen`, which signs certificates. Left out: they are not
+    signed."""
 
 
 class LimitsSection(ConfigSection):
     """What must never happen to the part."""
 
     force_band: Share = 0.25
-    """How far the force may be off what was asked, relative; outside for `force_grace_s` is a safety stop. [1]"""
-    force_grace_s: Annotated[float, Field(ge=0, le=10)] = 0.3
+    """How far the force may be off what was asked, relative; outside for `force_alarm_delay_s` is a safety stop. [1]"""
+    force_alarm_delay_s: Annotated[float, Field(ge=0, le=10)] = 0.3
     """How long it may be outside."""
     max_removal_nm: Positive = 1000.0
     """Most that one pass may remove at any point; a plan beyond it is refused."""
     excess_nm: Positive | None = None
     """Most that may be removed beyond the plan at any place because the robot is slower than planned; contact is left
     before. Left out: the larger of half of the tolerance and a tenth of what is planned at that place."""
-    pit_nm: Positive = 10.0
+    max_stall_removal_nm: Positive = 10.0
     """Deepest pit that an operator's feed hold may dig before the force is off, where the robot's controller tells of
     it in its reports only; a cell whose robot could dig deeper is refused."""
     max_pass_s: Positive = 86400.0
@@ -361,14 +361,14 @@ class LimitsSection(ConfigSection):
     beyond it, and surely so, the cell is held. [1]"""
     max_spot_change: Share = _FINDING.max_spot_change
     """How much wider or narrower than the model's the spot may be, relative; likewise. [1]"""
-    least_gain: ShareOrNone = _FINDING.least_gain
+    min_improvement: ShareOrNone = _FINDING.min_improvement
     """Least share of the predicted gain in RMS that a pass must bring: two in a row that bring less end the job as
     stalled; 0: none does. [1]"""
 
     @property
     def finding(self) -> FindingLimits:
         """What is looked for in the passes, and beyond what."""
-        return FindingLimits(self.max_rate_drift, self.max_spot_change, self.least_gain)
+        return FindingLimits(self.max_rate_drift, self.max_spot_change, self.min_improvement)
 
 
 # What a cell's file says of a part's seat, and of what happens between passes.
@@ -385,9 +385,9 @@ class TouchOffSection(ConfigSection):
     position_mm: Positive | None = None
     """Position of the actuator, in contact with that force, where the tool's tip is where the program says; left out:
     half of `actuator.stroke_mm`."""
-    most_off_mm: Positive = 0.3
+    max_offset_mm: Positive = 0.3
     """Farthest that any point of the part may sit from where `part` says. The tool is driven no deeper than that."""
-    places_mm: Annotated[tuple[Pair, Pair, Pair] | None, BeforeValidator(as_tuple)] = None
+    points_mm: Annotated[tuple[Pair, Pair, Pair] | None, BeforeValidator(as_tuple)] = None
     """Three places (x, y) on the part or its ring, outside the clear aperture; left out: on the middle of the rim that
     `part.edge_mm` leaves out."""
     each_pass: bool = False
@@ -398,16 +398,16 @@ class TouchOffSection(ConfigSection):
 class StepSection(ConfigSection):
     """A step that a person or a command does, tool up and robot at rest."""
 
-    person: Text | None = None
+    operator: Text | None = None
     """What a person is asked to do: the cell is held until `polishd resume`."""
     command: Texts = ()
     """Program and arguments, run in the folder of the cell's file; done when it ends with 0."""
-    within_s: Seconds = 600.0
+    timeout_s: Seconds = 600.0
     """Longest that the command may take; it is killed then."""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
-        if (self.person is None) == (not self.command):
+        if (self.operator is None) == (not self.command):
             raise ValueError('person: say who does it: person = "wipe the part", or command = ["./wash.sh"]')
         return self
 
@@ -417,7 +417,7 @@ class SettleSection(ConfigSection):
 
     wait_s: Annotated[float, Field(ge=0, le=86400)] = 60.0
     """Between two maps."""
-    maps: Annotated[int, Field(ge=2, le=1000)] = 10
+    max_maps: Annotated[int, Field(ge=2, le=1000)] = 10
     """Most maps of one measurement; where none agrees with the one before, the cell is held. [1]"""
 
 
@@ -473,7 +473,7 @@ class BeforeSection(BoundsSection):
 class InContactSection(BoundsSection):
     """What it must be in contact."""
 
-    grace_s: Annotated[float, Field(ge=0, le=600)] = 0.5
+    alarm_delay_s: Annotated[float, Field(ge=0, le=600)] = 0.5
     """How long it may be otherwise, or not known."""
 
 
@@ -491,10 +491,10 @@ class SignalSection(ConfigSection):
     `touch_off.force_max_n`) leaves contact at once, whatever else is asked of it."""
     before: BeforeSection | None = None
     in_contact: InContactSection | None = None
-    on_order: BoundsSection | None = None
+    on_start: BoundsSection | None = None
     """What it must be when a person orders motion, wherever from: the key at the cell that says it is clear. Else
     `resume` and `approve` are refused."""
-    leads_to: LeadsTo = "hold"
+    action: SignalAction = "hold"
     """What follows in contact: people are told and it goes on; contact is left, and the cell is held; or its daemon
     ends as after any safety stop; or motion stops at once, whatever the part costs."""
 
@@ -502,10 +502,10 @@ class SignalSection(ConfigSection):
     def _is_watched(self) -> Self:
         if self.measures == "force" and self.unit not in {"", "N"}:
             raise ValueError(f'unit: is {self.unit!r}, and a signal that measures the force has "N"')
-        if (self.before, self.in_contact, self.on_order, self.measures) == (None, None, None, None):
+        if (self.before, self.in_contact, self.on_start, self.measures) == (None, None, None, None):
             raise ValueError("nothing is asked of it; write before = {...}, in_contact = {...}, or both")
-        if self.in_contact is None and "leads_to" in self.model_fields_set:
-            raise ValueError("leads_to: goes with in_contact; what is not so before contact holds the cell")
+        if self.in_contact is None and "action" in self.model_fields_set:
+            raise ValueError("action: goes with in_contact; what is not so before contact holds the cell")
         return self
 
     def limits(self, name: str) -> SignalLimits:
@@ -519,8 +519,8 @@ class SignalSection(ConfigSection):
             before=before.bounds if before else None,
             wait_s=before.wait_s if before else 0.0,
             in_contact=in_contact.bounds if in_contact else None,
-            grace_s=in_contact.grace_s if in_contact else 0.0,
-            leads_to=self.leads_to,
-            on_order=self.on_order.bounds if self.on_order else None,
+            alarm_delay_s=in_contact.alarm_delay_s if in_contact else 0.0,
+            action=self.action,
+            on_start=self.on_start.bounds if self.on_start else None,
             measures_force=self.measures == "force",
         )

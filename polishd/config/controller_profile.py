@@ -1,6 +1,6 @@
 """Profiles of robot controllers that load files: what their variables are called, and what their values mean.
 
-The shipped ones are ``controller_profiles/*.toml``; what each variable is for: docs/protocols/handover.md.
+The shipped ones are ``controller_profiles/*.toml``; what each variable is for: docs/protocols/plc_robot.md.
 """
 
 from __future__ import annotations

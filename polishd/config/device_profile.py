@@ -83,8 +83,9 @@ class StateCondition(ConfigSection):
 class StateRule(StateCondition):
     """What the device's words for its state mean. The first rule that holds decides."""
 
-    state: Literal["retracted", "extending", "contact", "retracting", "fault", "stopped", "running"]
-    """Of an actuator, of a spindle (`stopped`, `running`), or `fault` of either."""
+    state: Literal["retracted", "extending", "contact", "retracting", "fault", "stopped", "running", "taring"]
+    """Of an actuator, of a spindle (`stopped`, `running`), of a force sensor (`taring`: its readings mean nothing
+    yet), or `fault` of any."""
 
 
 class Quantity(ConfigSection):
@@ -205,11 +206,11 @@ class ModbusTable(ConfigSection):
     """Its unit number; the cell may say otherwise. [1]"""
     word_order: WordOrder = "high_first"
     """Of values of two words."""
-    most: Annotated[int, Field(ge=1, le=125)] = 125
+    max_registers: Annotated[int, Field(ge=1, le=125)] = 125
     """Most registers that it gives in one answer. [1]"""
     pause_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Silence that it needs before a request, beyond the three and a half bytes of the standard."""
-    refusals: dict[str, Text] = Field(default_factory=dict)
+    error_replies: dict[str, Text] = Field(default_factory=dict)
     """What its exception codes mean, where the standard says too little: `4 = "a fault is set"`."""
 
 
@@ -258,7 +259,7 @@ class CommandSteps(ConfigSection):
     """Take back a fault; done for those of `faults.clears` only, when the device is made safe."""
     watchdog: Texts = ()
     """Tell the device how long it may hear nothing; left out: it is set at the device."""
-    beat: Texts = ()
+    heartbeat: Texts = ()
     """Feed that watchdog; left out: any request does."""
     tare: Texts = ()
     """Of a force sensor: what it reads now is no force."""
@@ -276,7 +277,7 @@ class Faults(ConfigSection):
     codes: dict[str, Text] = Field(default_factory=dict)
     """Or what each number means."""
     clears: Values = ()
-    """Those of the device's own watchdog: made safe, it is told `orders.clear`; all others are a person's. [1]"""
+    """Those of the device's own watchdog: made safe, it is told `commands.clear`; all others are a person's. [1]"""
 
 
 class IdentityTable(ConfigSection):
@@ -340,9 +341,11 @@ class ForceSensorTable(ConfigSection):
     delay_s: Annotated[float, Field(ge=0.0, le=5.0)] = _SENSOR.delay_s
     """Longest from a force that acts to its reading: filter, conversion and link."""
     tare_s: Times = _SENSOR.tare_s
-    """Longest from `orders.tare` until what it read then is 0, ..."""
+    """Longest from `commands.tare` until what it read then is 0, ..."""
     zero_n: Positive = 0.1
-    """... or not more than this."""
+    """... or not more than this. Not used where a state `taring` says when the tare ends."""
+    period_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
+    """Time between two readings."""
 
 
 Kind = Literal["actuator", "spindle", "force_sensor"]
@@ -376,7 +379,7 @@ class DeviceProfile(TomlDocument):
     registers: dict[str, Register] = Field(default_factory=dict)
     asks: dict[str, LineRequest] = Field(default_factory=dict)
     values: dict[str, RegexGroup] = Field(default_factory=dict)
-    orders: CommandSteps = CommandSteps()
+    commands: CommandSteps = CommandSteps()
     states: Annotated[tuple[StateRule, ...], BeforeValidator(as_tuple)] = ()
     faults: Faults | None = None
     expects: Annotated[tuple[StateCondition, ...], BeforeValidator(as_tuple)] = ()

@@ -21,14 +21,14 @@ NEEDS = {
 }
 """By kind: values, orders and states without which it cannot be used."""
 ORDERS = {
-    "actuator": {"force", "engage", "retract", "rest", "clear", "watchdog", "beat"},
-    "spindle": {"forward", "reverse", "stop", "clear", "watchdog", "beat"},
+    "actuator": {"force", "engage", "retract", "rest", "clear", "watchdog", "heartbeat"},
+    "spindle": {"forward", "reverse", "stop", "clear", "watchdog", "heartbeat"},
     "force_sensor": {"tare", "clear"},
 }
 STATES = {
     "actuator": {"retracted", "extending", "contact", "retracting", "fault"},
     "spindle": {"stopped", "running", "fault"},
-    "force_sensor": {"fault"},
+    "force_sensor": {"fault", "taring"},
 }
 MEASURES = {"force": "force", "position": "length", "speed": "speed"}
 """What the values that polishd knows by name must measure."""
@@ -71,8 +71,8 @@ def _needs(profile: DeviceProfile) -> Iterator[Fault]:
             where = "registers" if profile.modbus else "asks"
             yield (where,), f"no value is called {name!r}, and every {_said(profile)} has one; add {what}"
     for name in orders:
-        if not getattr(profile.orders, name):
-            yield ("orders", name), f"is missing, and every {_said(profile)} needs it; add it: {name} = [...]"
+        if not getattr(profile.commands, name):
+            yield ("commands", name), f"is missing, and every {_said(profile)} needs it; add it: {name} = [...]"
     for state in states:
         if state not in {rule.state for rule in profile.states}:
             yield ("states",), f'nothing says when it is "{state}"; add [[states]] with state = "{state}"'
@@ -81,9 +81,9 @@ def _needs(profile: DeviceProfile) -> Iterator[Fault]:
 def _foreign(profile: DeviceProfile) -> Iterator[Fault]:
     """Orders and states of another kind of device."""
     orders, states = ORDERS[profile.kind], STATES[profile.kind]
-    for name in type(profile.orders).model_fields:
-        if getattr(profile.orders, name) and name not in orders:
-            yield ("orders", name), f"no {_said(profile)} is told that; known: {join_words(orders)}"
+    for name in type(profile.commands).model_fields:
+        if getattr(profile.commands, name) and name not in orders:
+            yield ("commands", name), f"no {_said(profile)} is told that; known: {join_words(orders)}"
     for at, rule in enumerate(profile.states):
         if rule.state not in states:
             yield ("states", at, "state"), f'no {_said(profile)} is "{rule.state}"; known: {join_words(states)}'
@@ -100,11 +100,11 @@ def _units(profile: DeviceProfile) -> Iterator[Fault]:
 
 def _sizes(profile: DeviceProfile) -> Iterator[Fault]:
     for name, register in profile.registers.items():
-        if profile.modbus and register.size > profile.modbus.most:
-            most = profile.modbus.most
+        if profile.modbus and register.size > profile.modbus.max_registers:
+            most = profile.modbus.max_registers
             yield (
                 ("registers", name),
-                f"fills {register.size} registers, and modbus.most is {most}; mend one of the two",
+                f"fills {register.size} registers, and modbus.max_registers is {most}; mend one of the two",
             )
         if register.address + register.size > 0x10000:
             yield ("registers", name, "address"), f"{register.size} registers from there end beyond 65535; mend it"
@@ -112,15 +112,15 @@ def _sizes(profile: DeviceProfile) -> Iterator[Fault]:
 
 def _orders(profile: DeviceProfile) -> Iterator[Fault]:
     for order in sorted(ORDERS[profile.kind]):
-        for step in getattr(profile.orders, order):
+        for step in getattr(profile.commands, order):
             try:
                 yield from _step(profile, order, step)
             except ValueError as error:
-                yield ("orders", order), str(error)
+                yield ("commands", order), str(error)
 
 
 def _step(profile: DeviceProfile, order: str, step: str) -> Iterator[Fault]:
-    key = ("orders", order)
+    key = ("commands", order)
     if not profile.modbus:
         if "asked" in slots_of(step) and order not in ASKED:
             yield key, "nothing is asked with this order; leave {asked} out"
@@ -166,8 +166,8 @@ def _fault_words(profile: DeviceProfile, faults: Faults) -> Iterator[Fault]:
         for number in getattr(faults, table):
             if not number.isdecimal():
                 yield ("faults", table, number), f"{number!r} is no number; write the worth of the bit, or the code"
-    if faults.clears and not profile.orders.clear and not profile.actuator:
-        yield ("faults", "clears"), "nothing says how a fault is taken back; add it: orders.clear = [...]"
+    if faults.clears and not profile.commands.clear and not profile.actuator:
+        yield ("faults", "clears"), "nothing says how a fault is taken back; add it: commands.clear = [...]"
 
 
 def _said(profile: DeviceProfile) -> str:

@@ -229,7 +229,7 @@ class ProcessSection(ContactKeys):
     removal_model: Text = "hertz_preston"
     """What a spot removes, by the name that a plugin gives it: `hertz_preston` computes it, `measured_tif` takes
     `tif`."""
-    learns: Text = "rate"
+    estimates: Text = "rate"
     """What a pass teaches: `rate`, the removal rate, or whatever the removal model learns by itself; `machine`, of
     polishd's own models, all that identification finds (docs/identification.md): its field over the part, the spot's
     place and width, compliance, seat."""
@@ -406,5 +406,5 @@ def tool_overlay(raw: Mapping[str, Any], source: TomlSource, name: str) -> tuple
             section, stands_for = ELSEWHERE.get(key, ("process", key))
             values.setdefault(section, {})[stands_for] = value
             written.append(((section, stands_for), ("tools", name, key)))
-    values.setdefault("memory", {})["tool"] = name
+    values.setdefault("estimates", {})["tool"] = name
     return values, replace(source, stands_for=tuple(written))

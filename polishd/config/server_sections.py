@@ -54,7 +54,7 @@ def _address(url: str) -> str:
 
 
 class ShopLinkSection(ConfigSection):
-    """The shop that this cell belongs to; `polishd shop link` tells it what happens here, and asks it for parts."""
+    """The shop that this cell belongs to; `polishd shop connect` tells it what happens here, and asks it for parts."""
 
     url: Annotated[Text, AfterValidator(_address)]
     """Its address: `https://HOST:PORT`; `http://` on this computer only."""
@@ -63,7 +63,7 @@ class ShopLinkSection(ConfigSection):
     name for which it was made is this cell's at the shop."""
     ca_file: Text | None = None
     """Certificates to trust instead of the system's, PEM: of a shop of the house."""
-    ahead: Annotated[int, Field(ge=0, le=100)] = 1
+    max_assigned: Annotated[int, Field(ge=0, le=100)] = 1
     """So many of the shop's parts are asked for until they wait in this cell's queue; 0: it asks for none. [1]"""
     every_s: Annotated[float, Field(ge=0.1, le=600)] = 2.0
     """How often it is told, and asked."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -77,7 +77,7 @@ class Plant(OpticKeys):
     """How much higher the part sits than all of that says, along its normal; negative: lower."""
     seat_tilt_deg: Pair = (0.0, 0.0)
     """And how it is tilted there, about its x and y."""
-    seat_empty: bool = False
+    part_missing: bool = False
     """No part lies in its ring: the tool finds nothing to press on. Maps show one all the same."""
     program_offset_mm: Vector = (0.0, 0.0, 0.0)
     """Where the program's frame truly lies on the part; `program.offset_mm` of the cell."""
@@ -114,7 +114,7 @@ class Truth(ConfigSection):
     """How far each stiffness of the robot is off its nominal value, either way, relative. [1]"""
     drift: ShareOrNone = 0.01
     """Amplitude of a slow sine of the removal rate, relative. [1]"""
-    worn: ShareOrNone = 0.0
+    tool_wear: ShareOrNone = 0.0
     """Share of its removal rate that the tool has lost. [1]"""
     drift_period_s: Positive = 3000.0
     """Period of that drift, process time; drawn within 20 % of it."""
@@ -124,9 +124,9 @@ class Truth(ConfigSection):
     """Correlation time of that scatter, process time."""
     map_noise_nm: NotNegative = 0.3
     """Scatter of each sample of a map."""
-    warm_nm: float = 0.0
+    thermal_nm: float = 0.0
     """How much higher the part's rim than its centre stands right after a pass, for it is warm."""
-    warm_s: Positive = 300.0
+    thermal_s: Positive = 300.0
     """Time in which that falls to 37 %, simulated clock."""
     accel_mm_s2: Positive = 1000.0
     """What the robot truly accelerates with."""
@@ -161,7 +161,17 @@ class SimContactSection(ContactKeys):
 # mypy: implicit-reexport
 
 
-__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "FaultSection", "SimConfig", "load_plant", "load_simulator"]
+__all__ = [
+    "FRAMES",
+    "MOTION",
+    "SEVEN",
+    "STATES",
+    "FaultSection",
+    "SimConfig",
+    "load_plant",
+    "load_simulator",
+    "require_simulated",
+]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
@@ -201,7 +211,7 @@ class SimRobotSection(ConfigSection):
 
     kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
     """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
-    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/handover.md)."""
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md)."""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
     28500 = 111 * 256 + 84 is the address 127.111.84.1. [1]"""
@@ -209,13 +219,13 @@ class SimRobotSection(ConfigSection):
     """Of universal_robots; 0: `port` + 1. [1]"""
     primary_port: Port = 0
     """Of universal_robots: the primary client interface; 0: `port` + 2. [1]"""
-    turns: Literal["tool", "table"] = "tool"
+    rotary_axes_carry: Literal["tool", "table"] = "tool"
     """Of linuxcnc, what A and C turn: the tool, or the part on a tilting rotary table (its ``xyzac-trt-kins``). [1]"""
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     report_ms: Positive = 20.0
     """Of such a PLC: how often it renews what it tells, wall time."""
-    reads_ahead: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    read_ahead_lines: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
     """It stops when it has heard nothing for so long, wall time."""
@@ -259,9 +269,9 @@ class SimActuatorSection(ConfigSection):
     """From engaging to the part."""
     lift_s: Positive = 4.0
     """From force off to its rest."""
-    cling: ShareOrNone = 0.5
+    stick_share: ShareOrNone = 0.5
     """Share of that in which the tool still rests on the part, ... [1]"""
-    rest_n: NotNegative = 0.1
+    resting_force_n: NotNegative = 0.1
     """... with its own weight."""
     unpowered: Literal["lifts", "stays"] = "lifts"
     """What its tool does where its process is killed, which is its power cut."""
@@ -271,9 +281,8 @@ class SimSpindleSection(ConfigSection):
     """The spindle drive."""
 
     kind: Literal["slcan", "socketcand", "profile", "profile_tcp"] = "slcan"
-    """How its CAN bus is reached: a serial adapter, or a daemon over TCP; or it speaks what a device profile says."""
-    drive: Literal["spindle_can", "cia402"] = "spindle_can"
-    """What it speaks on CAN: the cell's `spindle_can`, or `cia402_spindle`, whose ramps and watchdog the cell sets."""
+    """How the CAN bus of its CiA 402 drive is reached: a serial adapter, or a daemon over TCP. `profile` and
+    `profile_tcp` have the protocol of a device profile."""
     profile: Text = "profile.toml"
     """File of the device profile, for `profile` and `profile_tcp`."""
     unit: Annotated[int, Field(ge=0, le=247)] | None = None
@@ -287,11 +296,11 @@ class SimSpindleSection(ConfigSection):
     max_rpm: Annotated[int, Field(ge=1, le=200_000)] = 3000
     """Fastest that it turns; more is refused."""
     spin_s: Positive = 3.0
-    """From standstill to 1000 rpm, simulated clock."""
+    """From standstill to 1000 rpm with a profile, simulated clock. `cia402_spindle` sets the ramps of its drive."""
     stop_s: Positive = 0.5
-    """And back: its quick stop."""
+    """And back with a profile: its quick stop."""
     watchdog_s: Positive = 1.0
-    """Without a command for so long it stops by itself, wall time."""
+    """Time without a command after which a drive with a profile stops, wall time."""
 
 
 class SimInterferometerSection(ConfigSection):
@@ -337,11 +346,11 @@ class SimSignal(ConfigSection):
 
     value: float | bool
     """What it is: a number, or a state. [in its own unit]"""
-    then: float | bool | Literal["?"] | None = None
+    changes_to: float | bool | Literal["?"] | None = None
     """What it becomes; `"?"`: its transducer breaks. [in its own unit]"""
     after_s: NotNegative = 0.0
     """Seconds in contact after which it does; 0: only when the process is sent SIGUSR1."""
-    for_s: NotNegative = 0.0
+    duration_s: NotNegative = 0.0
     """For how long, wall time; 0: from then on."""
     noise: NotNegative = 0.0
     """Scatter of a number. [in its own unit]"""
@@ -370,11 +379,11 @@ class LoaderFaults(ConfigSection):
 
     wrong: Texts = ()
     """Parts in whose place it brings another, and says so."""
-    mistaken: Texts = ()
+    wrong_part_unnoticed: Texts = ()
     """Parts in whose place it brings another, and does not notice."""
-    drops: Texts = ()
+    dropped: Texts = ()
     """Parts that it drops on the way."""
-    jams: Texts = ()
+    jammed: Texts = ()
     """Parts over which it jams."""
 
 
@@ -414,13 +423,6 @@ class SimConfig(TomlDocument):
     fault: Annotated[tuple[FaultSection, ...], BeforeValidator(as_tuple)] = ()
     _not_simulated: Mapping[str, ConfigError] = PrivateAttr(default_factory=dict)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _has_new_names(cls, raw: Any) -> Any:
-        if isinstance(raw, Mapping) and "truth" in raw:
-            raise ValueError("truth: is called hidden_truth now. Rename the section here, in scenarios and in studies.")
-        return raw
-
     @model_validator(mode="after")
     def _fits(self) -> Self:
         radius_mm, tool_mm = self.plant.curvature_radius_mm, self.process.tool_radius_mm
@@ -448,8 +450,10 @@ class SimConfig(TomlDocument):
                 raise error
 
 
-def load_simulator(path: Path) -> SimConfig:
-    """Read sim.toml, and the cell that it names.
+def load_simulator(
+    path: Path, model_of: Callable[[Mapping[str, Any]], type[SimConfig]] = lambda _: SimConfig
+) -> SimConfig:
+    """Read sim.toml, and the cell that it names. ``model_of``: the model for the sections that there are.
 
     Raises:
         ConfigError: one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``, of either file.
@@ -458,10 +462,19 @@ def load_simulator(path: Path) -> SimConfig:
     if values is not None:
         add_devices(values)
         raw, source = _laid_over(raw, source, values)
-    made = SimConfig.of(raw, source)
+    made = model_of(raw).of(raw, source)
     made._path = path.absolute()
     made._not_simulated = {} if values is None else values.not_simulated
     return made
+
+
+def require_simulated(path: Path) -> None:
+    """ConfigError where a device of the cell that sim.toml names is not simulated as the cell has it."""
+    _, _, values = _read(path)
+    if values is not None:
+        add_devices(values)
+        for error in values.not_simulated.values():
+            raise error
 
 
 def load_plant(path: Path) -> tuple[dict[str, Any], TomlSource]:

@@ -183,26 +183,26 @@ def _add_instrument(values: CellValues) -> None:
 # How each device is reached: its protocol, its address on this computer, and times within those that the cell allows.
 
 CAN, PROFILE, LINE = ("slcan", "socketcand"), ("profile", "profile_tcp"), ("serial", "tcp")
-SIMULATED: Mapping[str, Mapping[str, tuple[str, str]]] = {
-    "robot": {
-        "robot_link": ("", "link"),
-        "linuxcnc": ("", "linuxcnc"),
-        "universal_robots": ("", "universal_robots"),
-        "handover": ("", "opcua"),
-    },
-    "actuator": {
-        "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),
-        "voice_coil_serial": ("serial", ""),
-        "cia402_actuator": CAN,
-        "actuator_profile": PROFILE,
-    },
-    "spindle": {"spindle_can": CAN, "cia402_spindle": CAN, "spindle_profile": PROFILE},
-    "metrology": {"watched_folder": ("", "")},
-    "loader": {"loader_line": LINE},
-    "force_sensor": {"force_sensor_line": LINE},
-    "monitor": {"monitor_line": LINE},
+KINDS: Mapping[str, tuple[str, str]] = {
+    "robot_link": ("", "link"),
+    "linuxcnc": ("", "linuxcnc"),
+    "universal_robots": ("", "universal_robots"),
+    "plc_robot": ("", "opcua"),
+    "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),
+    "voice_coil_serial": ("serial", ""),
+    "cia402_actuator": CAN,
+    "actuator_profile": PROFILE,
+    "cia402_spindle": CAN,
+    "spindle_profile": PROFILE,
+    "watched_folder": ("", ""),
+    "loader_line": LINE,
+    "force_sensor_profile": LINE,
+    "monitor_line": LINE,
 }
-"""By port the device types of a cell that are simulated, with their `kind` on a serial line and on TCP; empty: none."""
+"""By device type the `kind` of its simulated device on a serial line and on TCP; empty: none. A type that is not here
+needs its `kind` in sim.toml: `polishd rehearse` writes it where the type names its simulated device."""
+SENSOR_PROFILE = "force_sensor_line"
+"""The profile that the simulated force sensor has."""
 
 
 def add_devices(values: CellValues) -> None:
@@ -225,10 +225,10 @@ def add_devices(values: CellValues) -> None:
         if "kind" in values.given_keys(section):
             continue
         try:
-            if kind not in SIMULATED[port]:
+            if kind not in KINDS:
                 raise _unlike(values, f"{device}.type", f"no simulated {port} is a {kind!r}")
             if port != "metrology":
-                _add_link(values, device, *SIMULATED[port][kind])
+                _add_link(values, device, *KINDS[kind])
             add[port](values, device, kind)
         except ConfigError as error:
             values.not_simulated[section] = error
@@ -236,7 +236,7 @@ def add_devices(values: CellValues) -> None:
 
 def _unlike(values: CellValues, key: str, problem: str) -> ConfigError:
     return values.cell.error(
-        key, f"{problem}, so it is not simulated. Write a rehearsal: polishd sim --from {values.cell.path}"
+        key, f"{problem}, so it is not simulated. Write a rehearsal: polishd rehearse {values.cell.path}"
     )
 
 
@@ -265,7 +265,7 @@ def _add_link(values: CellValues, device: str, serial: str, tcp: str) -> None:
 
 def _add_robot(values: CellValues, device: str, kind: str) -> None:
     options = values.options(device)
-    if kind == "handover":
+    if kind == "plc_robot":
         profile = load_controller_profile(str(options.get("profile")), values.cell.base_dir)
         values.put("robot", "kind", profile.link, f"{device}.profile")
         values.put("robot", "report_ms", profile.report_ms, f"{device}.profile")
@@ -309,8 +309,6 @@ def _add_spindle(values: CellValues, device: str, kind: str) -> None:
     if kind == "spindle_profile":
         table = _add_profile(values, device).spindle
         options = {**(table.model_dump() if table is not None else {}), **options}
-    else:
-        values.put("spindle", "drive", "cia402" if kind == "cia402_spindle" else kind, f"{device}.type")
     for key in ("unit", "pole_pairs", "node", "watchdog_s"):
         values.put("spindle", key, options.get(key), f"{device}.{key}")
     most_rpm = values.number(device, "max_rpm", options.get("max_rpm", USUAL_RPM))
@@ -333,6 +331,8 @@ def _add_loader(values: CellValues, device: str, _: str) -> None:
 
 
 def _add_force_sensor(values: CellValues, device: str, _: str) -> None:
+    if (profile := values.options(device).get("profile")) != SENSOR_PROFILE:
+        raise _unlike(values, f"{device}.profile", f"no simulated force sensor has the profile {profile!r}")
     delay_s = values.number(device, "delay_s", SensorTimes().delay_s)
     values.put("force_sensor", "latency_s", min(FILTER_S, delay_s / 2), f"{device}.delay_s")
     values.put("force_sensor", "range_n", max(RANGE_N, 3.0 * values.cell.process.force_n), "process.force_n")
@@ -347,7 +347,7 @@ def _add_signals(values: CellValues, _device: str, _kind: str) -> None:
 
 def inside(signal: SignalSection) -> float | bool:
     """A value that is as it should be before contact, in contact and at a start."""
-    given = (signal.before, signal.in_contact, signal.on_order)
+    given = (signal.before, signal.in_contact, signal.on_start)
     bounds: list[BoundsSection] = [one for one in given if one is not None]
     states = [one.state for one in bounds if one.state is not None]
     if states:

@@ -60,7 +60,7 @@ class FaultSection(ConfigSection):
     """Begins again and again after so long, wall time."""
     rate: Annotated[float, Field(gt=0, le=1)] | None = None
     """Share of frames that suffer: all along, or from `at_s` or `contact_s` on. [1]"""
-    for_s: NotNegative = 0.0
+    duration_s: NotNegative = 0.0
     """How long it goes on, wall time; 0: one frame, or once; for a rate, and for what lasts, from then on."""
     by_s: NotNegative = 0.0
     """How late: `delay` (those behind wait), `late_reply` (those behind pass it); pause between bytes: `dribble`."""
@@ -98,8 +98,8 @@ class FaultSection(ConfigSection):
             yield begins[1], f"it cannot begin by {' and by '.join(begins)}; write a [[fault]] for each"
         if self.rate is not None and set(begins) & {"frame", "every_s"}:
             yield "rate", f"does not go with {begins[0]}; give at_s or contact_s beside it, or nothing"
-        if self.what == "reboot" and self.for_s:
-            yield "for_s", "means nothing for reboot: it takes the time that it takes"
+        if self.what == "reboot" and self.duration_s:
+            yield "duration_s", "means nothing for reboot: it takes the time that it takes"
 
     def _what(self) -> Iterator[tuple[str, str]]:
         """The same of the others."""

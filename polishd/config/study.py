@@ -32,7 +32,7 @@ from polishd.model.outline import Outline
 
 Taken = Literal["rate", "spot", "touch"]
 """What a loop takes over from a witness part: a spot's volume rate alone, or its shape with it, or all that a first
-touch teaches (`polishd calibrate cell`)."""
+touch teaches (`polishd calibrate first-touch`)."""
 Poses = tuple[tuple[float, float, float], ...]
 """(angle_deg, x_mm, y_mm) of the part in maps: counter-clockwise as displayed, then further right and up."""
 _POSES: TypeAdapter[list[tuple[float] | tuple[float, float, float]]] = TypeAdapter(
@@ -71,10 +71,10 @@ class LoopStudy(TomlDocument):
     """By section of SIM.toml, the keys that differ in all scenarios: `[plant_with.plant]`."""
     scenarios: Texts = ()
     """Files of scenarios, or folders of them; none: the plant as its file has it."""
-    loops: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
+    controllers: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
     """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
     or `"spot"`: what it begins with of a spot that the same machine has polished on another part; `"touch"`: it
-    begins with what the first touch of `polishd calibrate cell` has taught there. `poses`: how the part lies
+    begins with what the first touch of `polishd calibrate first-touch` has taught there. `poses`: how the part lies
     (angle_deg, x_mm, y_mm) in maps before the first pass, which tell the instrument's own error. `learns = false`:
     what its passes teach is judged, and not taken over."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
@@ -92,20 +92,20 @@ class LoopStudy(TomlDocument):
 
     def loop(self, name: str) -> tuple[dict[str, Any], Taken | None, Poses, bool]:
         """What it has otherwise than the cell's file by dotted key, its witness, poses and ``learns``; ConfigError."""
-        keys = {**self.cell_with, **self.loops[name]}
+        keys = {**self.cell_with, **self.controllers[name]}
         learns = keys.pop("learns", True)
         if not isinstance(learns, bool):
-            raise self.error(f"loops.{name}.learns", f"must be true or false, not {learns!r}; mend it")
+            raise self.error(f"controllers.{name}.learns", f"must be true or false, not {learns!r}; mend it")
         witness = keys.pop("witness", None)
         if witness not in {None, *get_args(Taken)}:
             raise self.error(
-                f"loops.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate", "spot" or "touch"'
+                f"controllers.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate", "spot" or "touch"'
             )
         try:
             poses = _POSES.validate_python(keys.pop("poses", []))
         except ValidationError:
             wanted = "a list of [angle_deg, x_mm, y_mm]: the last two left out, the part is not shifted"
-            raise self.error(f"loops.{name}.poses", f"is not {wanted}") from None
+            raise self.error(f"controllers.{name}.poses", f"is not {wanted}") from None
         return keys, witness, tuple((angle, *(shift or (0.0, 0.0))) for angle, *shift in poses), learns
 
     def file_of(self, key: Literal["cell", "plant"]) -> Path:
@@ -177,11 +177,11 @@ class SolveSection(ConfigSection):
 
     regularisation_nm2_s2: NotNegative = 1e-9
     """Of eq. 50, its P: weight of the squared dwell."""
-    unreached: ShareOrNone = 0.005
+    unreachable: ShareOrNone = 0.005
     """Share of the samples for which the mean removal may be too little. [1]"""
     kkt_tolerance: Share = 1e-5
     """KKT residual to stop at. [1]"""
-    within_s: Seconds = 60.0
+    cpu_limit_s: Seconds = 60.0
     """CPU seconds for each solve; the best so far is taken."""
 
 
@@ -213,7 +213,7 @@ class PartStudy(StudyFile, PartDocument):
 
     def free_rim(self) -> Outline | None:
         """The part's outline where its rim is free; None: the part sits in a flush ring."""
-        return self.outline() if self.part.rim == "free" else None
+        return self.outline() if self.part.free_edge else None
 
 
 class CorrectionsStudy(PartStudy):
@@ -228,8 +228,8 @@ class CorrectionsStudy(PartStudy):
     def without_use(self) -> Iterator[tuple[str, str]]:
         """Of what is said of a map where the surface is drawn, the nominal form."""
         yield from super().without_use()
-        if self.surface.file is None and self.part.nominal is not None:
-            yield "part.nominal", "a drawn surface is the error already, less the form wanted"
+        if self.surface.file is None and self.part.form is not None:
+            yield "part.form", "a drawn surface is the error already, less the form wanted"
 
 
 class PassesStudy(PartStudy):
@@ -244,7 +244,7 @@ class PassesStudy(PartStudy):
     def without_use(self) -> Iterator[tuple[str, str]]:
         """What is said of maps."""
         yield from super().without_use()
-        for key in ("nominal", "alignment"):
+        for key in ("form", "alignment"):
             if key in self.part.model_fields_set:
                 yield f"part.{key}", "this study has no map"
 

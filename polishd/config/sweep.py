@@ -102,7 +102,7 @@ class GroupSection(ConfigSection):
     """How many of `drawn` and `latin`. [1]"""
     over: Annotated[dict[str, AxisSection], Field(min_length=1)]
     """By dotted key of the study, as `"process.force_n"`; in a study of loops also `"cell_with.process.force_n"`,
-    `"plant_with.hidden_truth.rate"` and `"loops.NAME.process.correction"`."""
+    `"plant_with.hidden_truth.rate"` and `"controllers.NAME.process.correction"`."""
 
     @model_validator(mode="after")
     def _draws_where_drawn(self) -> Self:
@@ -128,7 +128,7 @@ class SweepSection(ConfigSection):
 MOST_POINTS = 100_000
 MOST_SAID = 10
 """Problems that are told at once; the others are likely alike."""
-FIXED = ("kind", "title", "sweep", "seeds", "scenarios", "loops")
+FIXED = ("kind", "title", "sweep", "seeds", "scenarios", "controllers")
 """Keys that say what all cases are: no case has its own."""
 Point = Mapping[str, Any]
 """By dotted key of the study, the value that it has there."""
@@ -204,7 +204,7 @@ def location_of(key: str) -> Location:
     root, *rest = key.split(".")
     if root == "cell_with" and rest:
         return (root, ".".join(rest))
-    if root == "loops" and len(rest) > 1:
+    if root == "controllers" and len(rest) > 1:
         return (root, rest[0], ".".join(rest[1:]))
     return (root, *rest)
 
@@ -223,7 +223,7 @@ def put(raw: dict[str, Any], key: str, value: Any) -> None:
 def _places(sweep: SweepSection, raw: Mapping[str, Any], source: TomlSource) -> dict[str, Location]:
     """Where each swept key is written. ConfigError for one that is swept twice, or that no case can have."""
     places: dict[str, Location] = {}
-    loops = list(raw.get("loops", ())) if isinstance(raw.get("loops", {}), Mapping) else []
+    loops = list(raw.get("controllers", ())) if isinstance(raw.get("controllers", {}), Mapping) else []
     for number, group in enumerate(sweep.group):
         for key in group.over:
             place = ("sweep", "group", number, "over", key)
@@ -231,7 +231,7 @@ def _places(sweep: SweepSection, raw: Mapping[str, Any], source: TomlSource) -> 
                 raise ConfigError(source.error(place, "is swept by another group, too; keep one of both"))
             if key in FIXED or not all(key.split(".")):
                 raise ConfigError(source.error(place, "no case has its own; sweep a key below it, or another"))
-            if key.startswith("loops.") and (name := key.split(".")[1]) not in loops:
+            if key.startswith("controllers.") and (name := key.split(".")[1]) not in loops:
                 problem = f"the study has no loop {name!r}, only {', '.join(loops) or 'none'}; mend the name"
                 raise ConfigError(source.error(place, problem))
             places[key] = place
@@ -326,7 +326,7 @@ def _points(sweep: SweepSection, values: _Values) -> Iterator[Point]:
 def _folders(path: Path, raw: Mapping[str, Any]) -> dict[str, Path]:
     here = path.absolute().parent
     cell, plant = (here / str(raw.get(name, "")) for name in ("cell", "plant"))
-    return {"": here, "cell_with": cell.parent, "loops": cell.parent, "plant_with": plant.parent}
+    return {"": here, "cell_with": cell.parent, "controllers": cell.parent, "plant_with": plant.parent}
 
 
 def _spread(axis: AxisSection, even: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Self, get_args, get_origin
 from pydantic import BaseModel, PrivateAttr, Tag, ValidationError
 
 from polishd.config.fields import ConfigSection
+from polishd.config.renamed_keys import renamed_key
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.util.files import toml_text
 
@@ -220,6 +221,8 @@ def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseMod
         return f"{message[:1].lower()}{message[1:]}; mend it"
     said = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)
     if fault == "extra_forbidden":
+        if new := renamed_key(_dotted(key)):
+            return f"was renamed: write {new}"
         known = owner.model_fields if owner else ()
         return f"{said}{did_you_mean(str(key[-1]), known)} Known here: {join_words(known)}"
     if fault == "literal_error":

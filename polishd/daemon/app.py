@@ -8,8 +8,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +21,6 @@ from polishd.daemon.assembly import (
     JobMaker,
     build_cell,
     build_notifiers,
-    figures,
     make_job,
     read_recipes,
     require_accepted_by_robot,
@@ -33,105 +32,30 @@ from polishd.daemon.cell.recorder import place, recording_to
 from polishd.daemon.contact.contact_record import require_stall_depth
 from polishd.daemon.damaged_journal import DamagedCell, hold_damaged
 from polishd.daemon.job.resume_checks import require_same, terms_of
-from polishd.daemon.job_runner import QueueDaemon, QueueRunner, resume_open_job
+from polishd.daemon.job_runner import JobRunner, run_until_finished
+from polishd.daemon.job_source import QueuedJobs, SingleJob
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.notifications.notifications import notifying
 from polishd.daemon.notifications.sender import Notifier
 from polishd.daemon.queue.queue import Queue
 from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.runtime.compute import Compute
-from polishd.daemon.runtime.events import record_exit, recording_exit, utc_now
+from polishd.daemon.runtime.events import record_exit, recording_exit
 from polishd.daemon.runtime.exit_record import locked, unusable
 from polishd.daemon.runtime.process import SystemdNotifier, logging_to, loop_first
 from polishd.daemon.socket.server import serving
-from polishd.daemon.state_machine import Daemon, run_until_finished
 from polishd.model.errors import ConfigError, JournalDamage, PolishdError
-from polishd.model.events import Event, QueueStopped
+from polishd.model.events import Event
 from polishd.model.program import Program
-from polishd.model.states import CellSafety, DaemonState, Outcome
+from polishd.model.states import DaemonState
 from polishd.pipeline.acceptance import require_acceptable
 from polishd.pipeline.build_recipe import instrument_of, require_commissioned
 from polishd.pipeline.precheck import require_fit
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.run_folder import RunFolder
 from polishd.pipeline.steps import read_program
 from polishd.plugin_loader import Hooks
 
-# ``polishd run --queue``: the daemon of one cell's queue, from the journal's word to its summary.
-
 log = logging.getLogger(__name__)
-
-Telling = Callable[[Daemon], AbstractContextManager[None]]
-
-
-async def run_queue(
-    config: CellConfig,
-    hooks: Hooks,
-    cell: Cell,
-    notifiers: Sequence[Notifier],
-    journal: Journal,
-    *,
-    show: Callable[[Event], None],
-    hears: Callable[[Event], None],
-    telling: Telling,
-    holds: bool,
-    until_empty: bool,
-) -> dict[str, Any]:
-    """Work the queue; its summary. PolishdError where the job that is under way cannot go on: nothing was opened."""
-    async with Compute() as compute:
-        shift = QueueRunner(journal, JobMaker(config, hooks, cell, compute))
-        keep = recording_exit(config.state_dir, lambda: shift.folder.path if shift.folder else None, queue=True)
-        sinks, nothing = (shift.record, keep, hears), {"job": "", "part": "", "run_dir": ""}
-        async with notifying(config, notifiers, nothing, (hooks.on_event, show), sinks) as bus:
-            shift.bus = bus
-            await resume_open_job(shift)
-            desk = QueueRequests(config, shift.queue, shift.added, bus.publish)
-            daemon = QueueDaemon(cell, shift, desk, bus, holds=holds, until_empty=until_empty)
-            with telling(daemon):
-                return await _serve_queue(config, daemon, shift)
-
-
-async def _serve_queue(config: CellConfig, daemon: QueueDaemon, shift: QueueRunner) -> dict[str, Any]:
-    """Answer the socket until the queue is left; the cell is safe then."""
-    started = utc_now()
-    async with serving(config.state_dir, daemon.handlers, daemon.bus):
-        outcome, failure = await run_until_finished(daemon)
-        last = _last_words(daemon, shift, outcome, failure)
-        record_exit(config.state_dir, last)
-        with suppress(PolishdError):  # of a lost journal, which has been told
-            await _leave(daemon, shift, last, failed=failure is not None)
-            await daemon.become(DaemonState.FINISHED, last["state"])
-            daemon.job.journal.flush()
-    outcome_word = last.pop("state")
-    return {"outcome": outcome_word, "jobs": dict(shift.ended), "started": started, "ended": utc_now(), **last}
-
-
-async def _leave(daemon: QueueDaemon, shift: QueueRunner, last: Mapping[str, Any], *, failed: bool) -> None:
-    """A job that stays open has a summary and a report all the same; who ended the queue, or that it is empty, is told.
-
-    Of a failure that was done already.
-    """
-    if shift.entry is not None:
-        await shift.leave({**last, **figures(shift.job), "outcome": last["state"], "job": shift.entry.name})
-    if not failed:
-        jobs = ", ".join(f"{count} {how}" for how, count in shift.ended.items())
-        outcome, reason, standing = str(last["state"]), str(last["reason"]), CellSafety.of(last)
-        daemon.bus.publish(QueueStopped(outcome=outcome, reason=reason, jobs=jobs or "none", standing=standing))
-
-
-def _last_words(daemon: QueueDaemon, shift: QueueRunner, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
-    """As of one job; one that ended between jobs is no failure, unless a part was not accepted."""
-    last: dict[str, Any] = daemon.last_words(outcome, failure)
-    folder: Mapping[str, Any] = {"run_dir": str(shift.folder.path)} if shift.folder else {}
-    stopped = outcome is Outcome.STOPPED
-    if failure is None and shift.entry is None and (stopped or shift.first() is None):
-        last |= {"next": GOES_ON if stopped else EMPTY, "exit_code": int(set(shift.ended) - {"accepted"} != set())}
-        last |= {} if stopped else {"state": "empty"}
-    return {**last, **folder}
-
-
-EMPTY = "the queue is empty: polishd job add CELL.toml JOB.toml adds to it, polishd run CELL.toml --queue goes on"
-GOES_ON = "no job was under way: polishd run CELL.toml --queue goes on with those that wait; held, if it was held"
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +80,7 @@ class ShutdownRequest:
 
     supervisor: SystemdNotifier
     asked: bool = False
-    daemons: list[Daemon | DamagedCell] = field(default_factory=list)
+    daemons: list[JobRunner | DamagedCell] = field(default_factory=list)
 
     def ask(self) -> None:
         """Stop all."""
@@ -166,7 +90,7 @@ class ShutdownRequest:
             daemon.stop()
 
     @contextmanager
-    def telling(self, daemon: Daemon | DamagedCell) -> Iterator[None]:
+    def telling(self, daemon: JobRunner | DamagedCell) -> Iterator[None]:
         """That one is to be stopped, too."""
         self.daemons.append(daemon)
         if self.asked:
@@ -307,59 +231,43 @@ async def _hold(ready: _Ready, stopping: ShutdownRequest, damage: JournalDamage)
 
 
 async def _run_job(ready: _Ready, journal: Journal, stopping: ShutdownRequest, *, holds: bool) -> dict[str, Any]:
+    """Work the cell's jobs; the summary. PolishdError where a job under way cannot go on: nothing was opened."""
+    config, hooks, run = ready.run.config, ready.run.hooks, ready.run
+    async with Compute() as compute:
+        jobs, known = _jobs(ready, journal, compute)
+        keep = recording_exit(config.state_dir, jobs.run_dir, queue=jobs.of_queue)
+        sinks = (jobs.record, keep, stopping.supervisor.hears(_name(ready)))
+        async with notifying(config, ready.notifiers, known, (hooks.on_event, run.show), sinks) as bus:
+            jobs.bus = bus
+            await jobs.resume()
+            requests = QueueRequests(config, jobs.queue, jobs.added, bus.publish)
+            runner = JobRunner(ready.cell, jobs, requests, bus, holds=holds, until_empty=run.until_empty)
+            with stopping.telling(runner):
+                return await _serve(config.state_dir, runner)
+
+
+def _jobs(ready: _Ready, journal: Journal, compute: Compute) -> tuple[SingleJob | QueuedJobs, dict[str, str]]:
+    """Where the jobs come from, and what notifications name of them."""
     config, hooks = ready.run.config, ready.run.hooks
     if ready.work is None:
-        return await run_queue(
-            config,
-            hooks,
-            ready.cell,
-            ready.notifiers,
-            journal,
-            show=ready.run.show,
-            hears=stopping.supervisor.hears(_name(ready)),
-            telling=stopping.telling,
-            holds=holds,
-            until_empty=ready.run.until_empty,
-        )
+        make = JobMaker(config, hooks, ready.cell, compute)
+        return QueuedJobs(journal, make), {"job": "", "part": "", "run_dir": ""}
     folder = run_folder(config, journal)
-    kept = recording_exit(config.state_dir, lambda: folder.path), stopping.supervisor.hears(_name(ready))
-    sinks = (journal.record_event, *kept)
-    known = {"job": config.job.id, "part": config.part.id, "run_dir": str(folder.path)}
-    listeners = (hooks.on_event, ready.run.show)
-    async with notifying(config, ready.notifiers, known, listeners, sinks) as bus, Compute() as compute:
-        job = make_job(config, hooks, *ready.work, journal=journal, folder=folder, compute=compute, publish=bus.publish)
-        await job.load()
-        daemon = Daemon(ready.cell, job, bus, holds=holds)
-        with stopping.telling(daemon):
-            return await _serve(config, daemon, folder)
+    jobs = SingleJob(journal, folder)
+    jobs.job = make_job(config, hooks, *ready.work, journal=journal, folder=folder, compute=compute, publish=jobs.tell)
+    return jobs, {"job": config.job.id, "part": config.part.id, "run_dir": str(folder.path)}
 
 
-async def _serve(config: CellConfig, daemon: Daemon, folder: RunFolder) -> dict[str, Any]:
-    """Answer the socket until the job ends; leave the cell safe, and a summary in the run folder."""
-    started = utc_now()
-    desk = QueueRequests(config, Queue(daemon.job.journal.store), tell=daemon.bus.publish)  # the queue waits meanwhile
-    async with serving(config.state_dir, {**desk.handlers, **daemon.handlers}, daemon.bus):
-        outcome, failure = await run_until_finished(daemon)
-        last = daemon.last_words(outcome, failure)
-        record_exit(config.state_dir, {**last, "run_dir": str(folder.path)})
-        summary = {
-            "outcome": last.pop("state"),
-            "job": config.job.id,
-            **figures(daemon.job),
-            "run_dir": str(folder.path),
-            "started": started,
-            "ended": utc_now(),
-            **last,
-        }
-        try:
-            await daemon.finish(outcome, folder, summary)
-        except (PolishdError, OSError) as error:
-            log.exception("the run folder is not whole")
-            summary["notes"] = [*summary["notes"], f"{folder.path} is not whole: {error}"]
-            summary["exit_code"] = summary["exit_code"] or getattr(error, "exit_code", 1)
-        with suppress(PolishdError):  # of a lost journal, which has been told
-            await daemon.become(DaemonState.FINISHED, summary["outcome"])
-            daemon.job.journal.flush()
+async def _serve(state_dir: Path, runner: JobRunner) -> dict[str, Any]:
+    """Answer the socket until the runner ends; the cell is safe then, and the run folder has its summary."""
+    async with serving(state_dir, runner.handlers, runner.bus):
+        outcome, failure = await run_until_finished(runner)
+        last = runner.last_words(outcome, failure)
+        record_exit(state_dir, last)
+        summary = await runner.jobs.close(last, failed=failure is not None)
+        with suppress(PolishdError):  # the journal is lost, and that was published
+            await runner.become(DaemonState.FINISHED, summary["outcome"])
+            runner.job.journal.flush()
     return summary
 
 
@@ -371,7 +279,7 @@ def _journal(config: CellConfig, program: Program) -> Journal:
         if (other := Queue(cell.store).under_way()) is not None:
             raise ConfigError(
                 f"{config.state_dir}: the job {other.name!r} of the queue is under way; go on with it: polishd run "
-                f"{config.path} --queue; or put it aside: polishd job remove {config.path} {other.name}"
+                f"{config.path} --queue; or put it aside: polishd queue remove {config.path} {other.name}"
             )
         journal = cell.of_job(config.job.id, config.part.id, terms)
         require_same(config, terms, journal)

@@ -96,7 +96,7 @@ def build_notifiers(config: CellConfig, hooks: Hooks) -> list[Notifier]:
             send = kind.build(options, config.base_dir)
             if not callable(send):
                 raise TypeError(f"{type(send).__name__} cannot be called")
-        found.append(Notifier(name, section.type, Severity(section.severity), section.repeat_s, send))
+        found.append(Notifier(name, section.type, Severity(section.severity), section.remind_after_s, send))
     return found
 
 
@@ -141,8 +141,8 @@ def require_time_limits(config: CellConfig, cell: Cell) -> tuple[ActionTimeLimit
     graces: dict[str, float] = {}
     if cell.force_sensor is not None:
         contact = contact_limits(config)
-        graces = {"apart_s": contact.apart_s, "force_s": contact.grace_s}
-    limits = cell.limits.chain(config.job.lookahead_s, **graces)
+        graces = {"apart_s": contact.apart_s, "force_s": contact.alarm_delay_s}
+    limits = cell.limits.chain(config.job.stream_ahead_s, **graces)
     chain = tuple(replace(limit, key=_of_role(cell, limit.key)) for limit in limits)
     tools = {name: cast(ForceActuator, cell.devices[name]).times for name in cell.at("actuator")}
     unpowered = [
@@ -184,12 +184,14 @@ def contact_limits(config: CellConfig) -> ContactLimits:
     """What is watched in contact."""
     sensor = config.devices.get(config.used.get("force_sensor", ""))
     robot = config.devices[config.used["robot"]]
-    apart = (sensor.band_n, sensor.grace_s) if isinstance(sensor, ForceSensorSection) else (math.inf, 0.0)
+    apart = (
+        (sensor.max_difference_n, sensor.alarm_delay_s) if isinstance(sensor, ForceSensorSection) else (math.inf, 0.0)
+    )
     return ContactLimits(
         force_n=config.process.force_n,
         rpm=config.process.rpm,
         force_band=config.limits.force_band,
-        grace_s=config.limits.force_grace_s,
+        alarm_delay_s=config.limits.force_alarm_delay_s,
         force_max_n=config.process.most_force_n,
         apart_n=apart[0],
         apart_s=apart[1],
@@ -261,7 +263,7 @@ def make_job(
         publish=publish,
         check_plan=hooks.check_plan,
         max_cycles=config.job.max_cycles,
-        lookahead_s=config.job.lookahead_s,
+        stream_ahead_s=config.job.stream_ahead_s,
     )
 
 

@@ -40,7 +40,7 @@ from polishd.model.devices import DeviceIdentity, port_of
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.pipeline import disk_space, part_handling, precheck, steps
 from polishd.pipeline.acceptance import acceptance_words
-from polishd.pipeline.build_recipe import make_recipes, why_not_commissioned
+from polishd.pipeline.build_recipe import make_recipes, uncommissioned_reason
 from polishd.pipeline.precheck import require_fit
 from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import Hooks, hooks_of_job
@@ -163,8 +163,8 @@ def _seat(recipe: Recipe, hooks: Hooks) -> str:
         )
         return f"{refused}nobody proves it: the cell has no [touch_off]"
     part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
-    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.places_mm + 0.0)
-    return f"proved with {asked.force_n:g} N at {places}: at most {asked.most_off_mm:g} mm off"
+    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.points_mm + 0.0)
+    return f"proved with {asked.force_n:g} N at {places}: at most {asked.max_offset_mm:g} mm off"
 
 
 def _force(cell: Cell, limits: ContactLimits) -> str:
@@ -193,7 +193,7 @@ def _lie(config: CellConfig, recipe: Recipe, removal_nm: float) -> str:
 def _instrument(config: CellConfig, recipe: Recipe) -> str:
     instrument = recipe.instrument
     if instrument is None or instrument.commissioned is None:
-        return f"run will refuse: {why_not_commissioned(config)}"
+        return f"run will refuse: {uncommissioned_reason(config)}"
     record = instrument.commissioned
     system = "" if recipe.system is None else f"; its system map is off each map: {recipe.system.surface.sha256[:12]}"
     return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}{system}"

@@ -81,7 +81,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
                     await job.cut_off(cycle)
                 raise
             await job.end_pass(cycle)
-    return passes_used(job.judging.recipe).outcome
+    return passes_used(job.recipe).outcome
 
 
 def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncContextManager[Stream]:
@@ -91,7 +91,7 @@ def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncCo
         plan,
         cell.robot,
         cell.clock,
-        job.lookahead_s,
+        job.stream_ahead_s,
         least_s=cell.limits.buffer_s,
         heard=cell.robot_told,
         ended=cell.ended,

@@ -78,7 +78,7 @@ class DamagedCell:
 
     async def _live(self) -> Mapping[str, Any]:
         told = dict.fromkeys(("force", "speed", "sensed", "robot"))
-        return {**self._facts(), "pressing": False, "leaving": "", "approval": "", "told": told, "ages_s": {}}
+        return {**self._facts(), "pressing": False, "leaving": "", "approval": "", "readings": told, "ages_s": {}}
 
     async def _stay(self, reason: str = "", by: str = "") -> Mapping[str, Any]:
         log.info("held already, by the damage of the journal; %s says: %s", by or "somebody", reason)

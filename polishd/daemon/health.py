@@ -252,7 +252,7 @@ async def _live(cell: Cell, health: Health, standing: Callable[[], Mapping[str, 
         "pressing": cell.pressing,
         "leaving": cell.leaving if cell.pressing else "",
         "approval": cell.approval.wanted,
-        "told": cell.live.facts(),
+        "readings": cell.live.facts(),
         "ages_s": health.ages_s(),
         **health_snapshot(cell, health),
     }

@@ -1,288 +1,304 @@
-"""The daemon of a queue: job after job on a cell that is opened once, by the same table of states."""
+"""The daemon of one cell: it works job after job, and an operator may hold, resume or stop it.
+
+It goes from state to state by the table in ``state_machine``. The one job of the cell's own file is a queue of one.
+Hold, stop, SIGTERM and every error leave contact in the same order (``safety.make_safe``). After an interruption
+nothing moves until ``resume``. An error that an operator can mend holds the cell, any other one ends the daemon
+(docs/cycle.md).
+"""
 
 from __future__ import annotations
 
 import asyncio
 import gc
 import logging
-from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import replace
-from typing import Any
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, TypeVar, cast
 
 from polishd.daemon.assembly import NoJob, figures
 from polishd.daemon.cell.cell import Cell
+from polishd.daemon.cell.readiness import monitoring_signals
+from polishd.daemon.commands import OperatorCommand, OperatorCommandQueue, run_unless_commanded
 from polishd.daemon.contact.interruption import settle_interrupted_pass
 from polishd.daemon.contact.safety import make_safe
+from polishd.daemon.cycle import polish
+from polishd.daemon.health import Health, health_snapshot, status_snapshot
 from polishd.daemon.job.job import Job
 from polishd.daemon.job.part_handling import require_clear
-from polishd.daemon.journal.journal import Journal, over_row
-from polishd.daemon.queue.queue import BY_A_PERSON, JobResult, Queue, QueueEntry, judge
-from polishd.daemon.queue.requests import QueueRequests, ShopAssignments
-from polishd.daemon.runtime.events import EventBus, utc_now
+from polishd.daemon.job_source import QueuedJobs, SingleJob
+from polishd.daemon.queue.queue import BY_A_PERSON, JobResult, QueueEntry
+from polishd.daemon.queue.requests import QueueRequests
+from polishd.daemon.runtime.events import EventBus, causes, killed_safety, safety_of
+from polishd.daemon.runtime.exit_record import next_action
+from polishd.daemon.runtime.memory import named
 from polishd.daemon.socket.server import Handler
-from polishd.daemon.state_machine import Daemon, OperatorCommand, StateResult, run_unless_commanded
+from polishd.daemon.state_machine import ORDERS, StateEvent, following, obeyed
 from polishd.interfaces import PartLoader
 from polishd.model import events
-from polishd.model.errors import DeviceFault, DeviceRefused, PolishdError, SignalFault, ToolStop, WrongPart
-from polishd.model.events import Event
-from polishd.model.states import DaemonState, Outcome, StateEvent
-from polishd.pipeline.run_folder import RunFolder
-
-# The jobs of a queue on one cell, one at a time: begun, and ended with their verdict.
+from polishd.model.devices import SignalLimits
+from polishd.model.errors import (
+    DeviceFault,
+    DeviceRefused,
+    HostFault,
+    PolishdError,
+    SafetyStop,
+    SignalFault,
+    ToolStop,
+    WrongPart,
+)
+from polishd.model.states import EXIT_CODES, DaemonState, Outcome
 
 log = logging.getLogger(__name__)
 
-Begin = Callable[[QueueEntry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
-"""Makes an entry's job ready, journals it as under way, and makes its run folder; see ``job_maker.JobMaker``."""
+_T = TypeVar("_T")
 
-
-class QueueRunner:
-    """What the daemon of a queue knows of its jobs; nothing in it grows with their number."""
-
-    def __init__(self, journal: Journal, make: Begin) -> None:
-        """``journal`` is that of the cell, between jobs."""
-        self.queue = Queue(journal.store)
-        self.claims = ShopAssignments(self.queue, self.added)
-        """What a shop has said of the parts that it gave to this cell."""
-        self.ended: Counter[str] = Counter()
-        """How many jobs ended so, in this run of the daemon."""
-        self.entry: QueueEntry | None = None
-        """The job that is under way in this run."""
-        self.job: Job | NoJob = NoJob(journal)
-        self.folder: RunFolder | None = None
-        self.bus: EventBus | None = None
-        """Who is told; made with this shift as one that hears."""
-        self._of_cell, self._make = journal, make
-        self._began = ""
-        self._news = asyncio.Event()
-
-    def record(self, event: Event) -> None:
-        """Keep it with the job under way, or with none."""
-        self.job.journal.record_event(event)
-
-    def tell(self, event: Event) -> None:
-        """Publish an event."""
-        if self.bus is not None:
-            self.bus.publish(event)
-
-    def added(self) -> None:
-        """Something was added to the queue, or taken out, or may begin now."""
-        self._news.set()
-
-    async def next(self, *, until_empty: bool = False) -> QueueEntry | None:
-        """The job that was begun by an earlier run, or the first that waits and may begin, as soon as there is one.
-
-        None with ``until_empty``, where nothing waits at all.
-        """
-        while (entry := self.queue.under_way() or self.claims.first()) is None:
-            if until_empty and self.first() is None:
-                break
-            self._news.clear()
-            await self._news.wait()
-        return entry
-
-    def first(self) -> QueueEntry | None:
-        """The one under way, or the first that waits, whether it may begin or not; None where the queue is empty."""
-        return next(iter(self.queue.to_do()), None)
-
-    async def begin(self, entry: QueueEntry) -> Job:
-        """Its job is under way; PolishdError where anything of it is wrong: nothing has moved then."""
-        job, self.folder = await self._make(entry, self.queue, self._of_cell, self.tell)
-        self.job, self.entry, self._began = job, entry, utc_now()
-        self.tell(events.JobStarted(job=entry.name, part_id=entry.part_id, run_dir=str(self.folder.path)))
-        return job
-
-    async def end(self, verdict: JobResult, summary: Mapping[str, Any]) -> None:
-        """The job under way is over: first in the journal, then in its run folder, then told."""
-        entry, job, folder = self.entry, self.job, self.folder
-        if entry is None or folder is None:
-            raise RuntimeError("a fault of polishd: no job is under way; please report it")
-        self.queue.end(entry, verdict, over_row(job.journal.number, _outcome(verdict), verdict.reason))
-        await self.leave(summary)
-        self._told_end(entry, verdict, str(folder.path))
-        self.job, self.entry, self.folder = NoJob(self._of_cell), None, None
-
-    async def leave(self, summary: Mapping[str, Any]) -> None:
-        """What is known of the job under way is left in its run folder, and told; nothing where there is none.
-
-        ``summary`` has ``outcome`` and ``reason``.
-        """
-        folder = self.folder
-        if folder is None:
-            return
-        told = {**summary, "run_dir": str(folder.path), "started": self._began, "ended": utc_now()}
-        try:
-            await asyncio.to_thread(folder.json, "summary.json", told)
-            await asyncio.to_thread(self.job.journal.copy_to, folder.path / "journal.sqlite")
-        except (OSError, PolishdError) as error:
-            log.error("%s is not whole: %s; the journal has it all", folder.path, error)
-        outcome, reason = str(summary["outcome"]), str(summary["reason"])
-        self.tell(events.RunFolderCompleted(run_dir=str(folder.path), outcome=outcome, reason=reason))
-
-    def refuse(self, entry: QueueEntry, verdict: JobResult) -> None:
-        """A job that could not begin is over."""
-        entry = next((one for one in self.queue.to_do() if one.id == entry.id), entry)
-        also = [over_row(entry.job, _outcome(verdict), verdict.reason)] if entry.job else []
-        self.queue.end(entry, verdict, *also)
-        self._told_end(entry, verdict, "")
-
-    def _told_end(self, entry: QueueEntry, verdict: JobResult, run_dir: str) -> None:
-        self.ended[verdict.how] += 1
-        said: dict[str, Any] = {"verdict": verdict.how, "reason": verdict.reason, "stops": verdict.stops}
-        self.tell(events.QueueJobEnded(job=entry.name, part_id=entry.part_id, run_dir=run_dir, **said))
-
-
-def _outcome(verdict: JobResult) -> str:
-    """As the journal's jobs have it."""
-    return {"accepted": "in_tolerance", "put aside": "put aside"}.get(verdict.how, verdict.fault)
-
-
-async def resume_open_job(shift: QueueRunner) -> None:
-    """Make the job ready that an earlier run left under way; before any device is opened.
-
-    Raises PolishdError where it cannot go on like this.
-    """
-    entry = shift.queue.under_way()
-    if entry is None:
-        return
-    try:
-        await shift.begin(entry)
-    except PolishdError as error:
-        aside = f"or put it aside: polishd job remove CELL.toml {entry.name}"
-        raise type(error)(f"{error}\nthe job {entry.name!r} of the queue is under way; mend that, {aside}") from error
-
-
+ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
+EMERGENCY = "motion was stopped at once, by order"
 IN_THE_WAY = (
     "the robot stands where its last pass or touch-off was cut off, and the loader must not move under it; drive the "
     "robot away at its own controller, then resume"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class StateResult:
+    """What ended the work of a state: the trigger of the next transition, with its reason, outcome or error."""
+
+    trigger: StateEvent
+    reason: str = ""
+    outcome: Outcome = Outcome.STOPPED
+    error: Exception | None = None
+
+
 ENDED = StateResult(StateEvent.ENDED)
 
 
-class QueueDaemon(Daemon):
-    """Works the queue until it is stopped, or until it is empty."""
+class JobRunner:
+    """Runs jobs on a cell that it opens and closes, and obeys commands at once."""
 
     def __init__(
         self,
         cell: Cell,
-        shift: QueueRunner,
-        desk: QueueRequests,
+        jobs: SingleJob | QueuedJobs,
+        requests: QueueRequests,
         bus: EventBus,
         *,
         holds: bool = True,
         until_empty: bool = False,
     ) -> None:
-        super().__init__(cell, shift.job, bus, holds=holds)
-        self._of_queue = True
-        self._shift, self._desk, self._until_empty = shift, desk, until_empty
-        self._does = {**self._does, DaemonState.IDLE: self._next, DaemonState.CHANGING: self._change}
+        """``holds``: wait for an operator where one can mend the cause, else end; ``until_empty``: of a queue."""
+        self.jobs, self.bus = jobs, bus
+        self._cell, self._requests = cell, requests
+        cell.on_broken = partial(_tell_broken, bus)
+        self._holds, self._until_empty = holds, until_empty
+        self._error: Exception | None = None
+        """The error over which the cell is held."""
+        self._orders = OperatorCommandQueue()
         self._asides: asyncio.Queue[tuple[QueueEntry, OperatorCommand]] = asyncio.Queue()
-        begun = shift.entry is not None and shift.job.journal.begun
-        self._part_in = shift.entry.part_id if begun and shift.entry else ""
-        """The part in the cell, as far as is known; a map proves it."""
+        self._unfit: OperatorCommand | None = None
+        """Given over the computer or a signal, since polishing began."""
+        begun = jobs.entry is not None and jobs.job.journal.begun
+        self._part_in = jobs.entry.part_id if begun and jobs.entry else ""
+        """The part in the cell, of a queue, as far as is known; a map proves it."""
         self._seen: int | None = None
-        """What was cut off (``Journal.cut_off``), and a person said since that it may go on."""
+        """The pass that was cut off (``Journal.cut_off``) over which an operator has resumed since."""
+        self._changed = asyncio.Condition()
+        self._work: Mapping[DaemonState, Callable[[], Awaitable[StateResult]]] = {
+            DaemonState.STARTING: self._start,
+            DaemonState.IDLE: self._next,
+            DaemonState.CHANGING: self._change,
+            DaemonState.POLISHING: self._polish,
+            DaemonState.HELD: self._wait,
+        }
+        self._health = Health(cell, lambda: self.job)
+        self.state, self.reason = DaemonState.STARTING, ""
+
+    @property
+    def job(self) -> Job | NoJob:
+        """The job under way, with the journal that knows it."""
+        return self.jobs.job
 
     @property
     def handlers(self) -> dict[str, Handler]:
-        """Who obeys the verbs of the socket; of the queue's, taking out a job that is under way is ours."""
-        of_shop = self._shift.claims.handlers(self.bus.publish)
-        return {**super().handlers, **self._desk.handlers, **of_shop, "job_remove": self._remove}
+        """Handlers of the verbs of the socket."""
+        found = status_snapshot(self._cell, self._health, self.bus, self._now)
+        orders = {verb.value: partial(self._order, verb) for verb in ORDERS}
+        own: dict[str, Handler] = {"status": self.status, **found, **orders, "queue_remove": self._remove}
+        return {**self._requests.handlers, **self.jobs.handlers(), **own}
 
     async def status(self) -> Mapping[str, Any]:
-        """Of the cell, and of the queue."""
-        waiting = self._shift.queue.waiting()
-        next_job = f"{waiting[0].name} (part {waiting[0].part_id})" if waiting else ""
-        shop = self._shift.claims.facts()
-        return {**await super().status(), "waiting": len(waiting), "next_job": next_job, **shop}
+        """State, its reason, what was measured so far, and what waits in a queue that is worked."""
+        return {
+            **self._now(),
+            "cycles": self.job.cycles(),
+            **health_snapshot(self._cell, self._health),
+            "tasks": len(asyncio.all_tasks()),
+            "devices": {name: self._health.device(name) for name in self._cell.devices},
+            **self.jobs.status(),
+        }
+
+    def _now(self) -> dict[str, Any]:
+        state = {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self.jobs.of_queue)}
+        return state | self.job.names() | dict(zip(("cycle", "phase"), self.job.journal.phase_now, strict=True))
+
+    def stop(self) -> None:
+        """As SIGTERM does."""
+        self._orders.give(OperatorCommand(StateEvent.STOP))
+
+    async def run(self) -> Outcome:
+        """Go from state to state until the jobs or an operator end it; the cell is safe and closed then.
+
+        Raises the error that ended it.
+        """
+        try:
+            async with self._health.watching(self._endangered), monitoring_signals(self._cell, self._wrong):
+                outcome = await self._until_finished()
+        except BaseException as error:
+            try:
+                await self._leave()
+            except (PolishdError, OSError) as late:
+                error.add_note(f"and then: {late}")  # the first error counts
+            raise
+        await self._leave()
+        return outcome
+
+    async def _until_finished(self) -> Outcome:
+        while True:
+            try:
+                result = await self._work[self.state]()
+            except Exception as error:  # noqa: BLE001 - it is raised below, or an operator mends its cause
+                result = self._failed(error)
+            state = following(self.state, result.trigger, unattended=not self._holds)
+            if state is DaemonState.FINISHED:
+                if result.error is not None:
+                    raise result.error
+                self.reason = result.reason or self.reason
+                return result.outcome
+            if result.error is not None and result.error is not self._error:
+                self.bus.publish(events.CellHeld(error=str(result.error), kind=type(result.error).__name__))
+            self._error = result.error
+            await self.become(*self._passed_through(state, result.reason))
+
+    def _passed_through(self, state: DaemonState, reason: str) -> tuple[DaemonState, str]:
+        """The state after those that have nothing to do: IDLE with a job ready, CHANGING with its part in."""
+        if state is DaemonState.IDLE and self.jobs.ready:
+            state, reason = following(state, StateEvent.NEXT), self._to_change()
+        if state is DaemonState.CHANGING and self._is_part_in():
+            state, reason = following(state, StateEvent.CHANGED), ""
+        return state, reason
+
+    async def _leave(self) -> None:
+        if self._cell.identities:
+            await make_safe(self._cell)
+            await self._cell.close()
+
+    def _standing(self, state: str, reason: str, *, killed: bool = False) -> events.StateChanged:
+        """The state, with what the devices confirmed; ``killed``: as it is if the daemon is killed in this state."""
+        unsafe = killed_safety(self._cell.acting) if killed else self._cell.unsafe if self._cell.identities else None
+        return safety_of(state, reason, unsafe, queue=self.jobs.of_queue)
+
+    def failure(self, error: Exception) -> events.DaemonFailed:
+        """The event of an error that ends the daemon, with the state in which the cell is left."""
+        kind = type(error).__name__
+        return events.DaemonFailed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
+
+    def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
+        """The exit record: outcome, reason, causes, what the devices confirmed, and what to do."""
+        found = causes(self.job.journal, failure)
+        reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
+        return {
+            **self._standing("failed" if failure else outcome.value, reason).data,
+            "exit_code": getattr(failure, "exit_code", 1) if failure else EXIT_CODES[outcome],
+            "causes": [asdict(cause) for cause in found],
+            "notes": [str(cause) for cause in found],
+            **({} if failure else self.jobs.last_words(outcome)),
+            **({"run_dir": str(self.jobs.run_dir())} if self.jobs.folder else {}),
+        }
 
     # what happens in each state
 
     async def _start(self) -> StateResult:
-        before = self.job.journal.held_last()
-        turn = await super()._start()
-        if turn.trigger is StateEvent.READY and before:
-            return StateResult(StateEvent.INTERRUPTED, before)  # nobody has said since that it may go on
-        return _between(turn, StateEvent.READY)
+        before = self.job.journal.held_last() if self.jobs.of_queue else ""
+        stop = await run_unless_commanded(self._orders.asked_to_stop(), self._cell.open(self._busy))
+        if stop is not None:
+            return StateResult(StateEvent.STOP, self._stopped_by(stop))
+        self.bus.publish(events.CellOpened(devices=self._cell.identities))
+        if (found := await self._made_safe()) is not None:
+            return found
+        if self.job.journal.resumed:
+            return StateResult(StateEvent.INTERRUPTED, BEGUN)
+        if before:  # no operator has resumed since
+            return StateResult(StateEvent.INTERRUPTED, before)
+        return StateResult(StateEvent.READY)
 
-    async def _wait(self) -> StateResult:
-        turns: list[StateResult] = []
+    async def _busy(self, what: str) -> None:
+        await self.become(following(self.state, StateEvent.BUSY), what)
 
-        async def work() -> None:
-            turns.append(await Daemon._wait(self))
+    async def _unless_interrupted(self, work: Callable[[], Awaitable[_T]]) -> _T | OperatorCommand:
+        """The result of the work, or the command that ended it. SafetyStop where the journal is lost meanwhile."""
+        done: list[_T] = []
 
-        aside = await run_unless_commanded(self._asked_aside(), work())
-        if aside is not None:
-            kind = type(self._error).__name__ if self._error else ""
-            reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
-            verdict = JobResult("put aside", reason, kind)
-            if self._shift.entry is None and (begun := self._shift.queue.under_way()) is not None:
-                return self._refused(begun, verdict)
-            return await self._ended(verdict)
-        if turns[0].trigger is StateEvent.RESUME:
-            self._seen = self.job.journal.cut_off()  # a person has looked, and was told what at
-        return _between(turns[0], StateEvent.RESUME)
+        async def run() -> None:
+            done.append(await work())
+
+        lost = self.job.journal.lost()
+        order = await run_unless_commanded(self._orders.interrupting(), run(), lost, late=self._orders.give)
+        return done[0] if order is None else order
 
     async def _next(self) -> StateResult:
-        """Between jobs, or back in one over which the cell was held."""
-        turns: list[StateResult] = []
-
-        async def work() -> None:
-            turns.append(await (self._go_on() if isinstance(self.job, Job) else self._begin()))
-
-        order = await run_unless_commanded(
-            self._orders.interrupting(), work(), self.job.journal.lost(), late=self._orders.give
-        )
-        return turns[0] if order is None else self._interrupted(order)
+        """Between jobs, or back in a job over which the cell was held."""
+        found = await self._unless_interrupted(self._go_on if isinstance(self.job, Job) else self._begin)
+        return self._interrupted(found) if isinstance(found, OperatorCommand) else found
 
     async def _go_on(self) -> StateResult:
-        """With the job that is under way, once it is sure that no other cell has its part meanwhile."""
-        lost = await self._shift.claims.settled(self._shift.entry)
-        return (
-            await self._ended(JobResult("put aside", lost, ""))
-            if lost
-            else StateResult(StateEvent.NEXT, self._to_change())
-        )
+        """Go on with the job under way, once it is sure that no other cell has its part meanwhile."""
+        if lost := await self._queued().claims.settled(self.jobs.entry):
+            return await self._ended(JobResult("set aside", lost, ""))
+        return StateResult(StateEvent.NEXT, self._to_change())
 
     async def _begin(self) -> StateResult:
-        entry = await self._shift.next(until_empty=self._until_empty)
+        jobs = self._queued()
+        entry = await jobs.next(until_empty=self._until_empty)
         if entry is None:
             return StateResult(StateEvent.EMPTY, outcome=Outcome.IN_TOLERANCE)
         try:
-            self.job = await self._shift.begin(entry)
+            await jobs.begin(entry)
         except PolishdError as error:
-            if not self._shift.queue.holds(entry):
-                return StateResult(StateEvent.ENDED)  # somebody took it out meanwhile
-            verdict = self._judged(error)
+            if not jobs.queue.holds(entry):
+                return StateResult(StateEvent.ENDED)  # it was taken out meanwhile
+            verdict = jobs.judge(error)
             if verdict is None:
                 raise
             return self._refused(entry, verdict, StateResult(StateEvent.ERROR, error=error))
         return StateResult(StateEvent.NEXT, self._to_change())
 
-    def _refused(self, entry: QueueEntry, verdict: JobResult, turn: StateResult = ENDED) -> StateResult:
-        """A job that could not begin has its verdict."""
-        self._shift.refuse(entry, verdict)
-        return _after(verdict, entry.name, turn)
+    def _queued(self) -> QueuedJobs:
+        """Where the jobs come from, in states that a single job passes through."""
+        return cast(QueuedJobs, self.jobs)
+
+    def _refused(self, entry: QueueEntry, verdict: JobResult, result: StateResult = ENDED) -> StateResult:
+        """End a job that could not begin."""
+        self._queued().refuse(entry, verdict)
+        return _after(verdict, entry.name, result)
 
     async def _change(self) -> StateResult:
         """Put the job's part in. No loader moves before every device has confirmed that it is safe."""
-        if self._shift.entry is None:
+        if self.jobs.entry is None:
             raise RuntimeError("a fault of polishd: no job is under way; please report it")
-        part, port = self._shift.entry.part_id, self._cell.used.get("loader")
+        part, port = self.jobs.entry.part_id, self._cell.used.get("loader")
         if port is None:
-            return await self._changed_by_person(self._shift.entry.name, part)
+            return await self._changed_by_person(self.jobs.entry.name, part)
         if self._in_the_way():
             raise DeviceRefused(IN_THE_WAY)
         await make_safe(self._cell)
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
             return self._failed(error, StateEvent.UNSAFE)
-        loader: Any = self._cell.devices[port]
+        loader = cast(PartLoader, self._cell.devices[port])
         try:
-            order = await run_unless_commanded(
-                self._orders.interrupting(), self._load(loader, part), self.job.journal.lost(), late=self._orders.give
-            )
+            order = await self._unless_interrupted(partial(self._load, loader, part))
         except WrongPart as error:
             return await self._over(error, StateResult(StateEvent.MENDABLE, error=error))
         except PolishdError:
@@ -294,8 +310,6 @@ class QueueDaemon(Daemon):
         return self._interrupted(order)
 
     async def _changed_by_person(self, job: str, part: str) -> StateResult:
-        if part == self._part_in:
-            return StateResult(StateEvent.CHANGED)
         if not self._holds:
             raise DeviceRefused(f"a person is to put part {part!r} in, and --no-hold waits for none; see docs/queue.md")
         self._part_in = ""
@@ -313,7 +327,7 @@ class QueueDaemon(Daemon):
         return StateResult(StateEvent.RESUME)
 
     async def _load(self, loader: PartLoader, part: str) -> None:
-        """By the loader's own word; the next map has to prove it, too."""
+        """Load a part, and ask the loader for it; the next map proves it."""
         if await loader.loaded() not in {None, part}:
             await loader.unload()
         await loader.load(part)
@@ -323,66 +337,190 @@ class QueueDaemon(Daemon):
             self._is_in(part, "loader")
 
     async def _polish(self) -> StateResult:
-        turn = await super()._polish()
-        ended = turn.trigger in {StateEvent.DONE, StateEvent.MENDABLE, StateEvent.ERROR}
-        if not ended or not (turn.trigger is StateEvent.DONE or isinstance(turn.error, PolishdError)):
-            return turn
+        result = await self._cycles()
+        ended = result.trigger in {StateEvent.DONE, StateEvent.MENDABLE, StateEvent.ERROR}
+        end = result.outcome if result.trigger is StateEvent.DONE else result.error
+        if not self.jobs.of_queue or not ended or not isinstance(end, Outcome | PolishdError):
+            return result
         torn = self.job.journal.unfinished() is not None
         if torn:
             await make_safe(self._cell)
             if self._cell.unsafe:
-                return turn  # it ends the daemon, and the job stays open: a person has to look first
+                return result  # it ends the daemon, and the job stays open: an operator has to look first
             await settle_interrupted_pass(self._cell, self.job.journal)
-        end = turn.error if isinstance(turn.error, PolishdError) else turn.outcome
-        return await self._over(end, turn, torn=torn)
+        return await self._over(end, result, torn=torn)
 
-    async def _over(self, end: Outcome | PolishdError, turn: StateResult, *, torn: bool = False) -> StateResult:
-        """After the verdict on that end; the turn itself where the job is not over."""
-        verdict = self._judged(end, torn=torn)
-        return turn if verdict is None else await self._ended(verdict, turn)
+    async def _cycles(self) -> StateResult:
+        """Polish until the job has its outcome, or an error or a command ends it."""
+        self._cell.emergency, self._unfit = False, None
+        journal = self.job.journal
+        try:
+            order = await self._unless_interrupted(partial(polish, self._cell, cast(Job, self.job), journal))
+        except PolishdError as error:
+            result = self._failed(error)
+            if result.trigger is StateEvent.MENDABLE:
+                await make_safe(self._cell)
+            return result
+        if isinstance(order, Outcome):
+            return StateResult(StateEvent.DONE, outcome=order)
+        if order.verb is StateEvent.STOP:
+            return StateResult(StateEvent.STOP, self._stopped_by(order))
+        if order.verb is StateEvent.UNFIT and not order.error.mendable:
+            return self._failed(order.error(order.reason))
+        await make_safe(self._cell)
+        settled = "" if self._cell.unsafe else await settle_interrupted_pass(self._cell, journal)
+        if order.verb is StateEvent.UNFIT:
+            unfit = order.error("; ".join(filter(None, (order.reason, settled))))
+            return StateResult(StateEvent.UNFIT, f"{type(unfit).__name__}: {unfit}", error=unfit)
+        return StateResult(order.verb, self._held_by(order, settled))
 
-    def _judged(self, end: Outcome | PolishdError, *, torn: bool = False) -> JobResult | None:
-        before = self._shift.queue.last_ended()
-        tool = "; ".join(found.what for found in self.job.findings if found.stops == "cell")
-        return judge(end, torn=torn, previous=before.fault if before else "", tool=tool)
+    async def _over(self, end: Outcome | PolishdError, result: StateResult, *, torn: bool = False) -> StateResult:
+        """End the job by its verdict; the result itself where the job is not over."""
+        verdict = self._queued().judge(end, torn=torn)
+        return result if verdict is None else await self._ended(verdict, result)
 
-    async def _ended(self, verdict: JobResult, turn: StateResult = ENDED) -> StateResult:
-        entry, failure = self._shift.entry, turn.error
+    async def _ended(self, verdict: JobResult, result: StateResult = ENDED) -> StateResult:
+        entry, failure = self.jobs.entry, result.error
         if failure is not None:
             self.bus.publish(events.CellHeld(error=str(failure), kind=type(failure).__name__))
-            self._error = failure  # it is told: with the job, while that is still under way
-        if verdict.how == "put aside":
-            self._part_in = ""  # it may be another part, or sit wrong: a person is asked for it again
-        last = self.last_words(turn.outcome, failure)
+            self._error = failure  # published with the job that is still under way
+        if verdict.how == "set aside":
+            self._part_in = ""  # it may be another part, or be fixed wrongly: an operator puts it in again
+        last = self.last_words(result.outcome, failure)
         name = entry.name if entry else ""
-        told = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
-        outcome = "failed" if failure else "put aside" if verdict.how == "put aside" else turn.outcome.value
-        notes = [*last["notes"], *([verdict.reason] if verdict.how == "put aside" else [])]
-        await self._shift.end(verdict, {**last, **figures(self.job), **told, "outcome": outcome, "notes": notes})
-        self.job = self._shift.job
+        facts = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
+        outcome = "failed" if failure else "set aside" if verdict.how == "set aside" else result.outcome.value
+        notes = [*last["notes"], *([verdict.reason] if verdict.how == "set aside" else [])]
+        await self._queued().end(verdict, {**last, **figures(self.job), **facts, "outcome": outcome, "notes": notes})
         gc.collect()  # its passes froze their garbage: the maps and plans of hundreds of parts would stay
-        return _after(verdict, name, turn)
+        return _after(verdict, name, result)
+
+    async def _wait(self) -> StateResult:
+        """Until a command changes something or is refused, or the job is set aside over which the cell is held."""
+        done: list[StateResult] = []
+
+        async def obey() -> None:
+            done.append(await self._obey())
+
+        aside = await run_unless_commanded(self._asked_aside(), obey())
+        if aside is not None:
+            kind = type(self._error).__name__ if self._error else ""
+            reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
+            verdict = JobResult("set aside", reason, kind)
+            if self.jobs.entry is None and (begun := self.jobs.queue.under_way()) is not None:
+                return self._refused(begun, verdict)
+            return await self._ended(verdict)
+        if done[0].trigger is StateEvent.RESUME and self.jobs.of_queue:
+            self._seen = self.job.journal.cut_off()  # the reason for which it was held named it
+        return done[0]
+
+    async def _obey(self) -> StateResult:
+        """The next command while the cell is held."""
+        order = cast(OperatorCommand, await run_unless_commanded(self._orders.next(), self._cell.listen()))
+        if order.verb is StateEvent.STOP:
+            return StateResult(order.verb, self._stopped_by(order), error=self._error)
+        if order.verb is not StateEvent.RESUME:
+            said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
+            return StateResult(order.verb, said, error=self._error)
+        try:
+            if (
+                stop := await run_unless_commanded(self._orders.asked_to_stop(), self._cell.restore_links())
+            ) is not None:
+                return StateResult(StateEvent.STOP, self._stopped_by(stop), error=self._error)
+            refused = await self._made_safe()
+            await require_clear(self._cell)
+        except PolishdError:
+            order.refused = True
+            raise
+        order.refused, order.taken = refused is not None, refused is None
+        return refused or StateResult(StateEvent.RESUME)
+
+    async def _made_safe(self) -> StateResult | None:
+        """Make the cell safe. None where every device confirmed and no pass was left open; nothing moves before."""
+        await make_safe(self._cell)
+        if self._cell.unsafe:
+            error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
+            return self._failed(error, StateEvent.UNSAFE)
+        if settled := await settle_interrupted_pass(self._cell, self.job.journal):
+            return StateResult(StateEvent.INTERRUPTED, settled)
+        await self._health.look()
+        unfit = self._health.wrong(in_contact=False)
+        return self._failed(HostFault(unfit), StateEvent.UNFIT) if unfit else None
+
+    def _failed(self, error: Exception, mended: StateEvent = StateEvent.MENDABLE) -> StateResult:
+        """The transition after an error: an operator mends its cause meanwhile, except where it cut off a pass."""
+        error = named(error)
+        waits = isinstance(error, PolishdError) and error.mendable and bool(self._cell.identities)
+        if self.state is DaemonState.POLISHING:
+            waits = waits and all(record.ended_s is not None for record in self.job.journal.passes)
+        return StateResult(mended if waits else StateEvent.ERROR, f"{type(error).__name__}: {error}", error=error)
 
     # orders
 
+    def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
+        """Leave contact while that is still possible. An error that cannot be mended replaces one that can."""
+        if self.state is DaemonState.POLISHING and self._unfit is None:
+            self._unfit = OperatorCommand(StateEvent.UNFIT, what, error)
+            self._orders.give(self._unfit)
+        elif self.state is DaemonState.POLISHING and self._unfit is not None:
+            self._unfit.worsen(what, error)
+
+    def _wrong(self, limits: SignalLimits, what: str) -> None:
+        """A signal is outside its limits in contact; the limits say what follows."""
+        self.bus.publish(events.SignalOutOfRange(signal=limits.name, what=what, action=limits.action))
+        if limits.action != "notify":
+            self._endangered(what, SafetyStop if limits.action == "lift" else SignalFault)
+
+    def _held_by(self, order: OperatorCommand, settled: str) -> str:
+        """The reason while the cell is held: the order, where it says more than what it interrupted, and that."""
+        said = [EMERGENCY] if self._cell.emergency else []
+        said += [order.said(ORDERED)] if order.reason or not settled else []
+        return "; ".join([*said, settled] if settled else said)
+
+    def _stopped_by(self, order: OperatorCommand) -> str:
+        """The reason at the end, with that of the order to stop."""
+        return f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ") if order.reason else self.reason
+
+    async def become(self, state: DaemonState, reason: str) -> None:
+        """Change state, wake those that wait for a command to be obeyed or refused, and publish it."""
+        if state is DaemonState.HELD and IN_THE_WAY not in reason and self._in_the_way():
+            reason = f"{reason}; {IN_THE_WAY}"
+        async with self._changed:
+            self.state, self.reason = state, reason
+            self._changed.notify_all()
+        self.bus.publish(self._standing(state, reason, killed=state not in {DaemonState.HELD, DaemonState.FINISHED}))
+
+    async def _order(self, verb: StateEvent, reason: str = "", by: str = "") -> Mapping[str, Any]:
+        """Give an order, and answer once it is obeyed. DeviceRefused where the cell stays held, with the reason."""
+        order = OperatorCommand(verb, " ".join(reason.split()))
+        self._cell.emergency = self._cell.emergency or verb is StateEvent.ESTOP
+        self._orders.give(order)
+        with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
+            self.bus.publish(events.CommandReceived(order=verb, reason=order.reason, by=by))
+        async with self._changed:
+            await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
+        if order.refused and self.state is DaemonState.HELD:
+            raise DeviceRefused(f"{verb} is refused, the cell stays held: {self.reason}")
+        return {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self.jobs.of_queue)}
+
     async def _remove(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        """Take one out that waits, or put the one aside over which the cell is held."""
+        """Take a job out that waits, or put the job aside over which the cell is held."""
         entry = self._under_way()
         if entry is None or entry.name != job:
-            return await self._desk.remove_waiting(job, reason, by)
+            return await self._requests.remove_waiting(job, reason, by)
         if self.state is not DaemonState.HELD or self._cell.unsafe:
             why = "a device is not confirmed to be safe" if self._cell.unsafe else f"the cell is {self.state}"
             raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
         aside = OperatorCommand(StateEvent.ENDED, " ".join(reason.split()))
         self.bus.publish(
-            events.CommandReceived(order="job_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by)
+            events.CommandReceived(order="queue_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by)
         )
         self._asides.put_nowait((entry, aside))
         async with self._changed:
             await self._changed.wait_for(lambda: not self._goes_on(entry) or self.state is not DaemonState.HELD)
         if self._goes_on(entry):
-            raise DeviceRefused(f"{job!r} goes on: somebody was faster")
-        return await self._desk.list()
+            raise DeviceRefused(f"{job!r} goes on: another command came first")
+        return await self._requests.list()
 
     async def _asked_aside(self) -> OperatorCommand:
         while not self._goes_on((asked := await self._asides.get())[0]):
@@ -391,51 +529,64 @@ class QueueDaemon(Daemon):
 
     def _under_way(self) -> QueueEntry | None:
         """The job that is under way, or being made ready."""
-        return self._shift.entry or self._shift.queue.under_way()
+        return self.jobs.entry or self.jobs.queue.under_way()
 
     def _goes_on(self, entry: QueueEntry) -> bool:
         now = self._under_way()
         return now is not None and now.id == entry.id
 
     def _interrupted(self, order: OperatorCommand) -> StateResult:
-        if order.verb is StateEvent.UNFIT:  # said while the last job's end was written, say
+        if order.verb is StateEvent.UNFIT:  # while the end of the last job was written, for example
             return self._failed(order.error(order.reason))
         if order.verb is StateEvent.STOP:
             return StateResult(StateEvent.STOP, self._stopped_by(order))
         return StateResult(order.verb, self._held_by(order, ""))
 
     def _in_the_way(self) -> bool:
-        """The robot may stand over the part, and a loader is to move there."""
-        left = self.job.journal.cut_off() if "loader" in self._cell.used else None
+        """The robot may stand over the part, where the loader moves."""
+        left = self.job.journal.cut_off() if self.jobs.of_queue and "loader" in self._cell.used else None
         return left is not None and left != self._seen
-
-    async def become(self, state: DaemonState, reason: str) -> None:
-        """Whoever is to resume is told that a loader moves then."""
-        if state is DaemonState.HELD and IN_THE_WAY not in reason and self._in_the_way():
-            reason = f"{reason}; {IN_THE_WAY}"
-        await super().become(state, reason)
 
     def _is_in(self, part: str, by: str) -> None:
         self._part_in = part
         self.bus.publish(events.PartChanged(part_id=part, by=by))
 
     def _to_change(self) -> str:
-        """What a person reads while the part is changed."""
-        entry = self._shift.entry
-        if entry is None or (entry.part_id == self._part_in and "loader" not in self._cell.used):
+        """The reason that ``status`` gives while the part is changed."""
+        entry = self.jobs.entry
+        if entry is None or self._is_part_in():
             return ""
         who = "the loader puts" if "loader" in self._cell.used else "a person is to put"
         return f"{entry.name}: {who} part {entry.part_id!r} in"
 
+    def _is_part_in(self) -> bool:
+        """Of a single job, whose part an operator put in before the start, or where the part of the job is in."""
+        entry = self.jobs.entry
+        return entry is None or ("loader" not in self._cell.used and entry.part_id == self._part_in)
 
-def _between(turn: StateResult, trigger: StateEvent) -> StateResult:
-    """Where one job would be polished, a queue is looked at."""
-    return replace(turn, trigger=StateEvent.BETWEEN) if turn.trigger is trigger else turn
 
-
-def _after(verdict: JobResult, name: str, turn: StateResult) -> StateResult:
+def _after(verdict: JobResult, name: str, result: StateResult) -> StateResult:
     if not verdict.stops:
         return StateResult(StateEvent.ENDED)
     reason = f"the queue stopped: {verdict.stops}; {name} was {verdict.how}: {verdict.reason}"
-    error = turn.error or (ToolStop(reason) if verdict.how == "accepted" else None)
-    return replace(turn, trigger=StateEvent.STOPS, reason=reason, error=error)
+    error = result.error or (ToolStop(reason) if verdict.how == "accepted" else None)
+    return replace(result, trigger=StateEvent.STOPS, reason=reason, error=error)
+
+
+def _tell_broken(bus: EventBus, error: BaseException) -> None:
+    """Publish at once that contact is left: the devices take seconds to confirm."""
+    with suppress(PolishdError):  # a lost journal: polishing ends over it
+        bus.publish(events.ContactAborted(error=str(error), kind=type(error).__name__))
+
+
+async def run_until_finished(daemon: JobRunner) -> tuple[Outcome, Exception | None]:
+    """Run it. An error that ends it is logged, published and returned."""
+    try:
+        await daemon.become(DaemonState.STARTING, "")
+        return await daemon.run(), None
+    except Exception as raised:
+        error = named(raised)
+        log.exception("the daemon ends")
+        with suppress(PolishdError):  # a lost journal: that is what ended it
+            daemon.bus.publish(daemon.failure(error))
+        return Outcome.STOPPED, error

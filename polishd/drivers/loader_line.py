@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import re
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
@@ -23,7 +22,6 @@ from polishd.api import (
     PartLoader,
     ProtocolError,
     WrongPart,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.transport.address import SerialLine, Tcp, line_address
@@ -155,8 +153,6 @@ class LoaderLine(LineDevice):
 
 # The part loader: the device type ``loader_line``.
 
-POLISHD_API = 1
-
 _TIMES = LoaderTimes()
 
 
@@ -178,7 +174,4 @@ def _build(options: LoaderLineOptions, context: DeviceContext) -> PartLoader:
     return LoaderLine(address, LoaderTimes(options.silence_s, options.change_s, options.stop_s))
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``loader_line``."""
-    return [DeviceType("loader_line", "loader", LoaderLineOptions, _build)]
+DEVICE_TYPES = [DeviceType("loader_line", "loader", LoaderLineOptions, _build, simulated_by="loader", substitute={})]

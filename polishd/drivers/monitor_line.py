@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import re
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 from pydantic import Field
 
-from polishd.api import DeviceContext, DeviceStatus, DeviceType, Monitor, MonitorTimes, ProtocolError, Signal, hookimpl
+from polishd.api import DeviceContext, DeviceStatus, DeviceType, Monitor, MonitorTimes, ProtocolError, Signal
 from polishd.config.fields import ConfigSection
 from polishd.drivers.transport.address import SerialLine, Tcp, line_address
 from polishd.drivers.transport.lines import ReadOnlyLineDevice
@@ -79,8 +79,6 @@ class MonitorLine(ReadOnlyLineDevice):
 
 # Monitors of the cell's signals: the device type ``monitor_line``.
 
-POLISHD_API = 1
-
 
 class MonitorLineOptions(ConfigSection):
     """Keys of ``[monitor]`` with ``type = "monitor_line"``."""
@@ -96,7 +94,6 @@ def _build(options: MonitorLineOptions, context: DeviceContext) -> Monitor:
     return MonitorLine(address, MonitorTimes(options.silence_s))
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``monitor_line``."""
-    return [DeviceType("monitor_line", "monitor", MonitorLineOptions, _build)]
+DEVICE_TYPES = [
+    DeviceType("monitor_line", "monitor", MonitorLineOptions, _build, simulated_by="monitor", substitute={})
+]

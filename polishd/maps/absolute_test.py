@@ -1,4 +1,4 @@
-"""``polishd map absolute``: the instrument's own error and the part, from maps of it turned and shifted."""
+"""``polishd map absolute``: separate the instrument's own error from the part, by turned and shifted maps."""
 
 from __future__ import annotations
 
@@ -24,22 +24,26 @@ from polishd.maps.map_files import (
     require_picture,
 )
 from polishd.maps.options import AbsoluteOptions
-from polishd.maps.stitch import one_pitch, require_listed
+from polishd.maps.stitch import one_pitch, require_lines
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.metrology.absolute_poses import PartPose, families, reference_for, term_name
-from polishd.process.metrology.absolute_test import AbsoluteSolution, PlaceError, separate
+from polishd.process.metrology.absolute_poses import PartPose, family_names, reference_for, term_name
+from polishd.process.metrology.absolute_test import (
+    AbsoluteSolution,
+    AbsoluteTestResult,
+    PlaceError,
+    separate_instrument,
+)
 from polishd.process.metrology.instrument import same_system
 from polishd.process.metrology.statistics import pv_rms
-from polishd.process.metrology.system_map import AbsoluteTestResult
 from polishd.rendering.terminal import emit, figure_table
 
 LISTED = 4
-"""Radial order up to which each term has a line of its own for people."""
+"""Radial order up to which the table lists each term."""
 OFF_PX = 2.0
-"""By which the middle of a map's data may lie elsewhere than its pose says before it is noted."""
+"""Distance between the middle of a map's data and its pose above which a note is made."""
 WORSE = 5.0
-"""Noise of the terms, of that of samples, from which on it is noted."""
+"""Ratio of the terms' noise to the samples' noise above which a note is made."""
 MOUNT = (
     "what turns with the part, as a mount's print or its clamping, counts as part; what does not, as gravity, counts "
     "as instrument"
@@ -50,26 +54,26 @@ SENSELESS = "these maps fit angles of either sense: see on a mark that the part 
 
 @dataclass(frozen=True, slots=True)
 class AbsoluteTestOutput:
-    """Part and instrument, told apart."""
+    """Separated maps of part and instrument."""
 
     found: AbsoluteSolution
     instrument: SurfaceMap
     part: SurfaceMap
     answer: dict[str, Any]
-    """For programs."""
+    """Answer for ``--json``."""
 
     def show(self, *, as_json: bool, more: Sequence[str] = ()) -> None:
-        """On stdout; for people, ``more`` lines below."""
+        """Print the result on stdout; for people with ``more`` lines below."""
         lines = [*_lines(self.answer), *more]
         emit(self.answer, as_json=as_json, table=lambda: _table(self.answer), lines=lines)
 
 
 def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: bool) -> None:
-    """Tell part and instrument apart; write both where they are wanted."""
-    source = MapSource.by(asked, system=False)  # that is what is looked for
+    """Separate part and instrument, and write both on request."""
+    source = MapSource.by(asked, system=False)  # the system error is the result here
     _require_targets(files, asked, source)
     poses = poses_of(asked, files)
-    apart = tell_apart([source.read(path) for path in files], poses, asked, source)
+    apart = separate_maps([source.read(path) for path in files], poses, asked, source)
     targets = (("instrument", apart.instrument, asked.out_instrument), ("part", apart.part, asked.out_part))
     for key, surface, target in targets:
         if target is not None:
@@ -81,14 +85,14 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
         draw_maps(asked.picture, drawn, as_json=as_json)
 
 
-def tell_apart(
+def separate_maps(
     surfaces: Sequence[SurfaceMap], poses: Sequence[PartPose], asked: AbsoluteOptions, source: MapSource
 ) -> AbsoluteTestOutput:
-    """Part and instrument from maps that are read. BadMap."""
+    """Separate part and instrument of maps in memory. BadMap."""
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
     pitch = one_pitch(surfaces)
     _require_one_instrument(surfaces)
-    found = separate(
+    found = separate_instrument(
         [one.height_nm for one in surfaces],
         poses,
         pitch,
@@ -113,16 +117,14 @@ def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapS
 
 
 def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
-    """Of each file, from the options or from the list; where there are no files, as many as there are angles."""
+    """Pose of each file, from the options or the list; without files, one for each angle."""
     if (asked.angles is None) == (asked.at is None) or (asked.at is not None and asked.shifts is not None):
-        raise typer.BadParameter(
-            "how the part lies is said by --angles, with --shifts where it was shifted, or by --at"
-        )
+        raise typer.BadParameter("give the part's poses by --angles (with --shifts where it was shifted), or by --at")
     if asked.at is not None:
         from polishd.config.table_files import read_poses
 
         listed = read_poses(asked.at)
-        require_listed(files, listed, asked.at, "file,angle_deg")
+        require_lines(files, listed, asked.at, "file,angle_deg")
         return [PartPose(*listed[path.name]) for path in files]
     count = len(files) or len((asked.angles or "").split(","))
     angles = _numbers("--angles", asked.angles or "", count)
@@ -134,7 +136,7 @@ def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:
 
 
 def _numbers(option: str, text: str, count: int) -> list[float]:
-    """So many finite numbers with commas between."""
+    """Parse this number of finite values, separated by commas."""
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
@@ -145,7 +147,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def _pixel(axis_mm: Sequence[float], surface: SurfaceMap, pitch_mm: float) -> tuple[float, float]:
-    """(row, column) of a place, mm from the map's centre."""
+    """(row, column) of a position in mm from the map's center."""
     rows, columns = surface.height_nm.shape
     return (rows - 1) / 2 - axis_mm[1] / pitch_mm, (columns - 1) / 2 + axis_mm[0] / pitch_mm
 
@@ -155,7 +157,7 @@ def _require_one_instrument(surfaces: Sequence[SurfaceMap]) -> None:
     for one in surfaces:
         if one.instrument and first.instrument and not same_system(one.instrument, first.instrument):
             raise MapError(f"{one.path} is of the instrument {one.instrument!r}, {first.path} of {first.instrument!r}: "
-                         "each has an error of its own; name maps of one")  # fmt: skip
+                         "their errors differ; give maps of one instrument")  # fmt: skip
 
 
 def _answer(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> dict[str, Any]:
@@ -177,8 +179,8 @@ def _answer(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> d
         ],
         "order": design.degree,
         "terms": terms,
-        "unknown": families(share),
-        "demanded": {families([term])[0]: reference_for(*term, angles) for term in share},
+        "unknown": family_names(share),
+        "demanded": {family_names([term])[0]: reference_for(*term, angles) for term in share},
         "noise_nm": found.noise_nm,
         "rest_noise_nm": found.rest_noise_nm,
         "hidden_share": found.hidden_share,
@@ -223,10 +225,10 @@ def _notes(found: AbsoluteSolution, names: Sequence[str], pitch_mm: float) -> li
 def _made(
     surfaces: Sequence[SurfaceMap], names: Sequence[str], found: AbsoluteSolution, source: MapSource
 ) -> tuple[SurfaceMap, SurfaceMap]:
-    """Instrument and part with what is known of the first map, as new as the newest."""
+    """Maps of instrument and part, with the properties of the first map and the newest date."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
     whole = replace(surfaces[0], taken_at=max(times, default=None), date_from="header", fiducials_px=(), masks=())
-    unknown = families((one.n, one.m) for one in found.design.unknown)
+    unknown = family_names((one.n, one.m) for one in found.design.unknown)
     said: dict[str, Any] = {
         "poses": [f"{name} {pose}" for name, pose in zip(names, found.design.poses, strict=True)],
         "order": found.design.degree,
@@ -234,7 +236,7 @@ def _made(
     inputs = [("map", one) for one in surfaces]
     instrument = replace(whole, part_id="").with_height(found.instrument_nm)
     part = whole.with_height(found.part_nm)
-    own = {"result": "instrument", "without": unknown, "told": AbsoluteTestResult.of(found).facts()}
+    own = {"result": "instrument", "without": unknown, "terms": AbsoluteTestResult.of(found).facts()}
     return (
         history_step(instrument, "absolute", inputs, source, found.uncertainty_nm, **said, **own),
         history_step(part, "absolute", inputs, source, **said, result="part", holds_of_the_instrument=unknown),
@@ -246,8 +248,8 @@ def _table(answer: Mapping[str, Any]) -> Table:
     rows = [(one["name"], _nm(one["instrument_nm"]), _sure(one), _nm(one["part_nm"])) for one in low]
     above = [one for one in answer["terms"] if one["n"] > LISTED]
     if above:
-        told = (math.hypot(*(one[key] for one in above)) for key in ("instrument_nm", "sigma_nm", "part_nm"))
-        own, sigma, part = (f"{value:.4f}" for value in told)
+        sums = (math.hypot(*(one[key] for one in above)) for key in ("instrument_nm", "sigma_nm", "part_nm"))
+        own, sigma, part = (f"{value:.4f}" for value in sums)
         rows.append((f"orders {LISTED + 1} to {answer['order']}, RMS", own, sigma, part))
     return figure_table("absolute", ("term, nm RMS", "instrument", "sigma", "part"), rows)
 
@@ -280,7 +282,7 @@ def _lines(answer: Mapping[str, Any]) -> list[str]:
         f"a sample of the instrument's map is known to {answer['sample_uncertainty_nm']:.4f} nm, less what is unknown",
         f"unknown, and left in the part: {unknown}",
         f"and of waves above order {answer['order']} {answer['hidden_share']:.0%} in square, {rest:.3f} nm RMS",
-        *(f"to be told by {what}: {', '.join(names)}" for what, names in wanted.items()),
+        *(f"needs {what}: {', '.join(names)}" for what, names in wanted.items()),
         *(f"note: {printable(note)}" for note in answer["notes"]),
     ]
     stored = [line for what in ("instrument", "part") if "out" in answer[what] for line in stored_lines(answer[what])]

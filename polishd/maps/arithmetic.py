@@ -1,4 +1,4 @@
-"""``polishd map average``: repeats of one measurement as one map, without those that deviate, and how sure it is."""
+"""``polishd map average`` and ``polishd map subtract``: mean of repeats with uncertainty; difference of two maps."""
 
 from __future__ import annotations
 
@@ -31,30 +31,30 @@ from polishd.maps.map_files import (
 from polishd.maps.options import BANDS, AverageOptions, NewMapOptions
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.process.metrology.averaging import AverageResult, average
+from polishd.process.metrology.averaging import AverageResult, average_maps
 from polishd.process.metrology.instrument import same_system
-from polishd.process.metrology.statistics import pv_rms, without
+from polishd.process.metrology.statistics import pv_rms, remove_terms
 from polishd.rendering.terminal import emit, figure_table, record_table
 
 # ``polishd map subtract``: one map less another: a reference, a system error, the wavefront of a test stand.
 
 SIDES = ("map", "subtracted")
-"""What the two maps are called, in JSON and in the history."""
+"""Names of the two maps, in JSON and in the history."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A map less another, over the samples that both have."""
+    """Difference of two maps over their common samples."""
 
     surface: SurfaceMap
-    """With what is known of the map that was subtracted from; it leaves open what either leaves open."""
+    """With the properties of the first map; unknown properties of either map are unknown."""
     pair: Pair
     uncertainty_nm: float | None
-    """Of a sample, one standard deviation; None where either map does not say its own."""
+    """Uncertainty of a sample, one standard deviation; None where either map does not state its own."""
 
 
-def less(surface: SurfaceMap, other: SurfaceMap) -> Difference:
-    """``surface`` less ``other``, laid on each other as ``map compare`` does: not registered, nothing levelled.
+def subtract_maps(surface: SurfaceMap, other: SurfaceMap) -> Difference:
+    """Subtract ``other`` from ``surface``, aligned as in ``map compare``: not registered, nothing leveled.
 
     Independent errors add in squares. Where maps are resampled the sum holds for errors that are alike over a few
     samples; noise from sample to sample becomes less.
@@ -82,19 +82,19 @@ def less(surface: SurfaceMap, other: SurfaceMap) -> Difference:
 
 
 def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: bool) -> None:
-    """FIRST less SECOND; figures of both and of the difference over the same samples, written where it is wanted."""
+    """Show FIRST less SECOND, with the figures of both and of the difference; write it on request."""
     source = MapSource.by(asked)
     require_picture(asked.picture)
     if asked.out is not None:
         require_target(asked.out, [first, second], source, force=asked.force)
     other = source.read(second)
     if other.history is not None and other.history.options.get("result") == "instrument":
-        source = replace(source, system=None)  # it is what is taken off
+        source = replace(source, system=None)  # this map is the system error
     maps = [source.read(first), other]
-    found = less(*maps)
+    found = subtract_maps(*maps)
     mask = found.pair.mask
     heights = (*found.pair.heights_nm, found.surface.height_nm)
-    figures = [heights_nm(height, without(height, mask, "tilt"), mask) for height in heights]
+    figures = [heights_nm(height, remove_terms(height, mask, "tilt"), mask) for height in heights]
     answer: dict[str, Any] = {
         side: {
             "path": str(surface.path),
@@ -126,7 +126,7 @@ def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: b
 
 
 def draw_maps(out: Path, surfaces: Sequence[SurfaceMap], *, as_json: bool) -> None:
-    """A PNG as ``polishd map FILE... --out`` draws, of maps of which some are in no file."""
+    """Draw maps, some of which are in no file, as a PNG like ``polishd map FILE... --out``."""
     from polishd.maps.pictures import figures_picture
 
     edges = edges_mm(BANDS)
@@ -134,7 +134,7 @@ def draw_maps(out: Path, surfaces: Sequence[SurfaceMap], *, as_json: bool) -> No
 
 
 def _marks(surface: SurfaceMap, laid_nm: FloatArray, pitch_mm: float | None) -> tuple[tuple[float, float], ...]:
-    """The map's marks, (row, column), in the pixels of the grid on which it was laid, centre on centre."""
+    """The map's marks, (row, column), in the pixels of the new grid, center on center."""
     finer = surface.pitch_mm / pitch_mm if surface.pitch_mm is not None and pitch_mm is not None else 1.0
     (rows, columns), (ny, nx) = surface.height_nm.shape, laid_nm.shape
     return tuple(
@@ -163,9 +163,9 @@ def _show(answer: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool) -> None:
-    """Average the maps, each without the system error, piston and tilt; write the mean where it is wanted."""
+    """Average the maps, each without system error, piston and tilt; write the mean on request."""
     system, mixed = asked.system, asked.mixed
-    source = MapSource.by(asked, system=system is None)  # one of them, not both
+    source = MapSource.by(asked, system=system is None)  # one of the two options only
     require_picture(asked.picture)
     if asked.out is not None:
         require_target(asked.out, files if system is None else [*files, system], source, force=asked.force)
@@ -173,7 +173,7 @@ def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool)
     _require_one_part(read)
     error = None if system is None else source.read(system)
     surfaces, notes = (read, []) if error is None else _without_system(read, error, mixed=mixed)
-    found = average(surfaces, mixed=mixed)
+    found = average_maps(surfaces, mixed=mixed)
     own_nm = float(np.median(found.uncertainty_nm[found.mask]))
     system_nm = None if error is None else uncertainty_nm(error)
     known_nm = own_nm if error is None else None if system_nm is None else math.hypot(own_nm, system_nm)
@@ -208,7 +208,7 @@ def _require_one_part(surfaces: Sequence[SurfaceMap]) -> None:
 
 
 def _mean_map(surfaces: Sequence[SurfaceMap], found: AverageResult) -> SurfaceMap:
-    """The mean with what is known of the first map; as new as the newest, and of no instrument where of several."""
+    """The mean with the properties of the first map and the newest date; no instrument where there are several."""
     names = [surface.instrument for surface in surfaces if surface.instrument]
     times = [surface.measured_at for surface in surfaces if surface.measured_at is not None]
     return replace(
@@ -223,14 +223,14 @@ def _mean_map(surfaces: Sequence[SurfaceMap], found: AverageResult) -> SurfaceMa
 def _without_system(
     surfaces: Sequence[SurfaceMap], error: SurfaceMap, *, mixed: bool
 ) -> tuple[list[SurfaceMap], list[str]]:
-    """Each map less the instrument's own error, and what there is to note; BadMap where that is of another one."""
+    """Subtract the instrument's own error from each map, and return notes; BadMap for another instrument's map."""
     for surface in surfaces:
         named = surface.instrument and error.instrument
         if named and not mixed and not same_system(surface.instrument, error.instrument):
             raise MapError(f"{surface.path} is of the instrument {surface.instrument!r}, the system error {error.path} "
                          f"of {error.instrument!r}; name its own, or say --mixed")  # fmt: skip
-    unnamed = replace(error, part_id="")  # it was measured with another part, a reference: that is no news
-    found = [less(surface, unnamed) for surface in surfaces]
+    unnamed = replace(error, part_id="")  # expected: the reference is another part
+    found = [subtract_maps(surface, unnamed) for surface in surfaces]
     notes = {note: None for one in found for note in one.pair.notes}
     return [one.surface for one in found], list(notes)
 
@@ -240,7 +240,7 @@ def _system_record(error: SurfaceMap, own_nm: float | None, known_nm: float | No
         "path": str(error.path),
         "sha256": error.sha256,
         "warnings": list(error.warnings),
-        "rms_nm": pv_rms(without(error.height_nm, error.valid, "tilt"), error.valid)[1],
+        "rms_nm": pv_rms(remove_terms(error.height_nm, error.valid, "tilt"), error.valid)[1],
         "sample_uncertainty_nm": own_nm,
         "with_mean_nm": known_nm,
     }

@@ -1,4 +1,4 @@
-"""``polishd map commission``: prove an instrument's profile with a map of its artefact, and record it in the file."""
+"""``polishd map commission``: prove an instrument's profile with a map of its artefact, and record the result."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from polishd.maps.map_files import MapSource, mask_lines, mask_records, printabl
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.instrument import CommissioningRecord
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.commissioning import ProfileProof, artefact_heights, prove
+from polishd.process.metrology.commissioning import ProfileProof, artefact_heights
+from polishd.process.metrology.commissioning import prove_profile as prove
 from polishd.rendering.terminal import emit, key_table
 
 
 @dataclass(frozen=True, slots=True)
 class CommissioningResult:
-    """A profile, the map that proves it, and how well."""
+    """A profile, the map that proves it, and the differences."""
 
     profile: InstrumentProfile
     surface: SurfaceMap
-    """As the profile turns and scales it."""
+    """The map as turned and scaled by the profile."""
     proof: ProfileProof
     record: CommissioningRecord
 
@@ -59,7 +60,7 @@ def prove_profile(
     cell: Path | None = None,
     masks: Sequence[str] | None = None,
 ) -> CommissioningResult:
-    """Prove a profile by a map of its artefact, and write the record into its file; arguments, errors: the verb's."""
+    """Prove a profile by a map of its artefact, and write the record into its file; arguments as in the verb."""
     given = load_profile(profile)
     if not given.bumps:
         raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")

@@ -1,4 +1,4 @@
-"""``polishd map compare``: two maps over the samples that both have, as the paper's Table V and fig. 15 compare two."""
+"""``polishd map compare``: two maps over their common samples, with the figures of the paper's Table V and fig. 15."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ from polishd.maps.options import FigureOptions
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrology.conditioning import SAME_PITCH
-from polishd.process.metrology.spectra import RadialPsd, compare
-from polishd.process.metrology.statistics import pv_rms, trimmed, without
+from polishd.process.metrology.spectra import RadialPsd, compare_maps
+from polishd.process.metrology.statistics import pv_rms, remove_terms, trim_mask
 from polishd.rendering.terminal import emit, figure_table
 
 LEAST_COMMON = 0.5
-"""Share of the smaller map's data that both must have: less is another part, or another place on it."""
+"""Least share of the smaller map's data that both maps have: below it, they show different parts or positions."""
 SIDES = ("before", "after")
 Line = tuple[str, float | None, float | None]
-"""What is compared, and its figures before and after, nm."""
+"""Compared figures, before and after, nm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two maps on one grid; ``notes`` say how they came there."""
+    """Two maps on one grid; ``notes`` describe the resampling."""
 
     heights_nm: tuple[FloatArray, FloatArray]
     """(ny, nx) before and after."""
     mask: BoolArray
-    """(ny, nx) samples that both have."""
+    """(ny, nx) common samples."""
     pitch_mm: float | None
     notes: tuple[str, ...] = ()
 
 
 def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bool) -> None:
-    """Figures of both, and by how much they changed."""
+    """Figures of both maps, and their changes."""
     edges = edges_mm(asked.bands)
     require_picture(asked.out)
     source = MapSource.by(asked)
     maps = [source.read(path) for path in (before, after)]
     pair = paired(*maps, trim=asked.trim)
     pitch, mask = pair.pitch_mm, pair.mask
-    found = None if pitch is None else compare(*pair.heights_nm, mask, pitch, edges)
+    found = None if pitch is None else compare_maps(*pair.heights_nm, mask, pitch, edges)
     answer: dict[str, Any] = {}
     for side, surface, height in zip(SIDES, maps, pair.heights_nm, strict=True):
         answer[side] = {
@@ -65,7 +65,7 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
             "sha256": surface.sha256,
             "warnings": list(surface.warnings),
             "masks": mask_records(surface),
-            **heights_nm(height, without(height, mask, "tilt"), mask),
+            **heights_nm(height, remove_terms(height, mask, "tilt"), mask),
             "bands": None if pitch is None else band_records(getattr(found, side).band_rms_nm, mask, pitch, edges),
         }
     lines = _lines(answer)
@@ -75,11 +75,11 @@ def compare_verb(before: Path, after: Path, asked: FigureOptions, *, as_json: bo
     answer["psd"] = None if found is None else _psd(spectra)
     _show(answer, lines, as_json=as_json)
     if asked.out is not None:
-        from polishd.maps.pictures import compared_picture
+        from polishd.maps.pictures import comparison_picture
 
         figures = {words: (was, now) for words, was, now in lines.values() if was is not None and now is not None}
         heights = dict(zip(SIDES, pair.heights_nm, strict=True))
-        draw(asked.out, compared_picture(heights, spectra, mask, pitch, figures), as_json=as_json)
+        draw(asked.out, comparison_picture(heights, spectra, mask, pitch, figures), as_json=as_json)
 
 
 def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
@@ -107,7 +107,7 @@ def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
 
 
 def _resampled(before: SurfaceMap, after: SurfaceMap) -> tuple[tuple[FloatArray, FloatArray], Grid]:
-    """Both at the coarser pitch, over what both reach; and that grid."""
+    """Both maps at the coarser pitch over their common area, and that grid."""
     from polishd.process.metrology.resampling import resample_registered
 
     one, two = before.grid, after.grid
@@ -123,7 +123,7 @@ def _common_mask(before: SurfaceMap, after: SurfaceMap, heights: tuple[FloatArra
     if np.count_nonzero(both) < max(1.0, LEAST_COMMON * min(np.count_nonzero(one) for one in valid)):
         raise MapError(f"{after.path}: shares only {np.count_nonzero(both)} samples with {before.path}: another part, "
                      "or another place on it")  # fmt: skip
-    mask = trimmed(both, trim)
+    mask = trim_mask(both, trim)
     if not mask.any():
         raise MapError(f"{after.path}: nothing is left of what it shares with {before.path}; --trim less")
     return mask
@@ -137,7 +137,7 @@ def _part_notes(before: SurfaceMap, after: SurfaceMap) -> list[str]:
 
 
 def _lines(answer: Mapping[str, Any]) -> dict[str, Line]:
-    """Table V, and the bands, by what they are called among the changes."""
+    """Table V and the bands, by the names of the changes."""
     before, after = (answer[side] for side in SIDES)
     lines: dict[str, Line] = {
         key.removesuffix("_nm"): (words, before[key], after[key]) for key, words in HEIGHTS.items()
@@ -148,7 +148,7 @@ def _lines(answer: Mapping[str, Any]) -> dict[str, Line]:
 
 
 def _percent(before: float | None, after: float | None) -> float | None:
-    """Change in percent of what was before; below 0 is better, None where that is 0 or none."""
+    """Change in percent of the first value, below 0 is better; None where that value is 0 or missing."""
     return 100 * (after / before - 1) if before and after is not None else None
 
 
@@ -169,7 +169,7 @@ def _common(pair: Pair, trim: int) -> dict[str, Any]:
 
 
 def _psd(spectra: Mapping[str, RadialPsd]) -> dict[str, Any]:
-    """Fig. 15: the radial spectra of both."""
+    """Fig. 15: the radial spectra of both maps."""
     densities = {f"{side}_nm2_mm2": psd.density_nm2_mm2 for side, psd in spectra.items()}
     return {"frequency_per_mm": spectra["before"].frequency_per_mm, **densities}
 

@@ -1,4 +1,4 @@
-"""``polishd map convert``: a map in another format, read back before it appears."""
+"""``polishd map convert``: write a map in another format, and read it back before the file appears."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from polishd.rendering.terminal import emit
 from polishd.util.files import write_atomic
 
 WITHIN_NM = 0.01
-"""Most that the counts of a format may change a height by ..."""
+"""Largest change of a height by the rounding of a format ..."""
 WITHIN = 1e-6
-"""... or this part of the PV, where that is more. A pitch may change by the same part."""
+"""... or this share of the PV, where that is more. A pitch may change by the same share."""
 
 
 def convert_verb(file: Path, target: Path, asked: WriteOptions, *, as_json: bool) -> None:
-    """Write a map to ``target``, in the format of its ending. Nothing is written where anything is refused."""
+    """Write a map to ``target``, in the format of its ending; write nothing where anything is refused."""
     source = MapSource.by(asked)
     require_target(target, [file], source, force=asked.force)
     surface = source.read(file)
@@ -38,7 +38,7 @@ def convert_verb(file: Path, target: Path, asked: WriteOptions, *, as_json: bool
 
 
 def require_target(target: Path, files: Sequence[Path], source: MapSource, *, force: bool) -> None:
-    """Refuse, before anything is read, what cannot become ``target``.
+    """Refuse an invalid ``target`` before anything is read.
 
     Raises:
         BadParameter: its ending is of no format that can be written.
@@ -54,8 +54,8 @@ def require_target(target: Path, files: Sequence[Path], source: MapSource, *, fo
 
 
 def _writer(target: Path, source: MapSource) -> tuple[str, Callable[[SurfaceMap], bytes]]:
-    """The format that a file's ending names, and what writes it."""
-    asked = reversed([*source.readers.values()])  # of two for one ending the first counts, as it does in reading
+    """Format of a file's ending, and its writer."""
+    asked = reversed([*source.readers.values()])  # as in reading, the first of two formats for one ending counts
     writers = {suffix: (reader.name, reader.write) for reader in asked if reader.write for suffix in reader.suffixes}
     writer = writers.get(target.suffix.lower())
     if writer is None:
@@ -66,7 +66,7 @@ def _writer(target: Path, source: MapSource) -> tuple[str, Callable[[SurfaceMap]
 
 
 def store(surface: SurfaceMap, target: Path, source: MapSource) -> dict[str, Any]:
-    """Write a map, whole or not at all, once it reads back as it is; what there is to say of it."""
+    """Write a map completely or not at all, after a read-back check; return notes."""
     name, write = _writer(target, source)
     try:
         content = write(surface)
@@ -89,7 +89,7 @@ def store(surface: SurfaceMap, target: Path, source: MapSource) -> dict[str, Any
 
 
 def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
-    """Largest change of a height, nm; BadMap where what was read back is another map, or says more than it knows."""
+    """Largest change of a height, nm; BadMap where the written file reads back as another map or states more."""
     if back.height_nm.shape != surface.height_nm.shape or not np.array_equal(back.valid, surface.valid):
         raise MapError(f"{target}: the format does not hold the map's shape or its missing samples; take another")
     pitch, other = surface.pitch_mm, back.pitch_mm
@@ -109,7 +109,7 @@ def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
 
 
 def _read_back(content: bytes, target: Path, source: MapSource) -> SurfaceMap:
-    """What polishd makes of the file that is about to be written."""
+    """Read the file that is about to be written."""
     with tempfile.TemporaryDirectory(prefix="polishd-map-") as scratch:
         trial = Path(scratch) / f"map{target.suffix.lower()}"
         trial.write_bytes(content)
@@ -146,7 +146,7 @@ def _alike(surface: SurfaceMap, back: SurfaceMap, key: str) -> bool:
 
 
 def stored_lines(answer: Mapping[str, Any]) -> list[str]:
-    """For people."""
+    """Lines about the file, for people."""
     changed = f"heights within {answer['largest_change_nm']:.2g} nm" if answer["largest_change_nm"] else "heights exact"
     return [
         f"written to {printable(answer['out'])} ({answer['out_format']}, {answer['bytes']} bytes); read back: "

@@ -1,4 +1,4 @@
-"""Figures of a map as ``polishd map`` says them: what a program reads, one object a file."""
+"""Figures of a map for ``polishd map``: one JSON object a file."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from polishd.maps.map_files import band_names, history_record, mask_records, masked_out
+from polishd.maps.map_files import band_names, history_record, mask_map, mask_records
 from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology import iso10110
 from polishd.process.metrology.spectra import split_bands
-from polishd.process.metrology.statistics import Removal, pv_rms, trimmed, without
+from polishd.process.metrology.statistics import Removal, pv_rms, remove_terms, trim_mask
 from polishd.process.metrology.statistics import slope as metrics_slope
 from polishd.process.metrology.zernike import pvr as metrics_pvr
 
 HEIGHTS = {"pv_nm": "PV", "rms_nm": "RMS", "pv_tilt_removed_nm": "PV level", "rms_tilt_removed_nm": "RMS level"}
-"""What every map has, scale or none: the key, and the word for people."""
+"""Figures of every map, also without a scale: key and label."""
 PVR_TERMS = 36
 FEWEST_PERIODS = 3
-"""On the part: what lies to either side of a period of which there are fewer depends on how the edge is continued."""
+"""Least number of periods on the part: the bands beside a longer period depend on the extension of the edge."""
 ISO_KEYS = ("a_nm", "b_nm", "c_nm", "rms_t_nm", "rms_i_nm", "rms_a_nm")
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class MapFigures:
-    """A map with its figures, and the arrays that they are of."""
+    """A map with its figures and the arrays that they come from."""
 
     surface: SurfaceMap
     mask: BoolArray
     """(ny, nx) samples that count: those with data within the masks, trimmed."""
     level_nm: FloatArray
-    """(ny, nx) piston and tilt over the mask removed, or what else is alignment; NaN outside it."""
+    """(ny, nx) heights without piston and tilt (or other alignment) over the mask; NaN outside."""
     bands_nm: tuple[FloatArray, ...]
-    """(ny, nx) each, of the level surface, to whose RMS their squares add up; none without a lateral scale."""
+    """(ny, nx) bands of the level surface, whose squared RMS add up; none without a lateral scale."""
     answer: dict[str, Any]
 
 
@@ -54,10 +54,10 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         BadMap: no sample is left.
     """
     height, pitch = surface.height_nm, surface.pitch_mm
-    mask = trimmed(surface.valid, trim)
+    mask = trim_mask(surface.valid, trim)
     if not mask.any():
         raise MapError(f"{surface.path}: no sample is left of it with --trim {trim}; trim less")
-    level = without(height, mask, alignment)
+    level = remove_terms(height, mask, alignment)
     bands = () if pitch is None else split_bands(level, mask, pitch, edges)
     answer = {
         "path": str(surface.path),
@@ -66,7 +66,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         "cols": height.shape[1],
         "pitch_mm": pitch,
         "pitches_mm": None if surface.pitches_mm is None else list(surface.pitches_mm),
-        "missing": int(np.count_nonzero(~surface.valid)) - masked_out(surface),
+        "missing": int(np.count_nonzero(~surface.valid)) - mask_map(surface),
         **heights_nm(height, level, mask),
         "bands": None
         if pitch is None
@@ -76,7 +76,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         "trim": trim,
         "samples": int(np.count_nonzero(mask)),
         "masks": mask_records(surface),
-        "masked": masked_out(surface),
+        "masked": mask_map(surface),
         **_more(level, mask, pitch),
         **_origin(surface),
     }
@@ -84,7 +84,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
 
 
 def heights_nm(height_nm: FloatArray, level_nm: FloatArray, mask: BoolArray) -> dict[str, float]:
-    """``HEIGHTS`` of a map over the mask; both arrays (ny, nx), the second without piston and tilt."""
+    """``HEIGHTS`` of a map over the mask, and its heights (ny, nx) without piston and tilt."""
     found = (*pv_rms(height_nm, mask), *pv_rms(level_nm, mask))
     return dict(zip(HEIGHTS, found, strict=True))
 
@@ -92,9 +92,9 @@ def heights_nm(height_nm: FloatArray, level_nm: FloatArray, mask: BoolArray) -> 
 def band_records(
     rms_nm: Sequence[float], mask: BoolArray, pitch_mm: float, edges: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """A band each: name, periods from and to (None: no end), RMS in nm; None where no sample shows such periods.
+    """Each band: name, periods from and to (None: no end), RMS in nm; None where no sample shows such periods.
 
-    ``soft``: it ends at a period of which fewer than ``FEWEST_PERIODS`` lie on the mask's longer side.
+    ``soft``: fewer than ``FEWEST_PERIODS`` of its end period lie on the mask's longer side.
     """
     longest_mm = pitch_mm * max(np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (0, 1)) / FEWEST_PERIODS
     limits = [None, *edges, None]
@@ -111,7 +111,7 @@ def band_records(
 
 
 def _more(level_nm: FloatArray, mask: BoolArray, pitch_mm: float | None) -> dict[str, Any]:
-    """PVr, ISO 10110-5 and slope, tilt removed; None where the samples do not carry them."""
+    """PVr, ISO 10110-5 and slope, tilt removed; None where there are too few samples."""
     pvr = _or_none(lambda: metrics_pvr(level_nm, mask, PVR_TERMS))
     iso = _or_none(lambda: iso10110.irregularity(level_nm, mask))
     slope = None if pitch_mm is None else _or_none(lambda: metrics_slope(level_nm, mask, pitch_mm))

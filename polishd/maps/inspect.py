@@ -1,4 +1,4 @@
-"""``polishd map FILE...``: what each map is, as a table or as JSON, and as a picture."""
+"""``polishd map FILE...``: the figures of each map, as a table, as JSON, and as a picture."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from polishd.model.errors import SurfaceError
 from polishd.rendering.terminal import emit, figure_table, json_line, key_table, record_table, say, stdout
 
 SOFT = "; soft: longer than a third of the part"
-"""Of a band whose end is such a period."""
+"""Mark of a band with a soft end."""
 MOST_DRAWN = 12
-"""Maps in a picture: one row each."""
+"""Most maps in a picture, one row each."""
 
 
 def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) -> None:
-    """Figures of each file. One that cannot be read is named on stderr, and the others go on; the exit code is 8."""
+    """Show the figures of each file. Name an unreadable file on stderr, continue, and exit with code 8."""
     edges = edges_mm(asked.bands)
     require_picture(asked.out)
     if asked.out is not None and len(files) > MOST_DRAWN:
@@ -66,7 +66,7 @@ def figures_verb(files: Sequence[Path], asked: FigureOptions, *, as_json: bool) 
 
 
 def _show(answers: Sequence[Mapping[str, Any]]) -> None:
-    """For people: everything of one map, or a row each of several; then what is to be known of them."""
+    """Show all figures of one map, or a row for each of several maps, and their notes."""
     names = distinguish_names([answer["path"] for answer in answers])
     if len(answers) == 1:
         stdout.print(key_table(printable(answers[0]["path"]), _rows(answers[0])))
@@ -120,7 +120,7 @@ def _pitch_words(answer: Mapping[str, Any]) -> str:
 
 
 def date_words(answer: Mapping[str, Any]) -> str:
-    """When the map was taken, and who says so."""
+    """Date of the map, and its source."""
     by = {"file system": "file system: its header has no date", "guessed": "guessed: not used"}
     return f"{answer['dated_at']} ({by.get(answer['date_from'], answer['date_from'])})" if answer["dated_at"] else ""
 
@@ -135,7 +135,7 @@ def _band_words(band: Mapping[str, Any]) -> str:
     return or_dash(band["rms_nm"], ".3f", " nm RMS") + f" (periods {periods}{SOFT if band['soft'] else ''})"
 
 
-# ``polishd map formats``: what can be read and written here.
+# ``polishd map formats``: formats that can be read and written here.
 
 EXTRAS = {
     "fits": ("fits", "astropy"),
@@ -143,11 +143,11 @@ EXTRAS = {
     "tiff": ("tiff", "tifffile"),
     "tail": ("tail", "SurfaceTopography"),
 }
-"""Readers that need more than the base install: the extra, and the module that it brings."""
+"""Readers that need an optional extra, and the module that it installs."""
 
 
 def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
-    """All readers, in the order in which they are asked."""
+    """All readers, in the order in which they are tried."""
     asked = readers_for(cell)
     own = asked.keys() if cell is None else readers_for().keys()
     answers = [{**format_answer(reader), "own": reader.name in own} for reader in asked.values()]
@@ -158,7 +158,7 @@ def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
 
 
 def format_answer(reader: SurfaceReader) -> dict[str, Any]:
-    """What a reader can do here."""
+    """Abilities of a reader in this installation."""
     extra, module = EXTRAS.get(reader.name, (None, None))
     installed = module is None or find_spec(module) is not None
     return {

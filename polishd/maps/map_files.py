@@ -1,4 +1,4 @@
-"""Maps from files, for the verbs of ``polishd map``: read, as the instrument's profile says where one is named."""
+"""Maps from files for the verbs of ``polishd map``, read by the instrument's profile where one is named."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from polishd.rendering.terminal import stdout
 
 if TYPE_CHECKING:
     from polishd.config.cell import CellConfig
-    from polishd.process.metrology.system_map import SystemMap
+    from polishd.process.metrology.absolute_test import SystemMap
 
 
-# ``--mask`` of the map verbs: which samples count, by shapes, by corners in a file, or by what another map has.
+# ``--mask`` of the map verbs: samples that count, by shapes, corners in a file, or the data of another map.
 
 FORMS = (
     "circle:X,Y,R, annulus:X,Y,R,r, rectangle:X,Y,W,H, hexagon:X,Y,W, polygon:FILE, map:FILE; before it not: for what "
@@ -41,18 +41,18 @@ Inside = Callable[[FloatArray, FloatArray], BoolArray]
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """One ``--mask``; lengths are mm from the map's centre, or px: columns and rows from its upper left sample."""
+    """One ``--mask``; lengths are mm from the map's center, or px: columns and rows from its upper left sample."""
 
     text: str
-    """As it was given."""
+    """Text of the option."""
     what: Inside | SurfaceMap
-    """A shape, or a map: where it has data."""
+    """A shape, or a map whose samples with data count."""
     inverted: bool = False
     in_px: bool = False
 
     @classmethod
     def of(cls, text: str, read: Callable[[Path], SurfaceMap]) -> Mask:
-        """From what stands behind ``--mask``; ``read`` reads a map that it names, as those are that it is laid over.
+        """Parse a ``--mask``; ``read`` reads a map that it names, in the same way as the masked maps.
 
         Raises:
             BadParameter: it is no mask.
@@ -66,7 +66,7 @@ class Mask:
             kind, _, rest = rest.partition(":")
         in_px, inverted = "px" in marks, "not" in marks
         if kind == "polygon" and rest:
-            from polishd.config.table_files import read_polygon  # which most calls can do without
+            from polishd.config.table_files import read_polygon  # lazy: most calls do not need it
 
             outline = read_polygon(Path(rest), ("column", "row") if in_px else ("x_mm", "y_mm"))
             return cls(text, _about((0.0, 0.0), outline), inverted, in_px)
@@ -77,7 +77,7 @@ class Mask:
         return cls(text, _shape(text, kind, rest), inverted, in_px)
 
     def holds(self, surface: SurfaceMap) -> BoolArray:
-        """(ny, nx) samples of a map that lie in it. BadMap where nobody can say."""
+        """(ny, nx) samples of a map inside the mask. BadMap where that is unknown."""
         if isinstance(self.what, SurfaceMap):
             found = _valid_on(surface, self.what)
         elif self.in_px:
@@ -92,7 +92,7 @@ class Mask:
 
 
 def masked(surface: SurfaceMap, masks: Sequence[Mask]) -> SurfaceMap:
-    """The map without what lies outside any of them, and how many samples each holds; BadMap where none is left."""
+    """The map without samples outside any mask, and the sample count of each; BadMap where none is left."""
     if not masks:
         return surface
     valid = surface.valid
@@ -110,22 +110,22 @@ def masked(surface: SurfaceMap, masks: Sequence[Mask]) -> SurfaceMap:
 
 
 def mask_records(surface: SurfaceMap) -> list[dict[str, Any]]:
-    """For ``--json``: each mask, and of how many samples with data it holds how many."""
+    """Each mask with its number of samples, for ``--json``."""
     return [count._asdict() for count in surface.masks]
 
 
-def masked_out(surface: SurfaceMap) -> int:
+def mask_map(surface: SurfaceMap) -> int:
     """Samples with data that lie outside one of the masks."""
     return surface.masks[0].of - int(np.count_nonzero(surface.valid)) if surface.masks else 0
 
 
 def mask_words(record: Mapping[str, Any]) -> str:
-    """The same for people."""
+    """Sample count of a mask, for people."""
     return f"holds {record['samples']} of {record['of']} samples with data"
 
 
 def mask_lines(names: Sequence[str], answers: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The same of several maps, a line each."""
+    """Lines on the masks of several maps, for people."""
     return [
         f"{name}: mask {record['mask']} {mask_words(record)}"
         for name, answer in zip(names, answers, strict=True)
@@ -134,7 +134,7 @@ def mask_lines(names: Sequence[str], answers: Sequence[Mapping[str, Any]]) -> li
 
 
 def _shape(text: str, kind: str, rest: str) -> Inside:
-    """What ``circle:X,Y,R`` and its like hold."""
+    """Samples inside ``circle:X,Y,R`` and the other shapes."""
     try:
         values = [float(word) for word in rest.split(",")]
     except ValueError:
@@ -164,7 +164,7 @@ def _about(centre: tuple[float, float], outline: Outline) -> Inside:
 
 
 def _valid_on(surface: SurfaceMap, other: SurfaceMap) -> BoolArray:
-    """(ny, nx) samples of a map where the nearest one of the other has data, centre on centre."""
+    """(ny, nx) samples of a map where the nearest sample of the other has data, center on center."""
     pitch, its = surface.pitch_mm, other.pitch_mm
     same_shape = other.height_nm.shape == surface.height_nm.shape
     if same_shape and (pitch is None or its is None or abs(its - pitch) <= SAME_PITCH * pitch):
@@ -188,28 +188,28 @@ def _size(surface: SurfaceMap) -> str:
 
 
 PROFILED = "its history says that a profile is in it: not applied again"
-"""The warning of a map that was turned and scaled before."""
+"""Warning about a map that a profile has turned and scaled before."""
 READERS = "interferometer"
-"""The plugin of polishd that reads maps. Without the other ones these verbs start in half the time."""
+"""polishd's plugin with the map readers. Without the other plugins the verbs start in half the time."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapSource:
-    """Who reads maps, and the profile by which they are turned and scaled."""
+    """Readers of maps, and the profile that turns and scales them."""
 
     readers: Mapping[str, SurfaceReader]
-    """By name, in the order in which they are asked."""
+    """By name, in the order in which they are tried."""
     asked: Sequence[SurfaceReader]
-    """Those of them that read files."""
+    """The readers that are used for files."""
     instrument: Instrument | None = None
     masks: tuple[Mask, ...] = ()
-    """Laid over each map, as the profile turns it."""
+    """Applied to each map after the profile."""
     partly: bool = True
-    """The profile need not say all that a file leaves open: enough to look."""
+    """The profile need not state everything that a file omits: enough for viewing."""
     system: SystemMap | None = None
-    """The instrument's own error, taken off each map that still has it."""
+    """The instrument's own error, subtracted from each map that still has it."""
     units: tuple[str | None, str] | None = None
-    """Of places and heights, of files that do not say theirs."""
+    """Units of positions and heights, for files that do not state theirs."""
 
     @classmethod
     def of(
@@ -250,30 +250,30 @@ class MapSource:
 
     @classmethod
     def by(cls, asked: ReadOptions, *, system: bool = True) -> MapSource:
-        """As the command line asks; errors: those of ``of``."""
+        """The source for the options of the command line; errors as of ``of``."""
         return cls.of(asked.cell, asked.profile, asked.as_format, asked.masks, units=asked.units, system=system)
 
     @property
     def options(self) -> dict[str, Any]:
-        """How maps are read, for a history: values of JSON."""
-        told: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
-        told |= {"profile": self.instrument.name} if self.instrument is not None else {}
-        told |= {"units": [one for one in self.units if one]} if self.units is not None else {}
-        return told | ({"system": self.system.surface.sha256} if self.system is not None else {})
+        """Options for reading maps, as JSON values for a history."""
+        found: dict[str, Any] = {"mask": [mask.text for mask in self.masks]} if self.masks else {}
+        found |= {"profile": self.instrument.name} if self.instrument is not None else {}
+        found |= {"units": [one for one in self.units if one]} if self.units is not None else {}
+        return found | ({"system": self.system.surface.sha256} if self.system is not None else {})
 
     @property
     def read_by(self) -> str:
-        """How maps are read, in a line for people."""
+        """Line about how maps are read, for people."""
         if self.instrument is None:
             return "maps are taken as their files say: no instrument's profile is named"
         less = "" if self.system is None else ", less its system map"
         return f"maps are read by the profile {self.instrument.name!r}{less}"
 
     def read(self, path: Path) -> SurfaceMap:
-        """A map, as it is or as far as the profile says, within the masks; BadMap where it cannot be had."""
+        """Read a map with profile and masks; BadMap where it cannot be read."""
         try:
             odd = path.exists() and not path.is_file()
-        except OSError as error:  # a name that is too long, a folder that may not be entered
+        except OSError as error:  # the name is too long, or the folder cannot be entered
             raise MapError(f"{path}: cannot be read: {error.strerror}; name a map file") from error
         if odd:
             raise MapError(f"{path}: is {'a folder' if path.is_dir() else 'no file'}; name a map file")
@@ -285,14 +285,14 @@ class MapSource:
         return masked(surface, self.masks)
 
     def _as_profiled(self, surface: SurfaceMap, instrument: Instrument) -> SurfaceMap:
-        """Once: what a verb made of profiled maps is taken as it is, and so what the system map is off already."""
+        """Apply profile and system map, unless a verb applied them before."""
         step = surface.history
         if self.partly and step is not None and step.profiled:
             surface = replace(surface, warnings=(*surface.warnings, PROFILED))
         else:
-            from polishd.process.metrology.instrument import as_profiled
+            from polishd.process.metrology.instrument import apply_profile
 
-            surface = as_profiled(surface, instrument, partly=self.partly)
+            surface = apply_profile(surface, instrument, partly=self.partly)
         if self.system is None or (step is not None and step.less_system):
             return surface
         factors = {**surface.factors, "system": self.system.surface.sha256}
@@ -300,12 +300,12 @@ class MapSource:
 
 
 def readers_for(cell: Path | None = None) -> Mapping[str, SurfaceReader]:
-    """The readers of the cell's plugins by name, in the order in which they are asked; without a cell polishd's own."""
+    """Readers of the cell's plugins by name, in the order in which they are tried; polishd's own without a cell."""
     return _of_cell(cell)[1]
 
 
 def _of_cell(cell: Path | None) -> tuple[CellConfig | None, Mapping[str, SurfaceReader]]:
-    """The cell, None without one, and the readers."""
+    """The cell (None without one), and the readers."""
     if cell is not None:
         from polishd.plugin_loader import load_cell
 
@@ -317,7 +317,7 @@ def _of_cell(cell: Path | None) -> tuple[CellConfig | None, Mapping[str, Surface
 
 
 def _units(text: str | None) -> tuple[str | None, str] | None:
-    """Of ``--units``; BadParameter where they are none of length."""
+    """Units of ``--units``; BadParameter where they are no units of length."""
     if text is None:
         return None
     words = [word.strip() for word in text.split(",")]
@@ -329,7 +329,7 @@ def _units(text: str | None) -> tuple[str | None, str] | None:
 
 
 def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceMap:
-    """The map with the units that its file does not say."""
+    """The map with the units that its file does not state."""
     nm, mm = nm_per(height) or 1.0, None if lateral is None else nm_per(lateral)
     pitches = surface.factors.get(IN_UNITS)
     answered = {"unit"} & surface.unsaid
@@ -355,7 +355,7 @@ def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceM
 
 
 def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:
-    """The reader of this name, for any file; or those of this ending, as if files had it."""
+    """The reader of this name, for any file; or the readers of this ending, for files with any ending."""
     if name in readers:
         return [replace(readers[name], sniff=lambda _head, _path: True)]
     suffix = f".{name.removeprefix('.').lower()}"
@@ -370,7 +370,7 @@ def _as_if(reader: SurfaceReader, suffix: str) -> SurfaceReader:
 
 
 def edges_mm(text: str) -> tuple[float, ...]:
-    """Periods of ``--bands``; BadParameter where they are no falling numbers above 0."""
+    """Periods of ``--bands``; BadParameter unless they are falling numbers above 0."""
     try:
         edges = tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -382,13 +382,13 @@ def edges_mm(text: str) -> tuple[float, ...]:
 
 
 def require_picture(out: Path | None) -> None:
-    """ConfigError where ``--out`` is not called ``.png``: it could be somebody's map."""
+    """ConfigError where ``--out`` does not end in ``.png``: it could be a map."""
     if out is not None and out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a picture is a PNG file; name it *.png")
 
 
 def draw(out: Path, picture: bytes, *, as_json: bool) -> None:
-    """Write the PNG, and tell people."""
+    """Write the PNG, and print its name for people."""
     from polishd.rendering.plots import save_picture
 
     save_picture(out, picture)
@@ -397,7 +397,7 @@ def draw(out: Path, picture: bytes, *, as_json: bool) -> None:
 
 
 def printable(path: object) -> str:
-    """A path for people: what is no UTF-8 in it is escaped."""
+    """A path for people, with invalid UTF-8 escaped."""
     return str(path).encode("utf-8", "backslashreplace").decode()
 
 
@@ -407,7 +407,7 @@ def or_dash(value: float | None, form: str, unit: str = "") -> str:
 
 
 def warnings(names: Sequence[str], answers: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What is to be known of each map, for people."""
+    """Warnings about each map, for people."""
     return [
         f"warning: {name}: {printable(warning)}"
         for name, answer in zip(names, answers, strict=True)
@@ -416,7 +416,7 @@ def warnings(names: Sequence[str], answers: Sequence[Mapping[str, Any]]) -> list
 
 
 def distinguish_names(paths: Sequence[object]) -> list[str]:
-    """Short names for people: of each path the fewest last parts that tell all of them apart."""
+    """Short names for people: the fewest last parts of each path that distinguish all of them."""
     parts = [Path(str(path)).parts for path in paths]
     names = list(map(str, paths))
     for depth in range(1, max(map(len, parts), default=0)):
@@ -427,15 +427,15 @@ def distinguish_names(paths: Sequence[object]) -> list[str]:
 
 
 def band_names(count: int) -> Sequence[str]:
-    """LSF, MSF and HSF for three bands; what lies between low and high is numbered where there are more."""
+    """LSF, MSF and HSF for three bands; the middle ones are numbered where there are more."""
     middle = ["MSF"] if count == 3 else [f"MSF{number}" for number in range(1, count - 1)]
     return ["LSF", *middle, "HSF"]
 
 
-# The history that ``polishd map`` writes into its results, and shows of any map.
+# The history in results of ``polishd map``.
 
 SHORT = 12
-"""Digits of a hash that are shown to people."""
+"""Digits of a hash for people."""
 
 
 def history_step(
@@ -465,24 +465,24 @@ def history_step(
 
 
 def uncertainty_nm(surface: SurfaceMap) -> float | None:
-    """How sure a sample of a map is by its history: one standard deviation; None where that does not say."""
+    """Uncertainty of a sample by the map's history, one standard deviation; None where it is not stated."""
     return None if surface.history is None else surface.history.uncertainty_nm
 
 
 def known_lines(known_nm: float | None) -> list[str]:
-    """The same for people, of what was made of several maps."""
+    """Line on the uncertainty of a result of several maps, for people."""
     if known_nm is None:
-        return ["how sure a sample is nobody knows: not each map says it of itself, as means of repeats do"]
+        return ["the uncertainty of a sample is unknown: not every map states its own, as means of repeats do"]
     return [f"a sample is known to {known_nm:.4f} nm (one standard deviation), if the maps' errors are independent"]
 
 
 def history_record(surface: SurfaceMap) -> dict[str, Any] | None:
-    """For ``--json``: the last step, the histories of its inputs within it."""
+    """The last step with the histories of its inputs, for ``--json``."""
     return None if surface.history is None else asdict(surface.history)
 
 
 def history_rows(step: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
-    """The same for people: a row each step, the last one first, and a row each of its inputs."""
+    """Rows for people: one for each step, the last first, and one for each of its inputs."""
     if step is None:
         return
     options = ", ".join(f"{key} {_words(value)}" for key, value in step["options"].items())
@@ -495,6 +495,6 @@ def history_rows(step: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
 
 
 def _words(value: Any) -> str:
-    if isinstance(value, Mapping):  # for programs: of the instrument's terms a matrix
+    if isinstance(value, Mapping):  # for programs only: a matrix of the instrument's terms
         return f"({', '.join(value)})"
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

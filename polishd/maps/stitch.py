@@ -1,4 +1,4 @@
-"""``polishd map stitch``: overlapping sub-apertures as one map, and how sure each of its samples is."""
+"""``polishd map stitch``: combine overlapping sub-apertures into one map with its uncertainty."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ FREE = ("power", "shift")
 
 
 def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -> None:
-    """Stitch the maps, the first as the reference; write the result and its uncertainty where they are wanted."""
+    """Stitch the maps, with the first as reference; write the result and its uncertainty on request."""
     from polishd.config.table_files import read_positions
 
     free = _free(asked.free)
     source = MapSource.by(asked)
     _require_targets(files, asked, source)
     positions = read_positions(asked.at)
-    require_listed(files, positions, asked.at, "file,x_mm,y_mm")
+    require_lines(files, positions, asked.at, "file,x_mm,y_mm")
     surfaces = [source.read(path) for path in files]
     pitch = one_pitch(surfaces)
     names = distinguish_names(files)
@@ -55,9 +55,9 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     answer |= _stored(surfaces, found, asked, source, free=list(free), at=places)
     emit(answer, as_json=as_json, table=lambda: _table(answer), lines=_lines(answer))
     if asked.picture is not None:
-        from polishd.maps.pictures import stitched_picture
+        from polishd.maps.pictures import stitch_picture
 
-        draw(asked.picture, stitched_picture(found.height_nm, found.uncertainty_nm, found.maps, pitch), as_json=as_json)
+        draw(asked.picture, stitch_picture(found.height_nm, found.uncertainty_nm, found.maps, pitch), as_json=as_json)
 
 
 def _free(text: str) -> tuple[str, ...]:
@@ -77,23 +77,23 @@ def _require_targets(files: Sequence[Path], asked: StitchOptions, source: MapSou
     require_picture(asked.picture)
 
 
-def require_listed(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:
-    """ConfigError where a list does not have a line for each map, told by its file's name."""
+def require_lines(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:
+    """ConfigError where a list does not have a line for each map, identified by its file's name."""
     names = [path.name for path in files]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ConfigError(f"{', '.join(twice)}: named twice; {at} tells maps by their file names alone")
+        raise ConfigError(f"{', '.join(twice)}: named twice; {at} identifies maps by their file names")
     missing = [name for name in names if name not in listed]
     if missing:
         raise ConfigError(f"{at}: does not say where {', '.join(missing)} lies; add a line {line} for each map")
 
 
 def one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
-    """Of maps of one part; BadMap where they have none, or two, or are of several parts."""
+    """Common pitch of maps of one part; BadMap where there is none, or where they show several parts."""
     pitches: list[float] = []
     for one in surfaces:
         if one.pitch_mm is None:
-            raise MapError(f"{one.path}: has no lateral scale, so nobody knows where its samples lie; give the "
+            raise MapError(f"{one.path}: has no lateral scale, so the positions of its samples are unknown; give the "
                          "instrument's --profile")  # fmt: skip
         pitches.append(one.pitch_mm)
         if abs(one.pitch_mm - pitches[0]) > SAME_PITCH * pitches[0]:
@@ -133,7 +133,7 @@ def _answer(found: StitchResult, first: SubAperture, pitch_mm: float, free: Sequ
 
 
 def _on_part(found: StitchResult, first: SubAperture, pitch_mm: float, row: float, column: float) -> list[float]:
-    """x, y in mm where the list of positions has its origin."""
+    """Position x, y in mm of the origin of the list of positions."""
     down, right = row - found.centre_px[0], column - found.centre_px[1]
     return [first.x_mm + float(right) * pitch_mm, first.y_mm - float(down) * pitch_mm]
 
@@ -145,14 +145,16 @@ def _power_notes(found: StitchResult, free: Sequence[str]) -> list[str]:
     )
     notes = [shared]
     if "power" in free:
-        notes.append(f"freed power cannot be told from the part's: the result's is that of {found.placed[0].name}")
+        notes.append(
+            f"freed power cannot be separated from the part's: the result has the power of {found.placed[0].name}"
+        )
     return notes
 
 
 def _stored(
     surfaces: Sequence[SurfaceMap], found: StitchResult, asked: StitchOptions, source: MapSource, **options: Any
 ) -> dict[str, Any]:
-    """Write the map and its uncertainty; what there is to say of each."""
+    """Write the map and its uncertainty; return notes on each."""
     times = [one.measured_at for one in surfaces if one.measured_at is not None]
     whole = replace(surfaces[0], taken_at=max(times, default=None), date_from="header", fiducials_px=(), masks=())
     inputs = [("reference", surfaces[0]), *(("sub-aperture", one) for one in surfaces[1:])]

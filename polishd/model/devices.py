@@ -1,4 +1,4 @@
-"""What devices say of themselves and of what they do."""
+"""Identity, status and readings of devices, and their reaction times."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def port_of(device: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class DeviceIdentity:
-    """Who answered: the same for real and simulated devices."""
+    """Identity of a device; real and simulated devices have the same fields."""
 
     vendor: str
     model: str
@@ -34,7 +34,7 @@ class DeviceStatus:
     """A device's own word on whether it may be used. ``safe`` means: it exerts nothing and nothing moves."""
 
     ready: bool
-    """It can be used: no fault is set."""
+    """The device can be used: no fault is set."""
     safe: bool
     state: str
     """The device's own word for it, for people and logs."""
@@ -48,17 +48,17 @@ class ForceSample:
 
     at_s: float
     force_n: float
-    """As measured, by the device's own word."""
+    """Force that the device measures."""
     setpoint_n: float
-    """What it regulates to; 0 once it was retracted."""
+    """Set point of the force; 0 after retraction."""
     in_contact: bool
-    """The tool is on the part, also where no force is asked for."""
+    """The tool is on the part, also with a set point of 0."""
     retracted: bool
     """The tool is off the part, at rest."""
     fault: int = 0
     """0: none; else the device's own number of it."""
     position_mm: float | None = None
-    """How far the tool is out, from its rest; None where the actuator does not say."""
+    """Distance of the tool from its rest; None where the actuator does not report it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class SensedForce:
     force_n: float
     """Pressing is positive; 0 is what it read when it was last tared."""
     fault: int = 0
-    """Bits of its own: over its range, no cell connected."""
+    """Fault bits of the sensor: over range, no cell connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Signal:
 
     at_s: float
     name: str
-    """As the monitor calls it."""
+    """Name of the monitor's signal."""
     value: float | bool | None
     """A number in the signal's unit, or a state; None: the monitor says that it does not know."""
 
@@ -89,9 +89,9 @@ class SpeedSample:
 
     at_s: float
     rpm: float
-    """As measured; negative: the other way."""
+    """Measured speed; negative: the other direction."""
     setpoint_rpm: float
-    """What it was asked for."""
+    """Set point of the speed."""
     fault: int = 0
     """0: none; else the drive's own number of it."""
 
@@ -107,7 +107,7 @@ class ExecutedBlock:
 
 @dataclass(frozen=True, slots=True)
 class RobotProgress:
-    """Where the robot is in its program, as the robot itself says."""
+    """Position of the robot in its program, as the robot reports it."""
 
     state: RobotState
     program_sha256: str
@@ -133,15 +133,15 @@ class MapRefusal:
     """Class of the error: ``MapError``, ``StaleMap``, ``WrongPart``."""
     reason: str
     todo: str
-    """What the operator can do."""
+    """Action for the operator."""
     kept: str = ""
-    """Where the file is kept now; empty where it could not be moved."""
+    """Present location of the file; empty where it could not be moved."""
 
 
 # How long each device's actions may take. The device states it, from its own config; the daemon derives its limits.
 
 Unpowered = Literal["lifts", "stays", "presses"]
-"""What an actuator does without power: its tool comes off the part, stays where it is, or goes on pressing."""
+"""Behavior of an actuator without power: its tool lifts off, stays in place, or continues to press."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,15 +149,15 @@ class ActuatorTimes:
     """The longest that a force actuator takes, wall time, and how far its tool can follow the part."""
 
     silence_s: float = 0.3
-    """No answer for so long: it counts as silent."""
+    """Without an answer for so long, the actuator counts as silent."""
     watchdog_s: float = 1.0
-    """It hears nothing for so long: it takes the force off and lifts, by itself."""
+    """Without a message for so long, the actuator takes the force off and lifts."""
     landing_s: float = 10.0
-    """From engaging to the force."""
+    """From engaging until the force is reached."""
     release_s: float = 0.2
-    """From the order, or its watchdog, to force off."""
+    """From the command, or the watchdog, until the force is off."""
     retract_s: float = 5.0
-    """From force off until it tells that the tool is up."""
+    """From force off until it reports that the tool is up."""
     stroke_mm: float = 10.0
     unpowered: Unpowered = "lifts"
     """Beside its watchdog, which needs power: one that stays leaves it to the robot to take the tool away."""
@@ -166,12 +166,12 @@ class ActuatorTimes:
 
     @property
     def lifted_s(self) -> float:
-        """From the order until the lift is confirmed."""
+        """From the command until the lift is confirmed."""
         return self.release_s + self.retract_s
 
     @property
     def alone_s(self) -> float:
-        """From the last word that reached it until it has lifted by itself."""
+        """From the last message that reaches it until its watchdog has lifted the tool."""
         return self.watchdog_s + self.lifted_s
 
 
@@ -180,13 +180,13 @@ class RobotTimes:
     """The longest that a robot takes, wall time."""
 
     silence_s: float = 1.5
-    """No sound word for so long: its link counts as lost."""
+    """Without a valid message for so long, the link counts as lost."""
     watchdog_s: float = 8.0
-    """It hears nothing for so long: it stops by itself. Infinite for one that runs its program to the end."""
+    """Without a message for so long, the robot stops. Infinite for a robot that runs its program to the end."""
     stop_s: float = 5.0
-    """From the order to standstill; also for lifting along the tool's axis."""
+    """From the command to standstill; also for lifting along the tool's axis."""
     lifts: bool = True
-    """It can take the tool off the part, in motion (``Robot.lift``)."""
+    """The robot can lift the tool off the part in motion (``Robot.lift``)."""
     unseen_stop_s: float = 0.0
     """Longest that it stands, held by an operator, before anybody knows; 0: no longer than its link takes."""
     block_end_s: float = 0.0
@@ -194,7 +194,7 @@ class RobotTimes:
     report_s: float = 0.1
     """Greatest age of a report of executed blocks: the period of the link's reports and their way."""
     reports_dwells: bool = True
-    """It reports the end of a move before the dwell after it is over; LinuxCNC reports the line of its last motion."""
+    """It reports the end of a move before the dwell after it; LinuxCNC reports the line of its last motion."""
     keys: Mapping[str, str] = field(default_factory=dict)
     """Fields whose key in the device's section has another name: its name there, by field."""
 
@@ -205,9 +205,9 @@ class SpindleTimes:
 
     silence_s: float = 0.8
     watchdog_s: float = 1.0
-    """It hears nothing for so long: it stops by itself."""
+    """Without a message for so long, the spindle stops."""
     spin_s: float = 8.0
-    """From standstill to its speed, or back."""
+    """From standstill to speed, or back."""
     keys: Mapping[str, str] = field(default_factory=dict)
     """Fields whose key in the device's section has another name: its name there, by field."""
 
@@ -219,9 +219,9 @@ class LoaderTimes:
     silence_s: float = 2.0
     """No answer for so long: its link counts as lost."""
     change_s: float = 120.0
-    """From the order to take a part off, or to put one on, until it is clear of the cell."""
+    """From the command to remove or load a part until the loader is clear of the cell."""
     stop_s: float = 5.0
-    """From the order to standstill."""
+    """From the command to standstill."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,9 +231,9 @@ class SensorTimes:
     silence_s: float = 0.3
     """No new reading for so long: it counts as silent."""
     delay_s: float = 0.1
-    """From a force that acts to its reading: filter, conversion and link."""
+    """From a force to its reading: filter, conversion and link."""
     tare_s: float = 1.0
-    """From the order until what it read then is 0."""
+    """From the command until the reading is 0."""
     keys: Mapping[str, str] = field(default_factory=dict)
     """Fields whose key in the device's section has another name: its name there, by field."""
 
@@ -248,7 +248,7 @@ class MonitorTimes:
 
 # What a signal of the cell must be, and what it leads to where it is not.
 
-LeadsTo = Literal["notify", "hold", "lift", "estop"]
+SignalAction = Literal["notify", "hold", "lift", "estop"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,11 +260,11 @@ class SignalRange:
     state: bool | None = None
 
     def broken(self, value: float | bool | None, unit: str = "") -> str:
-        """What is wrong with that value, in words; empty where it is as it must be. None: it is not known."""
+        """Return the deviation of a value in words; empty within the limits. None: unknown."""
         return "" if self._holds(value) else f"is {in_words(value, unit)}, must be {self.words(unit)}"
 
     def words(self, unit: str = "") -> str:
-        """What a value must be."""
+        """Return the required value in words."""
         if self.state is not None:
             return in_words(self.state)
         low = "" if self.min is None else f"at least {in_words(self.min, unit)}"
@@ -289,24 +289,24 @@ class SignalLimits:
     """A signal that is watched, and its limits."""
 
     name: str
-    """Of its section, `[signals.NAME]`."""
+    """Name of its section, `[signals.NAME]`."""
     monitor: str
-    """The device that tells it."""
+    """The device that reports it."""
     signal: str
-    """As that calls it."""
+    """Name of the signal at the monitor."""
     unit: str
     before: SignalRange | None
-    """What it must be before contact."""
+    """Required value before contact."""
     wait_s: float
     """So long that is waited for."""
     in_contact: SignalRange | None
-    grace_s: float
+    alarm_delay_s: float
     """So long it may be outside in contact."""
-    leads_to: LeadsTo
-    on_order: SignalRange | None = None
-    """What it must be when a person orders motion."""
+    action: SignalAction
+    on_start: SignalRange | None = None
+    """Required value when the operator commands motion."""
     measures_force: bool = False
-    """It reads the force on the part, N."""
+    """The signal is the force on the part, N."""
 
     def said(self, value: float | bool | None) -> str:
         """A value in words."""
@@ -319,8 +319,8 @@ class SignalLimits:
             said.append(f"before contact {self.before.words(self.unit)} (waited for {self.wait_s:g} s)")
         if self.in_contact is not None:
             said.append(
-                f"in contact {self.in_contact.words(self.unit)} (else {self.leads_to} after {self.grace_s:g} s)"
+                f"in contact {self.in_contact.words(self.unit)} (else {self.action} after {self.alarm_delay_s:g} s)"
             )
-        if self.on_order is not None:
-            said.append(f"when motion is ordered {self.on_order.words(self.unit)}")
+        if self.on_start is not None:
+            said.append(f"when motion is ordered {self.on_start.words(self.unit)}")
         return f"{self.name} of {self.monitor}: {', '.join(said)}"

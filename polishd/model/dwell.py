@@ -17,7 +17,7 @@ AS_PROGRAMMED: Choice = "as_programmed"
 
 @dataclass(frozen=True, slots=True)
 class OptimalityCertificate:
-    """What is known of a dwell solution, measured on the solution itself in float64."""
+    """Figures of a dwell solution, computed from the solution in float64."""
 
     solver: str
     objective: float
@@ -29,7 +29,7 @@ class OptimalityCertificate:
     predicted_pv_nm: float
     dwell_total_s: float
     piston_nm: float
-    """Mean removal asked for in the clear aperture."""
+    """Requested mean removal in the clear aperture."""
     at_lower: int
     at_upper: int
     iterations: int
@@ -38,16 +38,16 @@ class OptimalityCertificate:
     stopped: str
     """Why the solver stopped: ``converged``, ``deadline``, ``iterations``; what was used may follow."""
     cross_check: str | None = None
-    """Name of an independent solver that was asked too, or None."""
+    """Name of an independent solver that solved it too, or None."""
     cross_check_gap: float | None = None
     """(our objective - its objective) / its objective; at most a small positive number."""
     notes: tuple[str, ...] = ()
     gap: float | None = None
     """Proved: no dwell within the bounds has an objective that is lower by more than this share; None: nothing is."""
     gap_nm: float | None = None
-    """The same of the objective's root: the RMS of the solved area, where price and regularisation count little."""
+    """Gap of the objective's root: the RMS of the solved area, where price and regularization are small."""
     predicted_band_rms_nm: float | None = None
-    """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: none was asked for."""
+    """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: not requested."""
     cutoff_period_mm: float | None = None
     """Shorter periods no dwell with this spot removes; None: not known, or finer than the process grid shows."""
 
@@ -74,8 +74,8 @@ class DwellSolution:
     lower_s: FloatArray = field(repr=False)
     upper_s: FloatArray = field(repr=False)
     state: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    """What its solver can start from again, by name; kept with the run."""
+    """State from which its solver can continue, by name; kept with the run."""
 
 
 Start = WarmStart | DwellSolution
-"""Where a solver can start: what was kept of a run, or a solution of a problem much like its own."""
+"""Start of a solver: the kept state of a run, or a solution of a similar problem."""

@@ -28,9 +28,9 @@ PolishdError
     DeviceFault    the device says that it is broken
     HostFault      the cell's own computer nears a limit
     SignalFault    a signal of the cell is not as it must be
-  SafetyStop       the cell left contact by itself                      (7)
-    ForcesApart    actuator and force sensor tell two forces
-  HandlingError *  somebody has to see to part or pad, then go on       (11)
+  SafetyStop       the cell left contact without a command              (7)
+    ForcesApart    actuator and force sensor differ
+  HandlingError *  the operator must attend to part or pad, then go on  (11)
     WrongSeat      the part does not sit where it should
       SeatNotLeft  nor could the robot leave the place where it was looked for
 """
@@ -98,11 +98,11 @@ class WrongPart(SurfaceError):
 
 
 class PartNotSettled(SurfaceError):
-    """Maps of a part that nobody touches go on changing."""
+    """Maps of a part at rest continue to change."""
 
 
 class RemovalCheckStop(PolishdError):
-    """What a pass removed is better explained by a mistake in instrument or alignment than by its plan."""
+    """A mistake in instrument or alignment explains the measured removal better than the plan."""
 
     exit_code = 10
     mendable = True
@@ -119,6 +119,10 @@ class ComputeError(PolishdError):
     """A computation failed, ran out of time, or came without a valid certificate."""
 
     exit_code = 10
+
+
+class WorkerError(ComputeError):
+    """A worker process exceeded a limit, ended, or broke the protocol. It has been ended."""
 
 
 class DeviceError(PolishdError):
@@ -155,7 +159,7 @@ class DeviceClaimed(DeviceBusy):
 
 
 class DeviceFault(DeviceError):
-    """The device reports a fault of its own."""
+    """The device reports an internal fault."""
 
 
 class HostFault(DeviceError):
@@ -163,7 +167,7 @@ class HostFault(DeviceError):
 
 
 class SignalFault(DeviceError):
-    """A signal that a monitor tells is not as it must be before contact, or was not so in it."""
+    """A monitored signal is out of its limits before or during contact."""
 
 
 class SafetyStop(PolishdError):
@@ -196,4 +200,4 @@ class BatchRequestError(PolishdError):
 
 
 class FrameError(PolishdError):
-    """Where the next message to the batch plant begins is not known any more: the connection ends."""
+    """A message between a program and a worker process is broken or too large, and the next one cannot be found."""

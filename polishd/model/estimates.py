@@ -1,4 +1,4 @@
-"""What is believed of a process, each number with its standard error, and what a pass adds to it."""
+"""Estimates of a process with their standard errors, and the evidence that a pass adds."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """What a removal model believes of the process, carried over the cycles of a job and kept with its passes.
+    """Estimates of the process by a removal model, carried over the cycles of a job and kept with its passes.
 
-    A model that learns more than the rate has a subclass with fields of its own: whatever JSON can hold.
+    A model that estimates more than the rate has a subclass with further fields of JSON values.
     """
 
     rate: Estimate = Estimate(1.0)
@@ -35,14 +35,14 @@ UNTAUGHT = Estimates()
 
 @dataclass(frozen=True, slots=True)
 class MachineEstimates(Estimates):
-    """What identification believes of a machine, by its parameters (docs/identification.md), 0 as it is configured."""
+    """Estimated parameters of a machine (docs/identification.md); 0 is the configured value."""
 
     applied: Mapping[str, float] = field(default_factory=dict)
-    """Those that plans count with, besides the rate; where none is, a plan is as if nothing were known of it."""
+    """Parameters that plans use besides the rate; a missing one counts as 0."""
     mean: Mapping[str, float] = field(default_factory=dict)
     """All of them, applied or not; empty before the first pass."""
     covariance: tuple[tuple[float, ...], ...] = ()
-    """Of those, in their order."""
+    """Covariance of these parameters, in their order."""
     odds: Mapping[str, float] = field(default_factory=dict)
     """Natural logarithm, by choice (`Knowledge.odds`)."""
     pass_h: float = 0.0
@@ -61,21 +61,21 @@ class MapPixels:
 
 @dataclass(frozen=True, slots=True)
 class PassEvidence:
-    """What a pass removed, for a removal model to learn from: the gate has found nothing wrong with it."""
+    """Measured removal of a pass that the removal check accepted, for a removal model to estimate from."""
 
     beliefs: Estimates
     """With which ``predicted_nm`` was predicted."""
     executed_s: FloatArray
     """(n,) s: time that each timed point really had."""
     predicted_nm: FloatArray
-    """(ny, nx) nm, positive = removed, without what nobody knows of it (piston, tilt); NaN outside the mask."""
+    """(ny, nx) nm, positive = removed, without the unknown terms (piston, tilt); NaN outside the mask."""
     measured_nm: FloatArray
     """(ny, nx) nm: map before less map after, levelled alike."""
     mask: BoolArray
     """(ny, nx) the clear aperture."""
     pitch_mm: float
     tells_rate: bool
-    """Whether a wrong rate would have been seen: else nothing may be learned of it."""
+    """The pass shows a wrong rate; otherwise the rate must not be estimated from it."""
     rates: tuple[float, float]
     """Least and largest rate, relative to the model's own, that ``limits.max_rate_change`` allows."""
     acted_s: FloatArray | None = None
@@ -89,16 +89,16 @@ class PassEvidence:
     most_miss_mm: float = 0.5
     """So far off where it should the spot may have acted: what is further stops for a person."""
     must_tell: bool = False
-    """The pass was made to teach: where it does not, that stops for a person, too."""
+    """The pass measures the machine; without a result the cell stops for the operator."""
 
 
 @dataclass(frozen=True, slots=True)
 class EstimateUpdate:
-    """What a pass taught a removal model."""
+    """Update of the estimates by a pass."""
 
     beliefs: Estimates
     found: Mapping[str, Any] = field(default_factory=dict)
-    """How it was found, JSON-ready: stands in ``learned.json``."""
+    """Figures of the update, JSON-ready, for ``learned.json``."""
     notes: tuple[str, ...] = ()
     """For people: what was found and not taken."""
     stop: str = ""
@@ -123,14 +123,14 @@ class PassIndicators:
     """RMS that its plan expected after it."""
     after_nm: float
     within_reach_nm: float | None
-    """Of what is left, the RMS of periods that the spot corrects."""
+    """RMS of the residual at periods that the spot corrects."""
     contact_s: float
     rate: Estimate | None
     """Removal rate, relative to the model's own."""
     fade: Estimate | None
     """Change of the rate from the pass's begin to its end, of its mean."""
     width: Estimate | None
-    """By how much the spot is wider than the model's, relative."""
+    """Relative excess of the spot's width over the model's."""
     expected_nm: tuple[float, float] | None = None
     """Between which ``seen_nm`` was expected, with a chance of nine in ten; None: nothing was."""
     seen_nm: float | None = None
@@ -142,13 +142,13 @@ class PassSeries:
     """Passes by one process, over jobs, since the tool was last looked at."""
 
     process: str
-    """What identifies the process: passes by another are no part of it."""
+    """Identity of the process; passes by another process are excluded."""
     passes: int = 0
     contact_h: float = 0.0
     reference: Estimate | None = None
     """Mean rate of the first of them that showed it."""
     rated: int = 0
-    """How many showed it."""
+    """Number of passes that showed it."""
     faded: float = 0.0
     """Sum of the fades of those that showed one, ..."""
     faded_variance: float = 0.0
@@ -162,18 +162,18 @@ class FindingLimits:
 
     max_rate_drift: float = 0.25
     max_spot_change: float = 0.3
-    least_gain: float = 0.3
+    min_improvement: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found in a pass and those before it."""
+    """Finding from a pass and those before it."""
 
     kind: Kind
     what: str
     """With its numbers, and what to do."""
     stops: Stops
-    """What should not go on: this job only, or all jobs of the cell until a person has looked at the tool."""
+    """Scope of the stop: this job, or all jobs of the cell until the operator has checked the tool."""
 
 
 # What may be wrong with a loop, in classes: what its evidence cannot tell apart bears one name.
@@ -186,9 +186,9 @@ class DiagnosisClass:
     """A class of causes."""
 
     members: str
-    """What it may be: no evidence of a pass tells these apart."""
+    """The possible causes, which the evidence of a pass cannot separate."""
     todo: str
-    """What is done about it, and what a person can do."""
+    """Action of the daemon, and actions for the operator."""
 
 
 CAUSES: dict[CauseName, DiagnosisClass] = {
@@ -203,8 +203,8 @@ CAUSES: dict[CauseName, DiagnosisClass] = {
         "held beyond half a millimetre; less is noted",
     ),
     "rate": DiagnosisClass(
-        "a worn tool, the slurry, process.preston, a compliance that is off all over, a force or speed that nobody "
-        "reads, or the factor of the map's heights",
+        "a worn tool, the slurry, process.preston, a compliance that is wrong everywhere, an unmonitored "
+        "force or speed, or the factor of the map's heights",
         "held beyond what learning takes up; less is learned, and the next plan counts with it",
     ),
     "settling": DiagnosisClass(
@@ -218,10 +218,10 @@ CAUSES: dict[CauseName, DiagnosisClass] = {
     ),
     "field": DiagnosisClass(
         "a removal rate that changes over the part, or a set-up that changed before the last pass and stays",
-        'noted: process.learns = "machine" learns a rate that changes over the part',
+        'noted: process.estimates = "machine" learns a rate that changes over the part',
     ),
 }
-"""In the order in which the loop looks for them: of a map that lies wrongly no size is believed."""
+"""In the order of the checks: no size is meaningful in a misplaced map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,12 +236,12 @@ class Diagnosis:
     """The least size at which these maps would have named it."""
     unit: str
     what: str
-    """In words."""
+    """Description."""
     again: bool = False
-    """Suspected only: another map, with no pass between, tells."""
+    """Suspected only: another map without a pass between decides."""
 
     @property
     def words(self) -> str:
-        """With what cannot be told from it, and what is done."""
+        """Return the finding with its possible causes and the action."""
         cause = CAUSES[self.cause]
-        return f"{self.what}: {cause.members}, which cannot be told apart; {cause.todo}"
+        return f"{self.what}: {cause.members}, which cannot be separated; {cause.todo}"

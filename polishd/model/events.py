@@ -1,4 +1,4 @@
-"""What an event is; its kinds are in ``events``."""
+"""Base of the daemon's events and all kinds of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from polishd.model.surface import SurfaceStats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that happened. Each kind is a class of its own, known by ``name``."""
+    """An event of the daemon. Each kind is one class, identified by ``name``."""
 
     name: ClassVar[str]
     cycle: Annotated[int | None, "the cycle in which it happened; None outside of all"] = None
@@ -34,7 +34,7 @@ class Event:
         return {"name": self.name, "cycle": self.cycle, "data": dict(self.data)}
 
     def concern(self) -> OperatorNotice | None:
-        """Nobody's."""
+        """Return None: the event needs no operator."""
         return None
 
 
@@ -49,9 +49,9 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShopRateReceived(Event):
-    """The shop tells what another cell has learned of a recipe; a job begins with it where this cell has no lesson."""
+    """The shop sends another cell's estimates of a recipe; a job begins with them where this cell has none."""
 
-    name: ClassVar[str] = "rate_offered"
+    name: ClassVar[str] = "shop_rate_received"
     recipe: Annotated[str, "of process and tool, a hash"]
     cell: Annotated[str, "which has learned it"]
     job: Annotated[str, "in which job"]
@@ -68,7 +68,7 @@ class ShopRateReceived(Event):
 class JobStarted(Event):
     """A job of the queue begins, or goes on after a restart; its part is put in next."""
 
-    name: ClassVar[str] = "job_begun"
+    name: ClassVar[str] = "job_started"
     job: Annotated[str, "its `job.id`"]
     part_id: Annotated[str, "its part"]
     run_dir: Annotated[str, "the run folder"]
@@ -84,7 +84,7 @@ STANDING = (
 class PartRequested(Event):
     """A person is to put a part in; nothing moves before."""
 
-    name: ClassVar[str] = "part_wanted"
+    name: ClassVar[str] = "part_requested"
     job: Annotated[str, "the `job.id` of its job"]
     part_id: Annotated[str, "the part"]
     standing: Annotated[CellSafety, STANDING]
@@ -108,10 +108,10 @@ class PartChanged(Event):
 class QueueJobEnded(Event):
     """A job of the queue is over."""
 
-    name: ClassVar[str] = "job_ended"
+    name: ClassVar[str] = "queue_job_ended"
     job: Annotated[str, "its `job.id`"]
     part_id: Annotated[str, "its part"]
-    verdict: Annotated[str, "`accepted`, `rejected` or `put aside`"]
+    verdict: Annotated[str, "`accepted`, `rejected` or `set aside`"]
     reason: Annotated[str, "why"]
     stops: Annotated[str, "why the queue stops over it; empty where it goes on"]
     run_dir: Annotated[str, "the run folder; empty where the job never began"]
@@ -121,14 +121,14 @@ class QueueJobEnded(Event):
         severity = Severity.INFO if self.verdict == "accepted" else Severity.WARNING
         what = f"{self.job} (part {self.part_id}) was {self.verdict}: {self.reason}"
         does = f"the queue stops: {self.stops}" if self.stops else "the queue goes on"
-        return OperatorNotice(severity, what, does, "polishd job list CELL.toml shows the queue")
+        return OperatorNotice(severity, what, does, "polishd queue list CELL.toml shows the queue")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueStopped(Event):
     """The daemon of a queue ends; not where an error ended it."""
 
-    name: ClassVar[str] = "queue_ended"
+    name: ClassVar[str] = "queue_stopped"
     outcome: Annotated[str, "`empty`, `stopped`, or the outcome of the job over which it stopped"]
     reason: Annotated[str, "why it was stopped; else empty"]
     jobs: Annotated[str, "how many jobs of this run ended how"]
@@ -142,9 +142,9 @@ class QueueStopped(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellOpened(Event):
-    """All devices of the cell answered and said who they are."""
+    """All devices of the cell answered with their identity."""
 
-    name: ClassVar[str] = "opened"
+    name: ClassVar[str] = "cell_opened"
     devices: Annotated[Mapping[str, DeviceIdentity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
 
 
@@ -152,7 +152,7 @@ class CellOpened(Event):
 class StateChanged(Event):
     """The daemon's state is another one."""
 
-    name: ClassVar[str] = "state"
+    name: ClassVar[str] = "state_changed"
     state: Annotated[str, "`starting`, `idle`, `changing`, `polishing`, `held` or `finished`"]
     reason: Annotated[str, "why it is held, or how the job ended"]
     standing: Annotated[CellSafety, STANDING]
@@ -168,8 +168,8 @@ class StateChanged(Event):
 class CommandReceived(Event):
     """A person, or a program for one, gave an order over the socket."""
 
-    name: ClassVar[str] = "ordered"
-    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`, or what was asked of the queue: `job_move`, say"]
+    name: ClassVar[str] = "command_received"
+    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`, or what was asked of the queue: `queue_move`, say"]
     reason: Annotated[str, "what was said with it; may be empty"]
     by: Annotated[str, "who gave it, by the word of what passed it on; empty: not said"] = ""
 
@@ -178,16 +178,16 @@ class CommandReceived(Event):
 class AlarmAcknowledged(Event):
     """A person has seen alarms."""
 
-    name: ClassVar[str] = "acknowledged"
+    name: ClassVar[str] = "alarm_acknowledged"
     alarms: Annotated[Sequence[int], "their numbers in the journal's table `event`"]
     by: Annotated[str, "who"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactAborted(Event):
-    """An error in contact was noticed, and the tool is being lifted; `held` or `failed` follows once all is safe."""
+    """An error in contact: the tool is being lifted; `cell_held` or `daemon_failed` follows once all is safe."""
 
-    name: ClassVar[str] = "contact_broken"
+    name: ClassVar[str] = "contact_aborted"
     error: Annotated[str, "what is wrong"]
     kind: Annotated[str, "the error's class"]
 
@@ -196,7 +196,7 @@ class ContactAborted(Event):
 class CellHeld(Event):
     """An error that a person can mend holds the cell, or any error ends a job of the queue."""
 
-    name: ClassVar[str] = "held"
+    name: ClassVar[str] = "cell_held"
     error: Annotated[str, "what is wrong, and what to do"]
     kind: Annotated[str, "the error's class"]
 
@@ -205,7 +205,7 @@ class CellHeld(Event):
 class DaemonFailed(Event):
     """An error ended the daemon."""
 
-    name: ClassVar[str] = "failed"
+    name: ClassVar[str] = "daemon_failed"
     error: Annotated[str, "what was wrong, and what to do"]
     kind: Annotated[str, "the error's class"]
     standing: Annotated[CellSafety, "as of `state`"] = NOT_ASKED
@@ -228,7 +228,7 @@ class MapRefused(Event):
     waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
 
     def concern(self) -> OperatorNotice:
-        """Warning: no map comes by itself."""
+        """Warning: the operator must measure again."""
         since = f", refused {self.waited_s / 60:.0f} min ago" if self.waited_s else ""
         waits = "the cell measures: it waits for another map; nothing moves"
         return OperatorNotice(
@@ -240,7 +240,7 @@ class MapRefused(Event):
 class MapMeasured(Event):
     """A map was taken, and conditioned."""
 
-    name: ClassVar[str] = "measured"
+    name: ClassVar[str] = "map_measured"
     stats: Annotated[
         SurfaceStats,
         "nm: `rms_nm`, `pv_nm`, `lsf_rms_nm`, `band_rms_nm` (None where the whole surface counts); `samples`",
@@ -259,7 +259,7 @@ class MapMeasured(Event):
 class MapRepeated(Event):
     """Another map was taken, to see whether the part has settled, or what of a pass's change is none of the pass."""
 
-    name: ClassVar[str] = "repeated"
+    name: ClassVar[str] = "map_repeated"
     maps: Annotated[int, "maps of this measurement so far"]
     change_nm: Annotated[float, "RMS by which it differs from the one before, or of the largest low order that does"]
     limit_nm: Annotated[float, "what that may be"]
@@ -268,9 +268,9 @@ class MapRepeated(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemovalCheckFailed(Event):
-    """The gate stopped a map: another lay explains it better than the last pass."""
+    """The removal check stopped the cell: another orientation explains the map better than the last pass."""
 
-    name: ClassVar[str] = "gate_stopped"
+    name: ClassVar[str] = "removal_check_failed"
     stop: Annotated[str, "why"]
     cycle_dir: Annotated[str, "the cycle's folder, for `gate.png`"]
 
@@ -279,7 +279,7 @@ class RemovalCheckFailed(Event):
 class EstimatesUpdated(Event):
     """The last pass was compared with what it removed."""
 
-    name: ClassVar[str] = "learned"
+    name: ClassVar[str] = "estimates_updated"
     beliefs: Annotated[
         Mapping[str, Any],
         "`rate`, relative to the model's own; `block_overhead_s` that a block takes beyond its motion; what else the "
@@ -292,14 +292,14 @@ class EstimatesUpdated(Event):
 class SignalOutOfRange(Event):
     """A signal of the cell is not as it must be before contact, or in it."""
 
-    name: ClassVar[str] = "signal_wrong"
+    name: ClassVar[str] = "signal_out_of_range"
     signal: Annotated[str, "its name: `flow` of `[signals.flow]`"]
     what: Annotated[str, "how it is, and how it must be"]
-    leads_to: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
+    action: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
 
     def concern(self) -> OperatorNotice | None:
-        """Warning where nothing but this follows; what else follows tells of itself."""
-        if self.leads_to != "notify":
+        """Warning where the reaction is only a notification; other reactions raise their events."""
+        if self.action != "notify":
             return None
         return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
 
@@ -308,7 +308,7 @@ class SignalOutOfRange(Event):
 class FindingReported(Event):
     """The last pass, with those before it, shows a stall, a drift, a worn tool or another spot."""
 
-    name: ClassVar[str] = "found"
+    name: ClassVar[str] = "finding_reported"
     kind: Annotated[str, "`stall`, `drift`, `wear` or `spot`"]
     what: Annotated[str, "what was found, and what to do"]
     stops: Annotated[str, "`job`: this one does not go on; `cell`: no job should, until a person has seen to the tool"]
@@ -318,7 +318,7 @@ class FindingReported(Event):
 class DwellSolved(Event):
     """The dwell of the next pass was solved."""
 
-    name: ClassVar[str] = "solved"
+    name: ClassVar[str] = "dwell_solved"
     certificate: Annotated[
         OptimalityCertificate,
         "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and all else that `certificate.json` has",
@@ -338,13 +338,13 @@ class ToolMounted(Event):
 class PartTouchedOff(Event):
     """The tool met the part at three places, and their heights say how it sits."""
 
-    name: ClassVar[str] = "touched_off"
+    name: ClassVar[str] = "part_touched_off"
     seat: Annotated[
         PartSeat,
         "`height_mm`: how much too high the centre is; `tilt_deg` about x and y; `off_mm` of each place; `worst_mm`: "
         "most that any point of the part is off",
     ]
-    most_off_mm: Annotated[float, "what that may be"]
+    max_offset_mm: Annotated[float, "what that may be"]
     notes: Annotated[Sequence[str], "the same in words"]
 
 
@@ -352,7 +352,7 @@ class PartTouchedOff(Event):
 class PlanAwaitingApproval(Event):
     """A plan waits for a person's `approve`; nothing moves before (`job.approve`)."""
 
-    name: ClassVar[str] = "plan_waits"
+    name: ClassVar[str] = "plan_awaiting_approval"
     program_sha256: Annotated[str, "hash of its program"]
     predicted_rms_nm: Annotated[float, "RMS that it is to leave, nm"]
     dwell_s: Annotated[float, "s in contact, as planned"]
@@ -365,9 +365,9 @@ class PlanAwaitingApproval(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanApproved(Event):
-    """A person has said that the plan that waited may run."""
+    """The operator approved the waiting plan."""
 
-    name: ClassVar[str] = "approved"
+    name: ClassVar[str] = "plan_approved"
     program_sha256: Annotated[str, "hash of its program"]
     by: Annotated[str, "who"]
 
@@ -376,7 +376,7 @@ class PlanApproved(Event):
 class PassStarted(Event):
     """A pass is journalled; the robot starts next."""
 
-    name: ClassVar[str] = "pass_begun"
+    name: ClassVar[str] = "pass_started"
     blocks: Annotated[int, "sequence number of the first block after contact"]
     dwell_s: Annotated[float, "s in contact, as planned"]
     forecast: Annotated[
@@ -391,7 +391,7 @@ class PassStarted(Event):
 class PassProgressed(Event):
     """Some blocks more were executed in contact."""
 
-    name: ClassVar[str] = "progress"
+    name: ClassVar[str] = "pass_progressed"
     block: Annotated[int, "blocks executed so far"]
 
 
@@ -407,7 +407,7 @@ class PassEnded(Event):
 class RunFolderCompleted(Event):
     """The run of a job is over, whichever way; the run folder is whole."""
 
-    name: ClassVar[str] = "job_finished"
+    name: ClassVar[str] = "run_folder_completed"
     run_dir: Annotated[str, "the run folder"]
     outcome: Annotated[
         str, "`in_tolerance`, `cycles_used`, `as_programmed`, `diverged`, `stalled`, `stopped` or `failed`"
@@ -426,7 +426,7 @@ class RunFolderCompleted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotificationFailed(Event):
-    """Nobody was reached through a notifier. Told once until it has sent all that waits, and when some is given up."""
+    """A notifier failed. Raised once until it has sent all that waits, and when the sender gives up some."""
 
     name: ClassVar[str] = "notification_failed"
     notifier: Annotated[str, "its name: `mail` of `[notify.mail]`"]

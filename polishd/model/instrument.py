@@ -1,4 +1,4 @@
-"""What an instrument's files do not say, and what a shop has proved of them."""
+"""Settings of an instrument that its files do not state, and the records that prove them."""
 
 from __future__ import annotations
 
@@ -19,46 +19,46 @@ class CommissioningRecord:
     """Name of the artefact."""
     map_sha256: str
     correlation: float
-    """Of the map, as the profile turns it, with the artefact."""
+    """Hash of the map with the artefact, after the profile."""
     next_best: float
     """The best correlation of any other of the 8 turns and flips, plain or negated."""
     profile_sha256: str
-    """Of the profile's values that were proved: a profile that was edited since is not commissioned."""
+    """Hash of the proved values; a profile that was edited since is not commissioned."""
 
 
 @dataclass(frozen=True, slots=True)
 class UnmeasuredTerms:
-    """How large the instrument's own terms may be where nothing has told them: one standard deviation, nm RMS.
+    """Prior size of the instrument's undetermined terms: one standard deviation, nm RMS.
 
     Those of a transmission flat of a twentieth of a wave: much power and astigmatism, less of what polishing evens out.
     """
 
     power_nm: float = 5.0
     astigmatism_nm: float = 5.0
-    """Of each of its two terms, as of all that have a direction."""
+    """Size of each of its two terms, as of all that have a direction."""
     coma_nm: float = 2.0
     spherical_nm: float = 1.0
     other_nm: float = 0.5
-    """Of a term of radial order 4; of other orders n it goes with (4 / n)^2, as polished surfaces do."""
+    """Size of a term of radial order 4; other orders n scale with (4 / n)^2, as polished surfaces do."""
     shorter_nm: float = 0.5
     """RMS of all waves shorter than the terms, where no poses tell how much they left."""
 
     def of(self, n: int, m: int) -> float:
-        """Of a Zernike term above tilt."""
+        """Return the prior size of a Zernike term above tilt."""
         named = {(2, 0): self.power_nm, (2, 2): self.astigmatism_nm, (3, 1): self.coma_nm, (4, 0): self.spherical_nm}
         return named.get((n, abs(m)), self.other_nm * (4 / n) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
 class SystemErrorRecord:
-    """The record of a system map: the instrument's own error was told from maps of a part that was turned."""
+    """Record of a system map: the instrument's error from maps of a turned part."""
 
     map: str
     """Its file, as the profile names it."""
     at: datetime
     map_sha256: str
     profile_sha256: str
-    """Of the profile's values with which those maps were read: under others it lies, or counts, otherwise."""
+    """Hash of the profile's values for those maps; with other values the system map does not apply."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Instrument:
     """Pitch of files that give none. One that a file gives must agree within ``pitch_tolerance``."""
     pitch_tolerance: float = 0.02
     gives: frozenset[str] = frozenset()
-    """Which of ``SurfaceMap.unsaid`` the profile answers although it needs no number ("surface", "orientation")."""
+    """Entries of ``SurfaceMap.unsaid`` that the profile answers without a number ("surface", "orientation")."""
     serials: tuple[str, ...] = ()
     """Instruments (``SurfaceMap.instrument``) that this profile is of; empty: any."""
     aperture_mm: float | None = None

@@ -1,4 +1,4 @@
-"""A notification: what a person is told who is not there."""
+"""Notification of an event for an operator who is not at the cell."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _WITH_A_DIGIT = re.compile(r"\S*\d\S*")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Notification:
-    """An event that concerns a person, with all that somebody far away needs. ``facts`` has it for programs."""
+    """An event that needs an operator, with all that a remote reader needs. ``facts`` has it for programs."""
 
     id: str
-    """The same when it is sent again: a receiver may drop what it has."""
+    """Identifier, also when sent again; a receiver may drop duplicates."""
     event: str
     severity: Severity
     what: str
-    """What happened."""
+    """The event."""
     now: str
-    """What the cell does now."""
+    """The cell's reaction."""
     todo: str
-    """What to do."""
+    """Actions for the operator."""
     cell: str
     job: str
     part: str
@@ -35,13 +35,13 @@ class Notification:
     at: str
     """When it happened: ISO 8601, UTC."""
     times: int = 1
-    """How often it happened since ``since``; only the last one is told here."""
+    """Number of occurrences since ``since``; this is the last one."""
     since: str = ""
     """When it happened first, of several times."""
 
     @property
     def thing(self) -> str:
-        """The same for what happens again; words that have a digit in them do not make it another thing."""
+        """Key of repeated events; words with a digit do not count."""
         words = _WITH_A_DIGIT.sub("#", self.what)
         return f"{self.severity} {self.event} {self.job} {self.part} {words}"
 
@@ -68,7 +68,7 @@ class Notification:
         return printable("\n".join(lines) + "\n")
 
     def again(self, earlier: Notification | None) -> Notification:
-        """This one, counted with what happened before it and was not told."""
+        """Return this notification, counted with the earlier ones that were not sent."""
         if earlier is None:
             return self
         return replace(self, times=earlier.times + self.times, since=earlier.since or earlier.at)

@@ -46,7 +46,7 @@ class Circle:
 
     @property
     def size_mm(self) -> Point:
-        """How far it reaches along x and along y, from end to end."""
+        """Size along x and along y."""
         return 2 * self.radius_mm, 2 * self.radius_mm
 
     @property
@@ -56,7 +56,7 @@ class Circle:
 
     @property
     def depth_mm(self) -> float:
-        """How far inside its middle lies; of a ring the middle between both rims."""
+        """Distance of the center from the rim; of a ring, of the middle between both rims."""
         return (self.radius_mm - self.hole_mm) / 2 if self.hole_mm else self.radius_mm
 
     def inside_mm(self, x_mm: Lengths, y_mm: Lengths) -> FloatArray:
@@ -66,7 +66,7 @@ class Circle:
         return np.asarray(np.minimum(inside, away - self.hole_mm) if self.hole_mm else inside, dtype=np.float64)
 
     def contains(self, x_mm: Lengths, y_mm: Lengths, edge_mm: float = 0.0) -> BoolArray:
-        """Whether points lie inside, and ``edge_mm`` from it at least; below 0: so far outside at most."""
+        """Return whether points lie inside, at least ``edge_mm`` from the rim; negative: at most so far outside."""
         away = np.hypot(x_mm, y_mm)
         return np.asarray((away <= self.radius_mm - edge_mm) & (not self.hole_mm or away >= self.hole_mm + edge_mm))
 
@@ -105,7 +105,7 @@ class Polygon:
 
     @property
     def radius_mm(self) -> float:
-        """Of the circle about the origin that holds it."""
+        """Radius of the circumscribed circle about the origin."""
         return float(np.linalg.norm(self.corners(), axis=1).max())
 
     @property
@@ -116,7 +116,7 @@ class Polygon:
 
     @property
     def size_mm(self) -> Point:
-        """How far it reaches along x and along y, from end to end."""
+        """Size along x and along y."""
         x, y = np.ptp(self.corners(), axis=0)
         return float(x), float(y)
 
@@ -127,7 +127,7 @@ class Polygon:
 
     @property
     def depth_mm(self) -> float:
-        """How far inside the origin lies."""
+        """Distance of the origin from the rim."""
         return float(self.inside_mm(0.0, 0.0))
 
     def inside_mm(self, x_mm: Lengths, y_mm: Lengths) -> FloatArray:
@@ -144,7 +144,7 @@ class Polygon:
         return np.asarray(np.where(inside, distance, -distance), dtype=np.float64)
 
     def contains(self, x_mm: Lengths, y_mm: Lengths, edge_mm: float = 0.0) -> BoolArray:
-        """Whether points lie inside, and ``edge_mm`` from it at least; below 0: so far outside at most."""
+        """Return whether points lie inside, at least ``edge_mm`` from the rim; negative: at most so far outside."""
         return np.asarray(self.inside_mm(x_mm, y_mm) >= edge_mm - ROUNDING_MM)
 
     def corners(self) -> FloatArray:

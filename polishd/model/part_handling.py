@@ -1,4 +1,4 @@
-"""What is done with part and tool beside polishing: the seat is proved, and between passes the part is made ready."""
+"""Handling of part and tool beside polishing: check of the seat, and steps between passes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from polishd.model.surface import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class TouchOff:
-    """How the seat is proved: the tool rests on the part at three places, its spindle at rest."""
+    """Check of the seat: the tool touches the part at three points with its spindle at rest."""
 
     force_n: float
     position_mm: float | None
-    """Of the actuator, where the tool's tip is where the program says; None: half of its stroke."""
-    most_off_mm: float
+    """Stroke of the actuator at which the tool's tip is at the programmed point; None: half of the stroke."""
+    max_offset_mm: float
     """Farthest that any point of the part may sit from where it should."""
     each_pass: bool
     """Before each pass, not only before the first."""
-    places_mm: FloatArray
+    points_mm: FloatArray
     """(3, 3) on the nominal surface, part frame."""
     normal: FloatArray
     """(3, 3) unit normals of the surface there."""
@@ -35,7 +35,7 @@ class TouchOff:
     @property
     def reach_mm(self) -> FloatArray:
         """(3,) way of the actuator beyond which nothing is touched that sits where it may."""
-        return self.most_off_mm / self.lean
+        return self.max_offset_mm / self.lean
 
     @property
     def lean(self) -> FloatArray:
@@ -49,24 +49,24 @@ LEAST_MM, LEAST_DEG = 0.0005, 0.0005
 
 @dataclass(frozen=True, slots=True)
 class PartSeat:
-    """How a part sits, against what the cell's file says."""
+    """Measured seat of a part against the cell file."""
 
     height_mm: float
-    """How much too high its centre is, along its z; negative: too low."""
+    """Height error of the center along z; negative: too low."""
     tilt_deg: tuple[float, float]
-    """How it is turned, about its x and y."""
+    """Tilt error about x and y."""
     off_mm: tuple[float, ...]
-    """How much too high it is at each place, along the normal."""
+    """Height error at each point, along the normal."""
     worst_mm: float
     """Most that any point of it is off."""
 
     @property
     def is_level(self) -> bool:
-        """Whether height and tilt are below what is printed of them."""
+        """Return whether height and tilt are below the printed resolution."""
         return max(abs(self.height_mm) / LEAST_MM, *(abs(angle) / LEAST_DEG for angle in self.tilt_deg)) < 1
 
     def __str__(self) -> str:
-        """In words."""
+        """Description of the seat."""
         way = "high" if self.height_mm >= 0 else "low"
         x, y = (round(angle, 3) + 0.0 for angle in self.tilt_deg)
         return f"{abs(self.height_mm):.3f} mm too {way}, tilted by {x:+.3f} deg about x and {y:+.3f} deg about y"
@@ -77,10 +77,10 @@ class HandlingStep:
     """Something that a person or a program does while the tool is up and nothing moves."""
 
     person: str = ""
-    """What the person is asked to do; empty: the command does it."""
+    """Instruction for the operator; empty: the command does the step."""
     command: tuple[str, ...] = ()
     folder: Path = Path()
-    """Where the command runs."""
+    """Working folder of the command."""
     within_s: float = 600.0
 
 
@@ -98,13 +98,13 @@ class SettleRule:
 
 @dataclass(frozen=True, slots=True)
 class BetweenPasses:
-    """What happens between passes; None: nothing."""
+    """Steps between passes; None: none."""
 
     clean: HandlingStep | None = None
     settle: SettleRule | None = None
     condition: HandlingStep | None = None
     change: HandlingStep = HandlingStep()
-    """Of the tool, where there are several; one that says nothing: a person mounts it."""
+    """Steps by tool, where there are several; a tool without steps is mounted by the operator."""
 
 
 NOTHING = BetweenPasses()

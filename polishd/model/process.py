@@ -8,7 +8,7 @@ from typing import Literal
 from polishd.model.surface import FloatArray
 
 Correction = Literal["none", "pointwise", "linear", "power", "exact"]
-"""How the dwell accounts for the robot's compliance (physics: paper eq. 45-49)."""
+"""Correction of the dwell for the robot's compliance (physics: paper eq. 45-49)."""
 NormalForce = Literal["axial", "resolved"]
 """Force that Hertz is given: the actuator's, or ``force / cos(dip)`` (eq. 44)."""
 Projection = Literal["linear", "quadratic", "normal"]
@@ -38,12 +38,12 @@ class ToolProcess:
     depth_exponent: float = 1.5
     """m of the correction "power": volume goes as depth to this power, 1.5 for Hertz."""
     spot_offset_mm: tuple[float, float] = (0.0, 0.0)
-    """Where the spot's centre lies from the programmed point, in the tool's frame: y where the spindle leans."""
+    """Offset of the spot's center from the programmed point in the tool's frame; y towards the spindle's lean."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComplianceOptions:
-    """How the robot's compliance matrix becomes one number a point (paper eq. 34-43)."""
+    """Reduction of the robot's compliance matrix to one number a point (paper eq. 34-43)."""
 
     projection: Projection = "linear"
     """``linear`` sums lambda_k |<X_k, b>| (eq. 43), ``quadratic`` its squares, ``normal`` is b' C b."""
@@ -52,7 +52,7 @@ class ComplianceOptions:
     moment: Moment = "full"
     """``full``: compliance of the tip; ``paper``: eq. 41, without the force's own moment about the wrist."""
     dip_direction: DipDirection = "inward"
-    """Where the spindle leans: towards the base's z axis, one way on the part, along or across the path."""
+    """Direction of the spindle's lean: towards the base's z axis, fixed on the part, along or across the path."""
     dip_azimuth_deg: float = 0.0
     """For ``fixed``: counterclockwise from the part's x."""
 
@@ -75,7 +75,7 @@ class Optic:
     even: tuple[float, ...] = ()
     """A4, A6, ...: mm^-3, mm^-5, ..., positive = up."""
     offset_mm: tuple[float, float] = (0.0, 0.0)
-    """Where the part's centre lies, in the parent's x and y from its vertex."""
+    """Position of the part's center in the parent's x and y from its vertex."""
 
 
 FLAT = Optic()
@@ -89,16 +89,16 @@ class MeasuredTif:
     """(ny, nx) nm/s, row 0 the top, centred on the centroid; 0 beyond the rim."""
     pitch_mm: float
     azimuth_deg: float = 0.0
-    """Where the spindle leaned, counterclockwise from the map's x."""
+    """Direction of the spindle's lean, counterclockwise from the map's x."""
     depth_ratio: float = 1.0
     """Gamma at the place where it was measured."""
     rotates: bool = True
-    """Whether it turns with the direction in which the spindle leans."""
+    """The spot turns with the spindle's lean."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the part's frame lies in the robot's base frame: ``base = rotation @ part + origin_mm``."""
+    """Position of the part's frame in the robot's base frame: ``base = rotation @ part + origin_mm``."""
 
     origin_mm: tuple[float, float, float]
     rotation: FloatArray
@@ -136,9 +136,9 @@ class HybridRobot:
     wrist_length_mm: float = 250.0
     tool_length_mm: float = 420.0
     c_zero_deg: float = 0.0
-    """What the machine's C reads where the A joint lies along u."""
+    """The machine's C reading where the A joint lies along u."""
     a_zero_deg: float = 0.0
-    """What the machine's A reads where the tool points along w."""
+    """The machine's A reading where the tool points along w."""
     a_branch: Branch = "positive"
     """Sign of A at a path's first point; from there the branch is continuous."""
     stroke_mm: tuple[float, float] = (950.0, 1750.0)
@@ -190,8 +190,8 @@ class MeasuredCompliance:
     compliance_um_per_n: FloatArray
     """(m,) along the surface normal, at the process's dip."""
     source: str = ""
-    """Where the table came from, for messages."""
+    """Source of the table, for messages."""
 
 
 RobotModel = HybridRobot | SerialRobot | MeasuredCompliance
-"""What a cell's compliance is computed from."""
+"""Model of a cell's compliance."""

@@ -45,7 +45,7 @@ class Program:
     """Largest feed that the program itself asks for in a timed block."""
     warnings: tuple[str, ...] = ()
     feed_mm_min: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(n,) feed of the move that leads to each point; NaN where unknown; empty where nobody asked."""
+    """(n,) feed of the move that leads to each point; NaN where unknown; empty where not requested."""
     unit: str = "s"
     """Unit of the numbers that carry the time, as they are written: "s", "ms", "mm/min", "1/min", ..."""
     frame: Literal["program", "part"] = "program"
@@ -78,7 +78,7 @@ class Program:
 
     @property
     def block_count(self) -> int:
-        """How many they are."""
+        """Number of blocks."""
         return self.text.count(b"\n") + 1
 
 
@@ -147,7 +147,7 @@ def _line_ends(text: bytes) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What will be streamed: the rewritten program and what it is expected to do."""
+    """The program to stream, and its expected result."""
 
     program: Program
     """The rewritten program, read back from its own bytes."""

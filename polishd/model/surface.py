@@ -26,13 +26,13 @@ class MapInput:
     """A map that went into another."""
 
     role: str
-    """What it was to the verb: "map", "system error", "left out", ..."""
+    """Role in the verb: "map", "system error", "left out", ..."""
     name: str
-    """Of its file, without folders."""
+    """Name of its file, without folders."""
     sha256: str
-    """Of its file's bytes."""
+    """Hash of its file's bytes."""
     history: MapStep | None = None
-    """How it came about itself; None: as an instrument, or somebody else's program, wrote it."""
+    """Processing step that made it; None: written by an instrument or another program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,18 +40,18 @@ class MapStep:
     """The last thing that was done to a map; what was done before is the history of its inputs."""
 
     verb: str
-    """Of ``polishd map``."""
+    """Name of the ``polishd map`` verb."""
     version: str
-    """Of polishd."""
+    """Version of polishd."""
     options: Mapping[str, Any]
-    """What was asked for besides the maps: values of JSON."""
+    """Options besides the maps, as JSON values."""
     inputs: tuple[MapInput, ...]
     uncertainty_nm: float | None = None
-    """How sure a sample of the result is: one standard deviation, the median over the map; None: not known."""
+    """Standard deviation of a sample of the result, the median over the map; None: unknown."""
 
     @property
     def depth(self) -> int:
-        """How many steps follow one another."""
+        """Number of successive steps."""
         return 1 + max((one.history.depth for one in self.inputs if one.history is not None), default=0)
 
     @property
@@ -64,13 +64,13 @@ class MapStep:
 
     @property
     def profiled(self) -> bool:
-        """Whether an instrument's profile is in it, of its own or of all that it was made of."""
+        """Return whether an instrument's profile was applied to it or to all its inputs."""
         before = [one.history is not None and one.history.profiled for one in self.inputs]
         return "profile" in self.options or (bool(before) and all(before))
 
     @property
     def less_system(self) -> bool:
-        """Whether the instrument's own error is off it, or it is that error, or of all that it was made of."""
+        """Return whether the instrument's error was subtracted from it or from all inputs, or it is that error."""
         before = [one.history is not None and one.history.less_system for one in self.inputs]
         own = {"system", "result"} & set(self.options) or any(one.role == SYSTEM_ERROR for one in self.inputs)
         return bool(own) or (bool(before) and all(before))
@@ -86,7 +86,7 @@ class MapStep:
 
     @classmethod
     def from_json(cls, text: str) -> MapStep:
-        """What ``to_json`` wrote; ValueError for anything else."""
+        """Read the output of ``to_json``; ValueError for anything else."""
         from pydantic import TypeAdapter  # which the simulators, and most maps, can do without
 
         if len(text) > MOST_CHARACTERS:
@@ -100,7 +100,7 @@ class MapStep:
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 DateFrom = Literal["header", "file system", "guessed"]
-"""Who dates a map: its header; the system that keeps the file; nobody (no year, not a date of any map, filled in)."""
+"""Source of a map's date: its header, the file system, or a guess (the header has no plausible date)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class Grid:
 
     @property
     def axes_mm(self) -> tuple[FloatArray, FloatArray]:
-        """The same as a row (1, nx) and a column (ny, 1), which together are the samples."""
+        """Coordinates as a row (1, nx) and a column (ny, 1)."""
         return self.x_mm[None, :], self.y_mm[:, None]
 
     def radius_mm(self) -> FloatArray:
@@ -143,7 +143,7 @@ class MaskCount(NamedTuple):
     """A mask that was laid over a map by hand, and what it holds of it."""
 
     mask: str
-    """As it was given."""
+    """Path as given."""
     samples: int
     """With data that lie in it."""
     of: int
@@ -166,7 +166,7 @@ class SurfaceMap:
     part_id: str = ""
     instrument: str = ""
     taken_at: datetime | None = None
-    """As near as is known to when it was measured: ``measured_at`` where ``date_from`` is the header."""
+    """Best known date of the measurement; ``measured_at`` where ``date_from`` is the header."""
     date_from: DateFrom = "header"
     sha256: str = ""
     path: Path | None = None
@@ -177,16 +177,16 @@ class SurfaceMap:
     doubts: Mapping[str, str] = field(default_factory=dict)
     """By a name in ``unsaid``: the warning that holds until it is answered."""
     orientation: str = "row 0 at the top, as displayed"
-    """How the file's own order was turned into this one."""
+    """Turn of the file's sample order into this one."""
     fiducials_px: tuple[tuple[float, float], ...] = ()
     """(row, column) of the marks that the file lists, in this array's own pixels."""
     reader_version: int = 0
     pitches_mm: tuple[float, float] | None = None
     """Width and height of a pixel that is not square; ``pitch_mm`` is None then, until the map is resampled."""
     masks: tuple[MaskCount, ...] = ()
-    """What was laid over it by hand: a sample outside any of these has no data any more."""
+    """Masks of the operator; a sample outside any of them has no data."""
     history: MapStep | None = None
-    """How polishd made it; None: it is as it was measured, or its file does not say."""
+    """Processing by polishd; None: measured directly, or unknown."""
 
     @property
     def grid(self) -> Grid:
@@ -208,7 +208,7 @@ class SurfaceMap:
         return np.isfinite(self.height_nm)
 
     def with_height(self, height_nm: FloatArray) -> SurfaceMap:
-        """The same measurement with other heights."""
+        """Return the measurement with other heights."""
         return replace(self, height_nm=height_nm)
 
 

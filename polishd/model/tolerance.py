@@ -1,4 +1,4 @@
-"""What a drawing allows of a surface: lines of a figure and its limit, and what was measured beside each."""
+"""Drawing tolerances of a surface: lines with a figure and its limit, and the measured results."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ class ToleranceLine:
     below_mm: float | None = None
     """Periods below this count; None: all longer ones, too."""
     integration_mm: float | None = None
-    """Of a slope."""
+    """Exponent of a slope."""
     exponent: float = 0.0
-    """Of a PSD, whose upper line is ``limit / f**exponent``, f in 1/mm."""
+    """Exponent of a PSD, whose upper line is ``limit / f**exponent``, f in 1/mm."""
 
     @property
     def unit(self) -> str:
-        """Of figure and limit."""
+        """Unit of figure and limit."""
         return {"slope_rms": "urad", "slope_max": "urad", "psd": "nm^2 mm^2"}.get(self.figure, "nm")
 
     @property
     def what(self) -> str:
-        """In words, without the limit: "RMS of periods 1 to 5 mm"."""
+        """Description without the limit: "RMS of periods 1 to 5 mm"."""
         words = WORDS.get(self.figure, f"3/{self.figure}" if len(self.figure) == 1 else self.figure)
         if self.figure == "psd":
             words = f"PSD x f^{self.exponent:g}" if self.exponent else "PSD"
@@ -49,7 +49,7 @@ class ToleranceLine:
 
     @property
     def bounded(self) -> bool:
-        """Whether the part's own figure has a bound: an RMS that counts the long periods, which an instrument has."""
+        """Return whether the figure has a bound: an RMS over the long periods, where the instrument has errors."""
         return self.figure == "rms" and self.below_mm is None
 
     def _periods(self) -> str:
@@ -61,33 +61,33 @@ class ToleranceLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What was measured of a line."""
+class LineResult:
+    """Measured result of a line."""
 
     what: str
     value: float
     limit: float
     unit: str
     uncertainty: float | None = None
-    """By how much the instrument's repeatability may have changed it, at most; None: not known."""
+    """Largest error by the instrument's repeatability; None: unknown."""
     bound: float | None = None
-    """Below it the part's own figure lies in 95 % of cases: by it the line is judged; None: as it was measured."""
+    """95 % upper bound of the true figure, by which the line is judged; None: judged by the measured value."""
     removed: str = ""
-    """What the bound leaves out, since nothing has told it of the instrument: "power"; empty: nothing."""
+    """Term that the bound leaves out because the instrument's error is undetermined: "power"; empty: none."""
 
     @property
     def counted(self) -> float:
-        """What is held against the limit: the bound, where there is one."""
+        """Return the value that is compared with the limit: the bound, where there is one."""
         return self.value if self.bound is None else self.bound
 
     @property
     def holds(self) -> bool:
-        """Whether that is within the limit."""
+        """Return whether that value is within the limit."""
         return self.counted <= self.limit
 
     @property
     def excess(self) -> float:
-        """That over what is allowed."""
+        """Return that value over the limit."""
         return self.counted / self.limit
 
     @property
@@ -97,7 +97,7 @@ class Judged:
 
     @property
     def unsure(self) -> bool:
-        """Whether the instrument's own uncertainty could have it the other way; a bound has that in it."""
+        """Return whether the instrument's uncertainty could reverse the result; a bound contains it."""
         return self.bound is None and self.uncertainty is not None and abs(self.value - self.limit) <= self.uncertainty
 
     @property
@@ -114,7 +114,7 @@ class Judged:
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> Self:
-        """From them again; those of an earlier polishd have no bound."""
+        """Read a result from its facts; those of an earlier polishd have no bound."""
         return cls(**{item.name: facts[item.name] for item in fields(cls) if item.name in facts})
 
     def __str__(self) -> str:
@@ -124,17 +124,17 @@ class Judged:
         return f"{self.what} {self.value:.3g}{sigma} {self.unit}{bound} of {self.limit:g} {self.unit} allowed"
 
 
-def judged_of(measured: Mapping[str, Any]) -> tuple[Judged, ...]:
-    """Of a measurement's facts; none of one of an earlier polishd."""
-    told: Iterable[Mapping[str, Any]] = measured.get("judged") or ()
-    return tuple(map(Judged.of, told))
+def line_results(measured: Mapping[str, Any]) -> tuple[LineResult, ...]:
+    """Read the results of a measurement record; empty for a record of an earlier polishd."""
+    rows: Iterable[Mapping[str, Any]] = measured.get("judged") or ()
+    return tuple(map(LineResult.of, rows))
 
 
-def worst(judged: Sequence[Judged]) -> Judged | None:
+def worst_line(judged: Sequence[LineResult]) -> LineResult | None:
     """The line that is the farthest beyond its limit, or the nearest to it; None of none."""
     return max(judged, key=lambda one: one.excess, default=None)
 
 
-def holds(judged: Sequence[Judged]) -> bool:
-    """Whether a part is what its drawing wants: all lines hold, and there is one."""
+def part_holds(judged: Sequence[LineResult]) -> bool:
+    """Return whether a part meets its drawing: all lines hold, and there is at least one."""
     return bool(judged) and all(one.holds for one in judged)

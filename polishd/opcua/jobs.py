@@ -1,6 +1,6 @@
-"""Jobs of OPC 40001-3 and results of OPC 40001-101: what a cell has to do and has done, which nobody can change there.
+"""Jobs of OPC 40001-3 and results of OPC 40001-101: the cell's queue and history, read only.
 
-A job is added and begun by people at the cell, with polishd's own orders: methods that would do it are not there.
+People add and start jobs at the cell, with polishd's own orders; the server has no methods for it.
 """
 
 from __future__ import annotations
@@ -19,48 +19,48 @@ from asyncua.common.instantiate_util import instantiate
 from polishd.daemon.journal.history import read_only
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.model.states import Outcome
-from polishd.model.tolerance import judged_of
+from polishd.model.tolerance import line_results
 
-# What a variable is told: a value with its status, or a status alone.
+# Values of variables: a value with its status, or a status alone.
 
 Status = ua.StatusCodes
 
 
 def good(value: Any) -> ua.DataValue:
-    """As it is now."""
-    return stated(value if isinstance(value, ua.Variant) else ua.Variant(value), Status.Good, datetime.now(UTC))
+    """A good value with the present time."""
+    return data_value(value if isinstance(value, ua.Variant) else ua.Variant(value), Status.Good, datetime.now(UTC))
 
 
 def nothing(status: int) -> ua.DataValue:
-    """No value, and why there is none."""
-    return stated(ua.Variant(None), status, datetime.now(UTC))
+    """No value, with the reason as status."""
+    return data_value(ua.Variant(None), status, datetime.now(UTC))
 
 
-# asyncua's types ask for its own kinds of numbers and times, and it takes Python's.
+# asyncua's type hints name its own numbers and times; it accepts Python's.
 
 
-def stated(value: ua.Variant, status: Any, told: Any) -> ua.DataValue:
-    """With that status, and the time at which it was told."""
+def data_value(value: ua.Variant, status: Any, source_time: Any) -> ua.DataValue:
+    """The value with that status and its source time."""
     now: Any = datetime.now(UTC)
-    return ua.DataValue(value, ua.StatusCode(status), told, now)
+    return ua.DataValue(value, ua.StatusCode(status), source_time, now)
 
 
 def node_id(identifier: Any, namespace: Any) -> ua.NodeId:
-    """Of a node."""
+    """Make the NodeId."""
     return ua.NodeId(identifier, namespace)
 
 
-# What a cell has to do and has done, for the plant: read from its journal, beside a daemon that may be running.
+# Jobs of a cell for the plant, read from its journal beside a running daemon.
 
 MOST_ENDED = 20
-"""Jobs that ended, of which is told: what is older is in ``polishd history``."""
+"""Number of ended jobs that are shown; ``polishd history`` has the older ones."""
 TO_ITS_END = {"accepted", "rejected", *(Outcome)} - {Outcome.STOPPED}
-"""How a job ends that was worked until its part was judged; any other end cut it off."""
+"""Ends of a job whose part was judged; any other end interrupted the job."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpcUaResultValue:
-    """One of a part's figures, as its last map shows it."""
+    """One of a part's figures from its last map."""
 
     name: str
     value: float | int | str
@@ -69,38 +69,38 @@ class OpcUaResultValue:
 
 @dataclass(frozen=True, slots=True)
 class OpcUaJob:
-    """A job: one that waits, the one under way, or one that ended. Times are Unix times."""
+    """A waiting, running or ended job. Times are Unix times."""
 
     name: str
     part_id: str
     began_s: float | None
     ended_s: float | None
     end: str
-    """How it ended: the queue's verdict, or the job's outcome; empty: it has not."""
+    """End of the job: the queue's verdict, or the job's outcome; empty: not ended."""
     why: str
     number: int | None
-    """Its row in the journal's jobs; None: it was never begun."""
+    """Its row in the journal's jobs; None: not begun."""
     figures: tuple[OpcUaResultValue, ...]
     holds: bool | None
-    """Whether the part is what its drawing wants, by its last map; None: nothing judges that."""
+    """Whether the part meets its drawing in its last map; None: not judged."""
 
     @property
     def id(self) -> str:
-        """Unlike that of any other: a job's name may come again where there is no queue."""
+        """Unique key: the name of a job may repeat where there is no queue."""
         return f"{self.name}.{self.number}"
 
     @property
     def state(self) -> str:
-        """Of OPC 10031-4; ``Running`` also where it stands still, which only the daemon knows."""
+        """State of OPC 10031-4; ``Running`` also for an interrupted job, which only the daemon knows."""
         if self.end:
             return "Ended" if self.end in TO_ITS_END else "Aborted"
         return "AllowedToStart" if self.began_s is None else "Running"
 
 
 def read_work(state_dir: Path) -> tuple[OpcUaJob, ...]:
-    """Those that ended, the latest last, the one under way, and those that wait, in their order.
+    """Ended jobs, the latest last, the job under way, and the waiting jobs in their order.
 
-    ConfigError where the journal cannot be read; none where there is no journal yet.
+    ConfigError where the journal cannot be read; an empty result where there is no journal yet.
     """
     if not (state_dir / JOURNAL_NAME).exists():
         return ()
@@ -115,7 +115,7 @@ def _orders(journal: sqlite3.Connection) -> Iterator[OpcUaJob]:
            "(SELECT id FROM queue WHERE ended IS NOT NULL ORDER BY ended DESC, id DESC LIMIT ?) "
            "ORDER BY ended IS NULL, ended, place")  # fmt: skip
     for job, name, part_id, verdict, reason, ended_s in journal.execute(sql, (MOST_ENDED,)):
-        if job is None:  # waits, or was taken out before it began
+        if job is None:  # waits, or was removed before it began
             waiting.append(OpcUaJob(name, part_id, None, ended_s, verdict or "", reason, None, (), None))
         else:
             queued[job] = (verdict, reason, ended_s)
@@ -123,7 +123,7 @@ def _orders(journal: sqlite3.Connection) -> Iterator[OpcUaJob]:
     jobs = journal.execute(sql, (MOST_ENDED + 1,)).fetchall()
     for number, name, part_id, began_s, job_ended_s, outcome, detail in reversed(jobs):
         verdict, reason, ended_s = queued.get(number, (None, "", None))
-        # Where another was begun after it, it was given up.
+        # It was given up where another job began after it.
         given_up = "given up" if number != jobs[0][0] else ""
         end = verdict or outcome or given_up
         figures, holds = _measured(journal, number)
@@ -133,7 +133,7 @@ def _orders(journal: sqlite3.Connection) -> Iterator[OpcUaJob]:
 
 
 def _measured(journal: sqlite3.Connection, job: int) -> tuple[tuple[OpcUaResultValue, ...], bool | None]:
-    """The figures of a job's last map, and whether all lines of its drawing hold."""
+    """Figures of a job's last map, and whether all lines of its drawing hold."""
     sql = "SELECT stats FROM map WHERE job = ? ORDER BY id DESC LIMIT 1"
     found = journal.execute(sql, (job,)).fetchone()
     passes = journal.execute("SELECT count(*) FROM pass WHERE job = ? AND how = 'done'", (job,)).fetchone()[0]
@@ -143,7 +143,7 @@ def _measured(journal: sqlite3.Connection, job: int) -> tuple[tuple[OpcUaResultV
     named = (("RMS", "rms_nm"), ("PV", "pv_nm"))
     figures = [OpcUaResultValue("Passes", passes)]
     figures += [OpcUaResultValue(name, float(stats[key]), "nm") for name, key in named if stats.get(key) is not None]
-    lines = judged_of(stats)
+    lines = line_results(stats)
     for line in lines:
         figures += [OpcUaResultValue(f"{line.what}, counted", line.counted, line.unit)]
         figures += [OpcUaResultValue(f"{line.what}, limit", line.limit, line.unit)]
@@ -154,37 +154,37 @@ ISA95 = "http://opcfoundation.org/UA/ISA95-JOBCONTROL_V2/"
 JOBS = "http://opcfoundation.org/UA/Machinery/Jobs/"
 RESULTS = "http://opcfoundation.org/UA/Machinery/Result/"
 JOB_MANAGEMENT, RESULT_MANAGEMENT, RESULT_TYPE, RESPONSE = 1003, 1004, 2001, 3013
-"""Nodes of them: types."""
+"""Nodes of the types."""
 MOST_RESULTS = 10
-"""Results that stand there; ``Result01`` is the latest."""
+"""Number of result nodes; ``Result01`` is the latest."""
 NO_ERROR, UNKNOWN_JOB, UNKNOWN_STATE, INVALID = 1 << 0, 1 << 1, 1 << 3, 1 << 32
 """Bits of a ReturnStatus (OPC 10031-4, B.2)."""
 STATES = ("NotAllowedToStart", "AllowedToStart", "Running", "Interrupted", "Ended", "Aborted")
-"""Of a job order; the first one's number is 1 (OPC 10031-4, 6.2.1.2)."""
+"""State number of a job order; the first is 1 (OPC 10031-4, 6.2.1.2)."""
 UNITS = "http://www.opcfoundation.org/UA/units/un/cefact"
 NANOMETRE = 4404277
-"""Its code there, C45."""
+"""Code of the unit, C45."""
 COMPLETED = 1
 """ResultState of OPC 40001-101."""
 EMPTY = ("EquipmentID", "MaterialClassID", "MaterialDefinitionID", "PersonnelID", "PhysicalAssetID", "WorkMaster")
-"""Lists of what an order from elsewhere might name: this machine takes none."""
+"""Lists for names in external orders: this machine accepts none."""
 TYPES: Any = ua
-"""Of the models: asyncua makes their classes while the server starts."""
+"""Classes of the models, which asyncua makes while the server starts."""
 
 
 class OpcUaJobs:
-    """The jobs and results of one cell."""
+    """Jobs and results of one cell."""
 
     def __init__(self, server: Server, control: Node, responses: Node, results: Node) -> None:
         self._server, self._control, self._responses, self._results = server, control, responses, results
         self._isa95 = 0
-        self._told: tuple[OpcUaJob, ...] | None = None
+        self._shown: tuple[OpcUaJob, ...] | None = None
         self._going: bool | None = None
         self._places: list[tuple[Node, Node, Node]] = []
 
     @classmethod
     async def added(cls, server: Server, management: Node, results: Node) -> OpcUaJobs:
-        """To these two, which are of the types JobManagementType and ResultManagementType."""
+        """Add the nodes to these two, of the types JobManagementType and ResultManagementType."""
         isa95, jobs = [await server.get_namespace_index(uri) for uri in (ISA95, JOBS)]
         control = await management.get_child(ua.QualifiedName("JobOrderControl", jobs))
         answers = await management.get_child(ua.QualifiedName("JobOrderResults", jobs))
@@ -213,15 +213,15 @@ class OpcUaJobs:
         server.link_method(by_state, found._by_state)
         return found
 
-    async def told(self, orders: Sequence[OpcUaJob] | None, going: bool | None) -> None:
-        """As the journal has them; None: it cannot be read.
+    async def update(self, orders: Sequence[OpcUaJob] | None, going: bool | None) -> None:
+        """Show the jobs of the journal; None: it cannot be read.
 
-        ``going``: whether the one under way goes on; None: nobody knows what became of it since.
+        ``going``: the job under way continues; None: its state is unknown.
         """
         now = None if orders is None else tuple(orders)
-        if (now, going) == (self._told, self._going) and now is not None:
+        if (now, going) == (self._shown, self._going) and now is not None:
             return
-        self._told, self._going = now, going
+        self._shown, self._going = now, going
         current = await self._control.get_child("0:CurrentState")
         number = await current.get_child("0:Id")
         orders_list = await self._control.get_child(ua.QualifiedName("JobOrderList", self._isa95))
@@ -235,7 +235,7 @@ class OpcUaJobs:
         await self._results_are(None if now is None else [one for one in now if one.end and one.number is not None])
 
     async def _state_is(self, order: OpcUaJob | None, current: Node, number: Node) -> None:
-        """The state machine is that of the job under way: without one it has no state."""
+        """Set the state machine to the job under way; without one it has no state."""
         if order is None:
             await self._write(nothing(Status.BadNoData), current, number)
             return
@@ -244,7 +244,7 @@ class OpcUaJobs:
         await self._write(good(node_id(states[self._said(order)], self._isa95)), number)
 
     async def _results_are(self, ended: Sequence[OpcUaJob] | None) -> None:
-        """The latest first; there are as many variables as there were ever results."""
+        """Show the latest results first, in as many variables as there ever were results."""
         latest = [] if ended is None else list(reversed(ended))[:MOST_RESULTS]
         while len(self._places) < len(latest):
             self._places.append(await self._place(len(self._places) + 1))
@@ -259,7 +259,7 @@ class OpcUaJobs:
                 await self._write(nothing(why), *nodes)
 
     async def _place(self, number: int) -> tuple[Node, Node, Node]:
-        """One more result, and of it what the model wants to be there."""
+        """Add a result node with the mandatory parts of the model."""
         space = await self._server.get_namespace_index(RESULTS)
         own = self._results.nodeid.NamespaceIndex
         name = f"Result{number:02}"
@@ -276,11 +276,11 @@ class OpcUaJobs:
             await self._server.write_attribute_value(node.nodeid, value)
 
     def _said(self, order: OpcUaJob) -> str:
-        """Its state: one under way that nobody works on now is interrupted."""
+        """State of the job; a job under way counts as interrupted while no daemon works on it."""
         return "Interrupted" if order.state == "Running" and not self._going else order.state
 
     def _states(self, order: OpcUaJob) -> list[Any]:
-        """The state on top alone, whose path is null: there are no substates."""
+        """The top state only, with a null path: there are no substates."""
         name = self._said(order)
         text, number = ua.LocalizedText(name, "en"), STATES.index(name) + 1
         return [TYPES.ISA95StateDataType(BrowsePath=ua.RelativePath(), StateText=text, StateNumber=number)]
@@ -303,7 +303,7 @@ class OpcUaJobs:
         )  # fmt: skip
 
     async def _by_id(self, _: Any, job: ua.Variant) -> Any:
-        """RequestJobResponseByJobOrderID: of the last job of that name."""
+        """RequestJobResponseByJobOrderID: the last job of that name."""
         if (known := self._known()) is None:
             return _unreadable()
         found = next((one for one in reversed(known) if one.name == job.Value), None)
@@ -311,7 +311,7 @@ class OpcUaJobs:
         return [ua.Variant(answer), _status(UNKNOWN_JOB if found is None else NO_ERROR)]
 
     async def _by_state(self, _: Any, states: ua.Variant) -> Any:
-        """RequestJobResponseByJobOrderState: of all that are in that state; it has no substates."""
+        """RequestJobResponseByJobOrderState: all jobs in that state; it has no substates."""
         if (known := self._known()) is None:
             return _unreadable()
         top = next((one for one in states.Value or () if not one.BrowsePath.Elements), None)
@@ -322,10 +322,10 @@ class OpcUaJobs:
         return [_several([self._response(one) for one in known if self._said(one) == asked]), _status(NO_ERROR)]
 
     def _known(self) -> list[OpcUaJob] | None:
-        """Those that have a response."""
-        if self._told is None or self._going is None:
+        """Jobs that have a response."""
+        if self._shown is None or self._going is None:
             return None
-        return [one for one in self._told if one.number is not None]
+        return [one for one in self._shown if one.number is not None]
 
 
 def _result(order: OpcUaJob) -> Any:
@@ -348,12 +348,12 @@ def _accepted(order: OpcUaJob) -> bool:
 
 
 def _words(order: OpcUaJob) -> str:
-    """How it ended, and why."""
+    """Texts of end and reason."""
     return ": ".join(filter(None, (order.end.replace("_", " "), order.why))) or "under way"
 
 
 def _pair(figure: OpcUaResultValue) -> ua.KeyValuePair:
-    """Of the base model: each client reads it. The unit is in its name."""
+    """A property of the base model, which each client can read. Its name contains the unit."""
     unit = f" [{figure.unit}]" if figure.unit else ""
     return ua.KeyValuePair(ua.QualifiedName(figure.name + unit), ua.Variant(figure.value))
 
@@ -369,7 +369,7 @@ def _parameter(figure: OpcUaResultValue) -> Any:
 
 
 def _name(state: Any) -> str | None:
-    """Of a state that was asked for by number, or by text alone; None: there is no such state."""
+    """Name of a requested state, by number or text; None: unknown state."""
     if state.StateNumber:
         return STATES[state.StateNumber - 1] if state.StateNumber <= len(STATES) else None
     return state.StateText.Text if state.StateText.Text in STATES else None

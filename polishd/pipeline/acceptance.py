@@ -10,20 +10,20 @@ from polishd.model.errors import ConfigError
 from polishd.model.instrument import UnmeasuredTerms
 from polishd.model.program import Plan
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse, MeasureResult
 from polishd.process.identification.findings import Forecast, forecast
 from polishd.process.metrology import zernike
 from polishd.process.metrology.absolute_poses import LEVEL, terms
-from polishd.process.metrology.statistics import without
-from polishd.process.metrology.tolerance import seen
+from polishd.process.metrology.statistics import remove_terms
+from polishd.process.metrology.tolerance import in_line_band
 from polishd.process.metrology.uncertainty import (
     MapErrors,
     MapNoise,
     RemeasureAdvice,
-    demands,
     errors_from_system_map,
+    required_references,
     true_rms_bound,
 )
 
@@ -33,8 +33,8 @@ NOT_KNOWN = "nothing is known of the instrument's own error (polishd calibrate i
 
 
 def bounded(
-    recipe: Recipe, judged: tuple[Judged, ...], figure_nm: FloatArray, clear: BoolArray, pitch_mm: float
-) -> tuple[Judged, ...]:
+    recipe: Recipe, judged: tuple[LineResult, ...], figure_nm: FloatArray, clear: BoolArray, pitch_mm: float
+) -> tuple[LineResult, ...]:
     """What was measured of each line, with the bound of what is true where the job is accepted by that.
 
     Args:
@@ -47,13 +47,13 @@ def bounded(
     if recipe.accept == "figure":
         return judged
     some = _some(clear)
-    circle = zernike.enclosing(clear) if recipe.system is None else recipe.system.told.circle_px
+    circle = zernike.enclosing_circle(clear) if recipe.system is None else recipe.system.result.circle_px
     removed = "power" if _without_power(recipe) else ""
     found = []
     for line, one in zip(recipe.lines, judged, strict=True):
         if line.bounded:
             errors = errors_of(recipe, periods=bool(line.above_mm))
-            height = seen(line, figure_nm, clear, pitch_mm)
+            height = in_line_band(line, figure_nm, clear, pitch_mm)
             bound = true_rms_bound(height, some, pitch_mm, errors, circle_px=circle)
             counts = bound.power_removed if removed and bound.power_removed is not None else bound
             found.append(replace(one, bound=counts.bound, removed=removed))
@@ -73,7 +73,7 @@ def errors_of(recipe: Recipe, *, periods: bool = False) -> MapErrors:
     priors = {(n, m): unseen.of(n, m) for n, m in terms(_degree(recipe))[LEVEL:]}
     if recipe.system is None:
         return MapErrors(MapNoise(white), _degree(recipe), unseen_nm=priors, unseen_rest_nm=unseen.shorter_nm)
-    return errors_from_system_map(recipe.system.told, MapNoise(white), priors)
+    return errors_from_system_map(recipe.system.result, MapNoise(white), priors)
 
 
 def demanded(recipe: Recipe) -> tuple[RemeasureAdvice, ...]:
@@ -81,7 +81,7 @@ def demanded(recipe: Recipe) -> tuple[RemeasureAdvice, ...]:
     if recipe.accept == "figure":
         return ()
     limit = min(line.limit for line in recipe.lines if line.bounded)
-    return demands(errors_of(recipe), limit, without_power=_without_power(recipe))
+    return required_references(errors_of(recipe), limit, without_power=_without_power(recipe))
 
 
 def reason_never_acceptable(recipe: Recipe) -> str:
@@ -89,7 +89,9 @@ def reason_never_acceptable(recipe: Recipe) -> str:
     if not (wanted := demanded(recipe)):
         return ""
     told = "; ".join(f"{one.name}, {one.prior_nm:.3g} nm by itself: {one.reference}" for one in wanted)
-    waiver = ' (calibrate instrument --power), or say job.accept = "bound_without_power": the certificate then says so'
+    waiver = (
+        ' (calibrate instrument --power), or say job.accept_by = "bound_without_power": the certificate then says so'
+    )
     power = waiver if "power" in {one.name for one in wanted} else ""
     return (
         f"no map can be accepted by the bound of its true RMS, for nothing has told of the instrument: {told}. Measure "
@@ -100,7 +102,7 @@ def reason_never_acceptable(recipe: Recipe) -> str:
 def require_acceptable(recipe: Recipe) -> None:
     """ConfigError where no map could be accepted: polishing would be for nothing."""
     if never := reason_never_acceptable(recipe):
-        raise ConfigError(f"job.accept = {recipe.accept!r}: {never} (nothing was opened)")
+        raise ConfigError(f"job.accept_by = {recipe.accept!r}: {never} (nothing was opened)")
 
 
 def acceptance_words(recipe: Recipe) -> str:
@@ -119,7 +121,7 @@ def _without_power(recipe: Recipe) -> bool:
 
 
 def _degree(recipe: Recipe) -> int:
-    return MapErrors(MapNoise(0.0)).degree if recipe.system is None else recipe.system.told.degree
+    return MapErrors(MapNoise(0.0)).degree if recipe.system is None else recipe.system.result.degree
 
 
 def _some(mask: BoolArray) -> BoolArray:
@@ -144,7 +146,7 @@ def forecast_of(recipe: Recipe, measured: MeasureResult, plan: Plan, believed: E
     """Of a plan that was made for that surface by what was believed."""
     mask, alignment = measured.metric_mask, recipe.part.alignment
     maps = (measured.height_nm, plan.predicted_removal_nm)
-    now, removal = (without(one, mask, alignment)[mask] for one in maps)
+    now, removal = (remove_terms(one, mask, alignment)[mask] for one in maps)
     removed = float(np.sqrt(np.mean(plan.predicted_removal_nm[mask] ** 2)))
     return forecast(
         now,
@@ -174,7 +176,7 @@ def ripple(recipe: Recipe, before: MeasureResult, after: MeasureResult, removed_
 def _finer_nm(recipe: Recipe, measured: MeasureResult) -> float:
     """RMS of what the map shows on its own samples, and neither the process grid does nor its noise explains."""
     mask = measured.metric_mask
-    coarse = without(measured.height_nm, mask, recipe.part.alignment)[mask].std()
+    coarse = remove_terms(measured.height_nm, mask, recipe.part.alignment)[mask].std()
     square = measured.figure_nm**2 - coarse**2 - _finer_noise_nm(recipe, measured) ** 2
     return 0.0 if square < SMOOTHED * coarse**2 else float(np.sqrt(square))
 

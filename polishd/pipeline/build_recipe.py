@@ -17,7 +17,7 @@ from polishd.pipeline.part_handling import between_of, touch_off_of
 from polishd.pipeline.recipe import Recipe, ToolStep
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import Hooks
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap
 
 OWN = "rate"
 """What a removal model learns that is asked for nothing else."""
@@ -30,15 +30,15 @@ def instrument_of(config: CellConfig) -> Instrument | None:
 
 def nominal_of(config: CellConfig, hooks: Hooks) -> SurfaceMap | None:
     """The form wanted; None where the cell names none. ConfigError where its file does not say all of itself."""
-    if config.part.nominal is None:
+    if config.part.form is None:
         return None
     try:
-        nominal = read_map(config.resolve(config.part.nominal), hooks.surface_readers().values())
+        nominal = read_map(config.resolve(config.part.form), hooks.surface_readers().values())
     except SurfaceError as error:
-        raise config.error("part.nominal", str(error)) from error
+        raise config.error("part.form", str(error)) from error
     open_ones = sorted(nominal.unsaid - {"orientation"})  # it lies as the part's own frame does
     if open_ones:
-        raise config.error("part.nominal", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
+        raise config.error("part.form", f"{nominal.path}: does not say its {' and '.join(open_ones)}")
     return nominal
 
 
@@ -52,7 +52,7 @@ def system_of(config: CellConfig, hooks: Hooks) -> SystemMap | None:
 def system_of_profile(
     profile: InstrumentProfile, readers: Collection[SurfaceReader], cell: str = "CELL.toml"
 ) -> SystemMap | None:
-    """The same of a profile; ``cell`` is the cell's file in what errors advise."""
+    """System map of a profile; ``cell`` is the cell's file for the advice of errors."""
     record, again = profile.system, f"polishd calibrate instrument {cell} makes another"
     if record is None:
         return None
@@ -70,13 +70,15 @@ def system_of_profile(
         problem = f"{record.map} says of itself no instrument's own error, read by a profile; {again}"
         raise profile.error("system.map", problem)
     try:
-        return SystemMap(surface, AbsoluteTestResult.load(step.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(step.options["terms"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise profile.error("system.map", f"{record.map} does not say how sure its terms are; {again}") from error
+        raise profile.error(
+            "system.map", f"{record.map} does not state the uncertainty of its terms; {again}"
+        ) from error
 
 
-def why_not_commissioned(config: CellConfig) -> str:
-    """Why no map may drive polishing in this cell; empty where maps may."""
+def uncommissioned_reason(config: CellConfig) -> str:
+    """Reason why maps must not drive polishing in this cell; empty where they may."""
     if config.profile_path is None:
         problem = "the cell names no instrument's profile; write one (docs/instruments.md), commission it, name it here"
         return str(config.error("instrument.profile", problem))
@@ -86,7 +88,7 @@ def why_not_commissioned(config: CellConfig) -> str:
 def require_commissioned(config: CellConfig, instrument: Instrument | None) -> None:
     """ConfigError unless the instrument that this config names is commissioned."""
     if instrument is None or instrument.commissioned is None:
-        raise ConfigError(f"{why_not_commissioned(config)} (nothing was opened)")
+        raise ConfigError(f"{uncommissioned_reason(config)} (nothing was opened)")
 
 
 def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
@@ -98,7 +100,7 @@ def make_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
 
 
 def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
-    """Everything that the computing steps need; ConfigError names the key that no loaded plugin serves."""
+    """Build the input of the computing steps; ConfigError names a key that no loaded plugin serves."""
     solvers = hooks.dwell_solvers()
     program = _named(config, "program.format", config.program.format, hooks.program_formats())
     instrument = instrument_of(config)
@@ -110,7 +112,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         dwell=config.dwell,
         job=config.job,
         instrument=instrument,
-        spike_mads=config.instrument.spike_mads,
+        spike_threshold_mad=config.instrument.spike_threshold_mad,
         nominal=nominal_of(config, hooks),
         grid_mm=config.process.grid_mm,
         process=config.tool_process(),
@@ -128,24 +130,26 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         finding=config.limits.finding,
         tolerance=config.lines,
-        remembers=config.memory.remember,
+        remembers=config.estimates.use_previous,
         touch_off=touch_off_of(config, program),
-        between=between_of(config, instrument),
+        part_handling=between_of(config, instrument),
         system=system_of(config, hooks),
     )
 
 
 def _model(config: CellConfig, hooks: Hooks) -> RemovalModel:
-    """The removal model, with the way to learn that the cell asks for."""
+    """The removal model with the cell's learner."""
     process = config.process
     model: RemovalModel = _named(config, "process.removal_model", process.removal_model, hooks.removal_models())
     own = {OWN: Learner(model.beliefs, model.learn, model.later)}
     ways = {**own, **model.learners}
-    if process.learns not in ways:
-        hint = did_you_mean(process.learns, ways)
-        problem = f"the removal model {model.name!r} does not learn {process.learns!r}{hint} It has: {join_words(ways)}"
-        raise config.error("process.learns", problem)
-    way = ways[process.learns]
+    if process.estimates not in ways:
+        hint = did_you_mean(process.estimates, ways)
+        problem = (
+            f"the removal model {model.name!r} does not learn {process.estimates!r}{hint} It has: {join_words(ways)}"
+        )
+        raise config.error("process.estimates", problem)
+    way = ways[process.estimates]
     return replace(model, beliefs=way.beliefs, learn=way.learn, later=way.later)
 
 

@@ -1,7 +1,16 @@
-"""What follows a measurement: one order of decisions for the daemon and for studies.
+"""Decision after a measurement: one function for the daemon's cycle and for the closed loops of studies.
 
-The first that fits holds: accept, diverge, tool worn, stalled, passes used, another pass (docs/cycle.md). So a stall on
-the last pass that a job may make is a stall, and its part is put aside.
+The first condition that holds decides:
+
+1. `Accept`. The part is finished. No later condition can make it worse, and a pass could.
+2. `Diverge`. The last pass damaged the surface. The part is rejected also where the tool is the cause: the daemon
+   reports the finding about the tool, and the queue stops over it (`polishd.daemon.queue.queue.judge`).
+3. `ToolWorn`. The next part would get the same tool, so an unattended cell stops for an operator. This comes before
+   all ends that let the queue go on with the next part.
+4. `Stalled`. Passes remove less error than planned, for a cause that an operator can find: the part is set aside. This
+   comes before `PassesUsed`, so that a stall on the last allowed pass does not reject the part.
+5. `PassesUsed`. The job may make no more passes.
+6. `AnotherPass`.
 """
 
 from __future__ import annotations
@@ -12,7 +21,7 @@ from dataclasses import dataclass
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.estimates import Finding
 from polishd.model.states import Outcome
-from polishd.model.tolerance import holds
+from polishd.model.tolerance import part_holds
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.process.identification.findings import Forecast, gain_too_small, has_diverged
@@ -27,21 +36,21 @@ class Accept:
 
 @dataclass(frozen=True, slots=True)
 class Diverge:
-    """The surface is clearly worse than it has been."""
+    """The surface is clearly worse than the best one so far."""
 
     outcome: Outcome = Outcome.DIVERGED
 
 
 @dataclass(frozen=True, slots=True)
 class ToolWorn:
-    """The tool is no longer what plans count with: no pass is made with it until a person has seen to it."""
+    """The tool removes otherwise than planned: an operator checks it before the next pass."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Stalled:
-    """Passes bring so little that no more are made."""
+    """Passes reduce the error too little to make more of them."""
 
     why: str
     outcome: Outcome = Outcome.STALLED
@@ -49,26 +58,26 @@ class Stalled:
 
 @dataclass(frozen=True, slots=True)
 class PassesUsed:
-    """All passes that the job may make are made."""
+    """The job has made all passes that it may make."""
 
     outcome: Outcome
 
 
 @dataclass(frozen=True, slots=True)
 class AnotherPass:
-    """The job goes on."""
+    """The job makes another pass."""
 
 
 Decision = Accept | Diverge | ToolWorn | Stalled | PassesUsed | AnotherPass
 
 
 def corrects(recipe: Recipe) -> bool:
-    """Return whether passes are to correct the surface, and not to be made as programmed, to teach."""
-    return recipe.dwell.choose != AS_PROGRAMMED
+    """Return whether passes correct the surface; False where they run as programmed, to measure the process."""
+    return recipe.dwell.objective != AS_PROGRAMMED
 
 
 def passes_used(recipe: Recipe) -> PassesUsed:
-    """Return how a job ends whose passes are all made."""
+    """Return the end of a job that has made all its passes."""
     return PassesUsed(Outcome.CYCLES_USED if corrects(recipe) else Outcome.AS_PROGRAMMED)
 
 
@@ -79,33 +88,34 @@ def decide(
     findings: Sequence[Finding],
     passes_left: int,
 ) -> Decision:
-    """Decide what follows a measurement, once its pass was learned from.
+    """Decide what the job does after a measurement and after the estimates of its last pass are updated.
 
-    A job that polishes as programmed, to teach, ends by its tool or when its passes are made, and not before.
+    A job that polishes as programmed ends when its tool is worn or its passes are used, and for no other cause.
 
     Args:
-        recipe: the job's.
-        history: RMS in nm of its earlier measurements (`Measured.figure_nm`), those before a torn pass left out.
+        recipe: of the job.
+        history: RMS of the earlier measurements, nm (`MeasureResult.figure_nm`), without those before a pass that was
+            cut off.
         surface: the last measurement.
         findings: of the last pass.
-        passes_left: that the job may still make.
+        passes_left: number of passes that the job may still make.
     """
-    teaches = not corrects(recipe)
-    if not teaches and holds(surface.judged):
+    correcting = corrects(recipe)
+    if correcting and part_holds(surface.judged):
         return Accept()
-    if not teaches and has_diverged(history, surface.figure_nm):
+    if correcting and has_diverged(history, surface.figure_nm):
         return Diverge()
-    if of_tool := [found.what for found in findings if found.stops == "cell"]:
-        return ToolWorn("; ".join(of_tool))
-    if not teaches and (stalls := [found.what for found in findings if found.kind == "stall"]):
+    if worn := [found.what for found in findings if found.stops == "cell"]:
+        return ToolWorn("; ".join(worn))
+    if correcting and (stalls := [found.what for found in findings if found.kind == "stall"]):
         return Stalled("; ".join(stalls))
     return passes_used(recipe) if passes_left <= 0 else AnotherPass()
 
 
 def worthless_pass(recipe: Recipe, forecast: Forecast | None) -> Finding | None:
-    """Return why a pass that is planned will hardly leave the surface better than it is; None where it is made.
+    """Return a finding where the planned pass will hardly reduce the error; None where the job makes the pass.
 
-    ``forecast``: what the plan expects of it; None where nothing is expected.
+    ``forecast``: of the planned pass; None where the plan has none.
     """
     if forecast is None or not corrects(recipe):
         return None

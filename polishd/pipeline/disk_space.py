@@ -1,7 +1,7 @@
-"""What a pass writes, and whether the disks have room for it: the one place that knows the bytes of a block.
+"""Disk space of a pass: the bytes of each block, and checks of the disks.
 
 Measured with 2 million blocks (``make bench`` of ``long_programs``): a row of the journal is 76 to 87 bytes, one of
-``executed.csv`` at most 72. The figures here are rounded up, and a test holds what is written to them.
+``executed.csv`` at most 72. The constants here are rounded up, and a test compares them with written files.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from polishd.model.errors import HostFault
 
 MB = 1e6
 ROW_BYTES = 100
-"""A block in the journal, with its share of events and of the index."""
+"""Bytes of a block in the journal, with its share of events and of the index."""
 CSV_BYTES = 80
-"""A block in ``executed.csv``."""
+"""Bytes of a block in ``executed.csv``."""
 SPARE_MB = 64.0
-"""What is written beside the blocks: WAL, log, the arrays of a measurement, pictures and pages of the report."""
+"""MB beside the blocks: WAL, log, the arrays of a measurement, pictures and pages of the report."""
 SPARE_FILES = 128
 """Files that a pass and the end of its job make on each disk; one file takes one inode. A test counts them."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpaceNeeded:
-    """What is still to be written, MB, until a pass is over and its job, if it is the last."""
+    """MB to be written until a pass is over, and its job if it is the last pass."""
 
     state_mb: float
-    """Into ``cell.state_dir``: rows of the journal."""
+    """In ``cell.state_dir``: rows of the journal."""
     run_mb: float
-    """Into the run folder: ``executed.csv``, and in the end a copy of the job's rows, those of earlier passes too."""
+    """In the run folder: ``executed.csv``, and at the end a copy of the rows of all passes of the job."""
 
     @classmethod
     def of(cls, blocks: int, done: int = 0, before: int = 0) -> SpaceNeeded:
-        """Of a pass of so many blocks, ``done`` of them recorded, after ``before`` blocks of the job's other passes."""
+        """Needs of a pass of so many blocks, ``done`` of them recorded, after ``before`` blocks of earlier passes."""
         state = (blocks - done) * ROW_BYTES
         run = blocks * (CSV_BYTES + ROW_BYTES) + before * ROW_BYTES
         return cls(SPARE_MB + state / MB, SPARE_MB + run / MB)
@@ -46,28 +46,28 @@ class FreeSpace:
 
     name: str
     folder: Path
-    """The nearest that exists."""
+    """The nearest existing folder."""
     left_mb: float
     needed_mb: float
     files_name: str
-    """The figure of its free inodes."""
+    """Name of the figure of its free inodes."""
     left_files: int | None
-    """Inodes that are free; None where the file system has no fixed number of them (btrfs)."""
+    """Free inodes; None where the file system has no fixed number of them (btrfs)."""
     needed_files: int
 
     @property
     def has_inodes(self) -> bool:
-        """The files that are to be made find their inodes."""
+        """Whether there are inodes for the new files."""
         return self.left_files is None or self.left_files >= self.needed_files
 
     @property
     def fits(self) -> bool:
-        """What is to be written fits."""
+        """Whether the data fit."""
         return self.left_mb >= self.needed_mb and self.has_inodes
 
 
 def free_space(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> tuple[FreeSpace, FreeSpace]:
-    """Of the state folder's disk and of the run folder's; both of the sum, where it is one disk. OSError."""
+    """Free space of the disks of state folder and run folder; the sum on one disk. OSError."""
     state, run = _there(state_dir), _there(run_dir)
     state_mb, run_mb = writes.state_mb, writes.run_mb
     files = SPARE_FILES
@@ -81,13 +81,13 @@ def free_space(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> tuple[Fre
 
 
 def require_room(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> None:
-    """HostFault where a pass of so many blocks would fill a disk; a disk that cannot be asked refuses nothing."""
+    """HostFault where a pass of so many blocks would fill a disk; an unreadable disk refuses nothing."""
     if said := disk_full_reason(state_dir, run_dir, blocks, before):
         raise HostFault(f"{said}; nothing was moved")
 
 
 def disk_full_reason(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str:
-    """Which disk a pass of so many blocks would fill, and what to do; empty where there is room, or nobody can say."""
+    """Name the disk that a pass of so many blocks would fill, and advice; empty with enough or unknown room."""
     try:
         found = free_space(state_dir, run_dir, SpaceNeeded.of(blocks, before=before))
     except OSError:
@@ -109,7 +109,7 @@ def disk_full_reason(state_dir: Path, run_dir: Path, blocks: int, before: int = 
 
 
 def pass_words(state_dir: Path, run_dir: Path, blocks: int, passes: int) -> str:
-    """What passes of so many blocks write, beside what there is."""
+    """Data that passes of so many blocks write, and the free space."""
     one, all_of_them = SpaceNeeded.of(blocks), SpaceNeeded.of(blocks, before=(passes - 1) * blocks)
     sizes = (
         f"{ROW_BYTES} bytes of journal, {CSV_BYTES} of executed.csv and {ROW_BYTES} of the journal's copy a block: "
@@ -130,5 +130,5 @@ def _room(name: str, folder: Path, needed_mb: float, needed_files: int) -> FreeS
 
 
 def _there(folder: Path) -> Path:
-    """The folder, or the nearest above it that exists."""
+    """The folder, or the nearest existing one above it."""
     return next(path for path in (folder, *folder.parents) if os.path.exists(path))  # noqa: PTH110 - a share that went stale is none: pathlib's raises

@@ -1,4 +1,4 @@
-"""The computing step that solves the dwell: problem, solver, what the machine delivers, and a second opinion."""
+"""The computing step that solves the dwell: problem, solver, delivered times, and cross-check."""
 
 from __future__ import annotations
 
@@ -18,45 +18,44 @@ from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.program import Envelope, Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.pipeline import precheck
-from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.recipe import CpuLimit, Recipe
 from polishd.pipeline.records import EstimatesInUse, MeasureResult, SolveResult
-from polishd.pipeline.steps import effect_of, envelope_of, initial_estimates
-from polishd.process.dwell.certificate import certified
-from polishd.process.dwell.lower_bound import proved
-from polishd.process.dwell.problem import DwellProblem, negligible
+from polishd.pipeline.steps import CachedEffect, effect_of, envelope_of, initial_estimates
+from polishd.process.dwell.certificate import certify_dwell
+from polishd.process.dwell.lower_bound import prove_lower_bound
+from polishd.process.dwell.problem import DwellProblem, negligible_share
 from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.residual_curve import CurvePoint as Chosen
-from polishd.process.dwell.residual_curve import Row, Solve, price_curve, to_target, within_budget
+from polishd.process.dwell.residual_curve import Row, Solve, price_curve, solve_to_target, solve_within_budget
 from polishd.process.dwell.time_limit import TimeLimit
-from polishd.process.metrology.edge_extension import extend
+from polishd.process.metrology.edge_extension import extend_surface
 from polishd.process.metrology.spectra import band_rms
-from polishd.process.metrology.tolerance import out_of_reach
+from polishd.process.metrology.tolerance import unreachable_lines
+from polishd.process.removal.combined_effect import combine_effects, split_by_tool
 from polishd.process.removal.effect import Effect
-from polishd.process.removal.multi_tool_effect import split, together
-from polishd.process.removal.transfer_function import correctable
+from polishd.process.removal.transfer_function import correctable_surface
 from polishd.process.robot import motion
 
-# The part's rim where nothing was measured: heights that stand for it, so that the dwell there is somebody's.
+# Extended heights at the unmeasured rim of the part, so that the dwell there is determined.
 
 EXTENDED_WEIGHT = 0.01
-"""What an extended sample counts beside a measured one: enough to hold the rim, too little to cost the data."""
+"""Weight of an extended sample relative to a measured one: it holds the rim and does not affect the data."""
 LEAST_SAMPLES = 3.0
 """The extension's cut-off spans this many samples at least."""
 
 
 class FilledSurface(NamedTuple):
-    """A surface to solve for: what was measured, and what stands for the part's rim where nothing was."""
+    """A surface to solve for: measured heights, and extended heights at the part's unmeasured rim."""
 
     height_nm: FloatArray
     mask: BoolArray
     weight: FloatArray | None
 
 
-def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
-    """The part's samples without data get extended heights at a small weight: else the dwell there is nobody's.
+def fill_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> FilledSurface:
+    """Extend heights with a small weight to the part's samples without data: the dwell there is undetermined otherwise.
 
-    Only as far as the part goes: beyond it nothing has to be right, and asking for it costs time.
+    Beyond the part no height is needed, and each would cost time.
     """
     mask, pitch = measured.solve_mask, measured.grid.pitch_mm
     gap = recipe.outline.contains(*measured.grid.axes_mm) & ~mask
@@ -65,16 +64,16 @@ def with_rim(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer) -> 
     reach = max(float(scipy.ndimage.distance_transform_edt(~mask)[gap].max()) * pitch, pitch)
     own = 0.0 if answer.transfer is None else answer.transfer.cutoff_period_mm
     cutoff = max(own, LEAST_SAMPLES * pitch)
-    wider = extend(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
+    wider = extend_surface(measured.height_nm, mask, pitch, reach, recipe.dwell.extension, cutoff_period_mm=cutoff)
     whole = mask | (wider.mask & gap)
     return FilledSurface(np.where(whole, wider.height_nm, 0.0), whole, np.where(mask, 1.0, EXTENDED_WEIGHT))
 
 
-# A tool's turn in a solve step: alone, or one of several that have one problem.
+# A tool's share of a solve step: one tool alone, or several tools in one problem.
 
 
 class ToolProblem(NamedTuple):
-    """A tool's turn: with what recipe, along which program, and by what is believed of it (None: as at first)."""
+    """A tool's recipe, program, and estimates (None: the initial ones)."""
 
     recipe: Recipe
     program: Program
@@ -88,13 +87,13 @@ class DwellBounds(NamedTuple):
     upper_s: FloatArray
 
     def raised(self, least_s: FloatArray) -> DwellBounds:
-        """The lower one at least this, the upper one never below it."""
+        """Raise the lower bound to this time, and the upper bound to the lower one."""
         lower = np.maximum(self.lower_s, least_s)
         return DwellBounds(lower, np.maximum(self.upper_s, lower))
 
 
 class SolveRound(NamedTuple):
-    """A solved problem, and what the machine makes of it."""
+    """A solved problem, and the times that the machine delivers."""
 
     problem: DwellProblem
     dwell: DwellSolution
@@ -104,7 +103,7 @@ class SolveRound(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ToolSubproblem:
-    """A tool's turn with its effect."""
+    """A tool's problem with its effect."""
 
     recipe: Recipe
     program: Program
@@ -113,26 +112,26 @@ class ToolSubproblem:
     envelope: Envelope
 
     def least_s(self) -> FloatArray:
-        """(n,) what motion takes at least."""
+        """(n,) least time of the motion."""
         return motion.least_time_s(self.program, self.envelope)
 
     def most_s(self) -> FloatArray:
-        """(n,) at most."""
+        """(n,) longest time of the motion."""
         return motion.most_time_s(self.program, self.envelope)
 
-    def unasked_s(self) -> FloatArray:
-        """(n,) what a point gets that is not written into the program."""
+    def unrequested_s(self) -> FloatArray:
+        """(n,) time of a point that is not written into the program."""
         if self.program.encoding == "dwell":
             return self.least_s()
         return np.full(self.program.n, self.envelope.block_overhead_s)
 
     def divide_by(self) -> FloatArray:
-        """(n,) of "pointwise", else 1."""
+        """(n,) divisor of the correction "pointwise", otherwise 1."""
         return np.ones(self.program.n) if self.answer.divide_by is None else self.answer.divide_by
 
 
 def tool_subproblem(turn: ToolProblem, measured: MeasureResult) -> ToolSubproblem:
-    """Of a turn and the surface that it finds."""
+    """Build the subproblem of a tool for a measured surface."""
     believed = turn.believed or initial_estimates(turn.recipe)
     answer = effect_of(turn.recipe, turn.program, measured.grid, believed)
     return ToolSubproblem(turn.recipe, turn.program, believed, answer, envelope_of(turn.recipe, turn.program, believed))
@@ -141,7 +140,7 @@ def tool_subproblem(turn: ToolProblem, measured: MeasureResult) -> ToolSubproble
 def single_tool(
     found: SolveRound, removal_nm: FloatArray, left_nm: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray]
 ) -> DwellSolution:
-    """Of several tools' solution one's: its times and bounds, what it removes, and what is left after it."""
+    """Extract one tool's solution from that of several tools: times, bounds, removal and residual."""
     time_s, lower_s, upper_s = own
     clear, grid = found.problem.metric_mask, found.problem.effect.grid
     residual = left_nm - left_nm[clear].mean()
@@ -158,37 +157,39 @@ def single_tool(
     return DwellSolution(time_s, removal_nm, residual, certificate, lower_s, upper_s)
 
 
-def with_certificate(dwell: DwellSolution, **changes: Any) -> DwellSolution:
-    """The same solution; of its certificate those fields changed."""
+def add_certificate(dwell: DwellSolution, **changes: Any) -> DwellSolution:
+    """Return the solution with changed fields of its certificate."""
     return replace(dwell, certificate=replace(dwell.certificate, **changes))
 
 
-def with_note(dwell: DwellSolution, note: str) -> DwellSolution:
-    """The same solution; its certificate says one thing more."""
-    return with_certificate(dwell, notes=(*dwell.certificate.notes, note))
+def add_note(dwell: DwellSolution, note: str) -> DwellSolution:
+    """Return the solution with one more note in its certificate."""
+    return add_certificate(dwell, notes=(*dwell.certificate.notes, note))
 
 
 LEAST_COVERAGE = 0.9
-"""A program that works less of the clear aperture than this is taken for another part's."""
+"""A program that covers a smaller share of the clear aperture counts as another part's."""
 LEAST_ON_PART = 0.5
-"""So is one that mostly works beside it."""
+"""A program with a smaller share of its points on the part counts as another part's."""
 ENVELOPE_ROUNDS = 2
-"""Re-solves with what acceleration delivers as the lower bound."""
+"""Number of re-solves with the times that acceleration delivers as the lower bound."""
 CROSS_CHECK_GAP = 1e-3
-"""Most by which an independent solver may be better."""
+"""Largest relative advantage of an independent solver."""
 LAST_SHARE = 0.25
-"""Of the step's time, what no round may touch: the last solve goes on with it where it was not done."""
+"""Share of the step's time that is reserved for an unfinished last solve."""
 PROOF_SHARE = 0.5
-"""Of what is left of it, that a proof may take before an independent solver is asked."""
+"""Share of the remaining time for a proof before the cross-check."""
 DEADLINE = "deadline"
-"""What a certificate says of a solver whose time was over."""
+"""Stop reason of a solver whose time was over."""
 KILL_RATIO, KILL_SPARE_S = 2.0, 60.0
-"""The worker is killed this much later: it may have two threads, and no solver looks at the time always."""
+"""Factor and margin before the worker is killed: it may have two threads, and solvers check the time late."""
 
 
 def limit(recipe: Recipe) -> CpuLimit:
-    """When the compute worker is killed over `solve`, which keeps to ``dwell.within_s`` where its plugins do."""
-    return CpuLimit(KILL_RATIO * recipe.dwell.within_s + KILL_SPARE_S, f"dwell.within_s ({recipe.dwell.within_s:g} s)")
+    """CPU limit of the compute worker during `solve`; a plugin that respects ``dwell.cpu_limit_s`` never reaches it."""
+    return CpuLimit(
+        KILL_RATIO * recipe.dwell.cpu_limit_s + KILL_SPARE_S, f"dwell.cpu_limit_s ({recipe.dwell.cpu_limit_s:g} s)"
+    )
 
 
 def solve(
@@ -198,33 +199,32 @@ def solve(
     believed: EstimatesInUse | None = None,
     warm: WarmStart | None = None,
 ) -> SolveResult:
-    """Dwell for the removal that the measured surface wants, of a cell with one tool; see `solve_turns`."""
-    return solve_turns((ToolProblem(recipe, program, believed),), measured, warm)[0]
+    """Solve the dwell for the measured surface in a cell with one tool; see `solve_tools`."""
+    return solve_tools((ToolProblem(recipe, program, believed),), measured, warm)[0]
 
 
 def solve_first(turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None) -> SolveResult:
-    """Of all that the turns have to do the first one's; see `solve_turns`."""
-    return solve_turns(turns, measured, warm)[0]
+    """Solve for all tools and return the first one's dwell; see `solve_tools`."""
+    return solve_tools(turns, measured, warm)[0]
 
 
-def solve_turns(
+def solve_tools(
     turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None = None
 ) -> tuple[SolveResult, ...]:
-    """Dwell of each tool for the removal that the measured surface wants of all, within what the machine can deliver.
+    """Solve the dwell of each tool for the measured surface, within the times that the machine can deliver.
 
-    One problem for all tools: what the first leaves, it leaves for the others. Their recipes differ in tool and program
-    only. What acceleration delivers late becomes the lower bound of the next round, so that the optimum knows of it.
-    What a turn believes is what the cycles have taught; ``warm`` is what was kept of the last one's solution. All of it
-    together, removal models, rounds, choice, cross-check and curve, has ``dwell.within_s`` of CPU time: each solve is
-    given what is left.
+    All tools share one problem, so that a later tool removes the residual of an earlier one. Their recipes differ only
+    in tool and program. Times that acceleration delivers late become the lower bound of the next round, so that the
+    optimum includes them. ``warm`` is the record of the last solution. Removal models, rounds, choice, cross-check and
+    curve combine_effects have ``dwell.cpu_limit_s`` of CPU time; each solve gets the remaining time.
     """
     recipe = turns[0].recipe
-    time_limit = TimeLimit(recipe.dwell.within_s)
+    time_limit = TimeLimit(recipe.dwell.cpu_limit_s)
     for turn in turns:
         precheck.require_path_time(turn.recipe, turn.program)
     legs = tuple(tool_subproblem(turn, measured) for turn in turns)
     step = _Step(recipe, legs, measured, time_limit)
-    if recipe.dwell.choose == AS_PROGRAMMED:
+    if recipe.dwell.objective == AS_PROGRAMMED:
         return (step.as_programmed(),)
     for leg in legs:
         _require_coverage(leg.program, leg.answer, measured)
@@ -247,9 +247,9 @@ def solve_turns(
 
 
 def _require_coverage(program: Program, answer: RemovalAnswer, measured: MeasureResult) -> None:
-    """ProgramError unless the path works nearly all of the clear aperture, and mostly the part."""
+    """ProgramError unless the path covers nearly all of the clear aperture and is mostly on the part."""
     right = "program of this part, and are program.offset_mm and program.rotation_deg right?"
-    none = negligible(answer.effect)
+    none = negligible_share(answer.effect)
     on_part = float(_touched(answer.effect.adjoint(measured.solve_mask.astype(np.float64)), none).mean())
     if on_part < LEAST_ON_PART:
         touch = f"only {on_part:.0%} of its timed points touch the part"
@@ -260,42 +260,42 @@ def _require_coverage(program: Program, answer: RemovalAnswer, measured: Measure
 
 
 def _touched(removal: FloatArray, none: float) -> BoolArray:
-    """Where there is more than that share of the strongest."""
+    """Samples with more than that share of the strongest removal."""
     return np.asarray(removal > none * np.abs(removal).max(initial=0.0))
 
 
 @dataclass(frozen=True)
 class _Step:
-    """What all solves of one step have in common."""
+    """Shared data of all solves of one step."""
 
     recipe: Recipe
-    """What all tools have in common of it."""
+    """Recipe of the first tool, for the keys that all tools share."""
     legs: tuple[ToolSubproblem, ...]
     measured: MeasureResult
     time_limit: TimeLimit
 
     def of_legs(self, value: Callable[[ToolSubproblem], FloatArray]) -> FloatArray:
-        """(n,) of all points, one tool's after the other's."""
+        """(n,) values of all points, tool by tool."""
         return np.concatenate([value(leg) for leg in self.legs])
 
     def each(self, values: FloatArray) -> Iterator[tuple[ToolSubproblem, FloatArray]]:
-        """Each tool, with its own of those."""
-        return zip(self.legs, split(values, [leg.program.n for leg in self.legs]), strict=True)
+        """Yield each tool with its values."""
+        return zip(self.legs, split_by_tool(values, [leg.program.n for leg in self.legs]), strict=True)
 
     @cached_property
     def effect(self) -> Effect:
-        """Of all tools."""
-        return together([leg.answer.effect for leg in self.legs])
+        """Joint effect of all tools."""
+        return combine_effects([leg.answer.effect for leg in self.legs])
 
     @cached_property
     def divide_by(self) -> FloatArray | None:
-        """(n,) what the dwell solved is divided by; None: nothing."""
+        """(n,) divisor of the solved dwell; None: no division."""
         none = all(leg.answer.divide_by is None for leg in self.legs)
         return None if none else self.of_legs(ToolSubproblem.divide_by)
 
     @property
     def finest(self) -> RemovalAnswer:
-        """Of the tool that corrects the shortest periods."""
+        """Answer of the tool that corrects the shortest periods."""
         known = [leg.answer for leg in self.legs if leg.answer.transfer is not None]
         if len(known) < len(self.legs):
             return next(leg.answer for leg in self.legs if leg.answer.transfer is None)
@@ -306,35 +306,35 @@ class _Step:
         return self.recipe.dwell
 
     def round(self, bounds: DwellBounds, warm: Start | None, reserve: float = 0.0) -> SolveRound:
-        """Solve within these bounds; where one solve does it, ``reserve`` of the step's time is left for later."""
+        """Solve within these bounds; a single solve leaves the share ``reserve`` of the step's time."""
         problem, divide_by = self.problem(bounds, warm), self.divide_by
-        if self.dwell.choose == "least":
-            within_s = max(self.time_limit.left_s - reserve * self.dwell.within_s, 0.0)
+        if self.dwell.objective == "least":
+            within_s = max(self.time_limit.left_s - reserve * self.dwell.cpu_limit_s, 0.0)
             found = self.recipe.solver.solve(problem, within_s)
         else:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
         dwell = found if divide_by is None else _in_machine_time(found, divide_by)
-        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unasked_s), 0.0)
+        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unrequested_s), 0.0)
         expected = [motion.delivered_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(asked)]
         return SolveRound(problem, dwell, asked, np.concatenate(expected))
 
     def as_programmed(self) -> SolveResult:
-        """No solve: the program's own times, and what the machine makes of them."""
+        """Return the program's own times, and the times that the machine delivers, without a solve."""
         (leg,) = self.legs
         asked = leg.program.time_s
         expected = motion.delivered_time_s(leg.program, asked, leg.envelope)
         problem = self.problem(DwellBounds(expected, expected), None)
         how: dict[str, Any] = {"solver": AS_PROGRAMMED, "iterations": 0, "stopped": "as programmed"}
-        dwell = certified(problem, expected, seconds=self.time_limit.cpu_s, **how)
+        dwell = certify_dwell(problem, expected, seconds=self.time_limit.cpu_s, **how)
         return SolveResult(dwell, self.staying(leg), asked, expected, leg.believed)
 
     def staying(self, leg: ToolSubproblem) -> RemovalAnswer:
-        """Its answer, whose effect stays in this process."""
+        """Answer of the tool, whose effect stays in this process."""
         return replace(leg.answer, effect=CachedEffect(leg.answer.effect, self.measured.grid))
 
     def turns(self, found: SolveRound, curve: tuple[Row, ...]) -> tuple[SolveResult, ...]:
-        """What was found, for each tool."""
+        """Split the solution into one for each tool."""
         if len(self.legs) == 1:
             (leg,) = self.legs
             return (SolveResult(found.dwell, self.staying(leg), found.asked_s, found.expected_s, leg.believed, curve),)
@@ -348,12 +348,12 @@ class _Step:
             dwell = single_tool(found, removal, left, (time_s, lower_s, upper_s))
             total = found.dwell.certificate
             joint = f"one problem for {names}: {total.predicted_rms_nm:.2f} nm RMS after the last of them"
-            dwell = with_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
+            dwell = add_note(dwell, f"{joint}, {total.dwell_total_s:.0f} s of dwell in all")
             solved.append(SolveResult(dwell, self.staying(leg), asked_s, expected_s, leg.believed, curve))
         return tuple(solved)
 
     def problem(self, bounds: DwellBounds, warm: Start | None) -> DwellProblem:
-        """The solver's; of "pointwise" the static problem, bounded so that the quotient keeps its bounds."""
+        """The problem for the solver; for "pointwise" the static problem, with bounds for the quotient."""
         measured, surface = self.measured, self.surface
         scale = 1.0 if self.divide_by is None else self.divide_by
         least = self.effect.removal_nm(bounds.lower_s * scale)
@@ -377,23 +377,23 @@ class _Step:
 
     @cached_property
     def surface(self) -> FilledSurface:
-        return with_rim(self.recipe, self.measured, self.finest)
+        return fill_rim(self.recipe, self.measured, self.finest)
 
     def chosen(self, problem: DwellProblem) -> Chosen:
         """The point of the residual-against-time curve that the recipe's rule takes."""
-        solve, divide_by = self.searching(f'choose = "{self.dwell.choose}"'), self.divide_by
-        match self.dwell.choose:
+        solve, divide_by = self.searching(f'objective = "{self.dwell.objective}"'), self.divide_by
+        match self.dwell.objective:
             case "knee":
                 return price_curve(problem, solve).knee()
             case "target":
-                return to_target(problem, self.dwell.target_nm or 0.0, solve)
+                return solve_to_target(problem, self.dwell.target_nm or 0.0, solve)
             case _:
-                # "pointwise" takes so much longer than it solves
+                # "pointwise" divides the solved times
                 static = 1.0 if divide_by is None else float(divide_by.mean())
-                return within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
+                return solve_within_budget(problem, (self.dwell.budget_s or math.inf) * static, solve)
 
     def searching(self, what: str) -> Solve:
-        """The recipe's solver for what needs many solves. One that was cut short would mislead it: a ComputeError."""
+        """The recipe's solver for a search with many solves. ComputeError where the time ends a solve early."""
         recipe, done = self.recipe, 0
 
         def solve(problem: DwellProblem) -> DwellSolution:
@@ -404,7 +404,7 @@ class _Step:
                 raise ComputeError(
                     f"{what} takes many solves, and its time was over after {done}: {self.time_limit} were used, and "
                     f"the next solve's KKT residual was {certificate.kkt_residual:.2e} after {certificate.iterations} "
-                    f"iterations. Give it more time (dwell.within_s is {recipe.dwell.within_s:g} s)"
+                    f"iterations. Give it more time (dwell.cpu_limit_s is {recipe.dwell.cpu_limit_s:g} s)"
                 )
             done += 1
             return found
@@ -412,72 +412,72 @@ class _Step:
         return solve
 
     def timed(self, dwell: DwellSolution) -> DwellSolution:
-        """The same solution; where its time was over, its certificate says what the whole step had used by then."""
+        """Return the solution; at a deadline, its certificate states the time that the whole step used."""
         certificate = dwell.certificate
         if certificate.stopped != DEADLINE:
             return dwell
         used = f"{DEADLINE} after {certificate.iterations} iterations, {self.time_limit} for the whole solve step"
-        return with_certificate(dwell, stopped=used)
+        return add_certificate(dwell, stopped=used)
 
     def cross_checked(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
-        """The same solution with an independent solver's word on it, where its own proof is not enough."""
-        other, dwell = self.recipe.cross_check, self.proved(problem, dwell)
+        """Return the solution with the result of an independent solver, where its proof is not sufficient."""
+        other, dwell = self.recipe.cross_check, self.prove_lower_bound(problem, dwell)
         certificate = dwell.certificate
         if other is None or (certificate.gap is not None and certificate.gap <= self.dwell.cross_check_above):
             return dwell
         try:
             theirs = other.solve(problem, self.time_limit.left_s).certificate
         except ComputeError as error:
-            return with_note(dwell, f"cross-check by {other.name} failed: {error}")
-        if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # which says nothing of ours
-            return with_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.within_s")
+            return add_note(dwell, f"cross-check by {other.name} failed: {error}")
+        if theirs.stopped == DEADLINE and theirs.objective > certificate.objective:  # that proves nothing
+            return add_note(dwell, f"cross-check by {other.name} was not done in what was left of dwell.cpu_limit_s")
         gap = (certificate.objective - theirs.objective) / max(theirs.objective, 1e-12)
-        return with_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
+        return add_certificate(dwell, cross_check=other.name, cross_check_gap=gap)
 
-    def proved(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
-        """The same solution; where its gap is too large to do without a second opinion, the best that can be proved."""
+    def prove_lower_bound(self, problem: DwellProblem, dwell: DwellSolution) -> DwellSolution:
+        """Return the solution with the best provable gap, where its gap would need a cross-check."""
         enough = self.dwell.cross_check_above
-        if enough == 0:  # it is asked whatever is proved
+        if enough == 0:  # the cross-check runs always
             return dwell
         static = dwell if self.divide_by is None else replace(dwell, time_s=dwell.time_s * self.divide_by)
-        found = proved(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
-        return with_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
+        found = prove_lower_bound(problem, static, enough, PROOF_SHARE * self.time_limit.left_s).certificate
+        return add_certificate(dwell, gap=found.gap, gap_nm=found.gap_nm)
 
     def noted(self, dwell: DwellSolution) -> DwellSolution:
-        """The same solution; its certificate says what of the surface is out of the spot's reach."""
+        """Return the solution with notes on the periods that the spot cannot correct."""
         measured, spot = self.measured, self.finest.transfer
         if spot is None:
             return dwell
-        found = correctable(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, spot)
+        found = correctable_surface(measured.height_nm, measured.metric_mask, measured.grid.pitch_mm, spot)
         if not found.resolved:
             return dwell
         left = f"{found.beyond_reach_rms_nm:.2f} nm RMS of the surface has periods below {spot.cutoff_period_mm:.2f} mm"
-        dwell = with_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
-        dwell = with_note(dwell, f"{left}: no dwell with this spot removes it")
+        dwell = add_certificate(dwell, cutoff_period_mm=spot.cutoff_period_mm)
+        dwell = add_note(dwell, f"{left}: no dwell with this spot removes it")
         on_grid = measured.height_nm, measured.metric_mask, measured.grid.pitch_mm
-        for line in out_of_reach(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
-            dwell = with_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
+        for line in unreachable_lines(self.recipe.lines, *on_grid, spot.cutoff_period_mm):
+            dwell = add_note(dwell, f"that alone has {line}: this spot cannot bring the part into tolerance")
         return dwell
 
     def with_curve(self, problem: DwellProblem, dwell: DwellSolution) -> tuple[DwellSolution, tuple[Row, ...]]:
-        """The curve of residual against time where it is asked for; a plan is not refused for want of it."""
+        """Add the curve of residual against time on request; a missing curve does not refuse a plan."""
         if not self.dwell.curve:
             return dwell, ()
         try:
             return dwell, tuple(price_curve(problem, self.searching("curve")).rows())
         except ComputeError as error:
-            return with_note(dwell, f"no curve of residual against time: {error}"), ()
+            return add_note(dwell, f"no curve of residual against time: {error}"), ()
 
 
 def _in_machine_time(dwell: DwellSolution, divide_by: FloatArray) -> DwellSolution:
     """The correction "pointwise" (paper ref. 17): the dwell of the static problem, divided point by point."""
     time_s, lower_s, upper_s = (t / divide_by for t in (dwell.time_s, dwell.lower_s, dwell.upper_s))
     divided = replace(dwell, time_s=time_s, lower_s=lower_s, upper_s=upper_s)
-    return with_certificate(divided, dwell_total_s=float(time_s.sum()))
+    return add_certificate(divided, dwell_total_s=float(time_s.sum()))
 
 
 def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> None:
-    """ComputeError unless the dwell is optimal as far as asked, within its bounds, and nobody found a better one."""
+    """ComputeError unless the dwell is optimal within its tolerance and its bounds, and no better dwell is known."""
     wrong = []
     if not certificate.kkt_residual <= recipe.dwell.kkt_tolerance:
         wrong.append(f"KKT residual {certificate.kkt_residual:.2e} is above {recipe.dwell.kkt_tolerance:.2e}")
@@ -488,5 +488,5 @@ def require_certificate(certificate: OptimalityCertificate, recipe: Recipe) -> N
     if wrong:
         raise ComputeError(
             f"the dwell of {certificate.solver} has no valid certificate ({'; '.join(wrong)}; it stopped: "
-            f"{certificate.stopped}); nothing was sent. Give it more time (dwell.within_s) or another dwell.solver"
+            f"{certificate.stopped}); nothing was sent. Give it more time (dwell.cpu_limit_s) or another dwell.solver"
         )

@@ -1,4 +1,4 @@
-"""What is known before a map, and of a map before its dwell is solved: what would be refused in the end."""
+"""Checks before a map, and of a map before its dwell is solved, for problems that would be refused later."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.pipeline.steps import envelope_of
 from polishd.process.dwell.quadratic import choose_piston_nm
-from polishd.process.metrology.tolerance import only_beyond
+from polishd.process.metrology.tolerance import lines_below_cutoff
 from polishd.process.removal import contact
 from polishd.process.robot import motion
 from polishd.process.robot.compliance import path_compliance
 from polishd.process.toolpath.apertures import PathCoverage, coverage
 
 SURE = 0.9
-"""Of the time that the volume to be removed takes at the largest rate: an optimum may leave a little of it."""
+"""Share of the time for the whole volume at the largest rate: an optimum may leave some of the volume."""
 ROOM = 1.2
-"""What a limit that is advised leaves above what is known to be needed."""
+"""Ratio of an advised limit to the known need."""
 
 
 def precheck_plan(recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envelope], Sequence[str]]) -> list[str]:
-    """Why `plan` or `run` would refuse a program whatever the map says: reach, landing, limits at the largest feed."""
+    """List why `plan` or `run` would refuse a program with any map: reach, landing, limits at the largest feed."""
     plan = shortest_time_s(recipe, program)
     found = [*steps.violations(recipe, plan), *check_plan(plan, recipe.envelope)]
     part = steps.executed_surface(recipe, program)
@@ -46,7 +46,7 @@ def precheck_plan(recipe: Recipe, program: Program, check_plan: Callable[[Plan, 
 
 
 def shortest_time_s(recipe: Recipe, program: Program) -> Plan:
-    """The program at the largest feed that the machine has, or at its own where dwells carry the time."""
+    """The program at the machine's largest feed, or at its own feed where dwells carry the time."""
     envelope = envelope_of(recipe, program)
     asked = np.zeros(program.n) if program.encoding == "dwell" else program.length_mm / envelope.max_feed_mm_s
     feed = program.max_feed_mm_min if program.encoding == "dwell" else 60 * envelope.max_feed_mm_s
@@ -68,7 +68,7 @@ def check_pass(config: CellConfig, recipe: Recipe, program: Program) -> None:
 
 
 def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
-    """What a pass takes as far as it is known without a map, beside its limit."""
+    """Describe the known times of a pass without a map, and its limit."""
     limit = recipe.envelope.max_pass_s
     clear = recipe.outline.contains(*steps.process_grid(recipe).axes_mm, recipe.part.edge_mm)
     mean = float(answer.removal_nm(np.full(program.n, limit / program.n))[clear].mean())
@@ -80,30 +80,30 @@ def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
 
 
 def tolerance_words(recipe: Recipe, answer: RemovalAnswer) -> str:
-    """Each line of the tolerance with its limit, and which of them this spot can only leave as they are."""
+    """Describe each line of the tolerance with its limit, and the lines that this spot cannot correct."""
     said = [f"{line.what} <= {line.limit:g} {line.unit}" for line in recipe.lines]
     if answer.transfer is not None:
         cutoff = answer.transfer.cutoff_period_mm
         said += [
             f"{line.what} can only be left as it is: this spot corrects no period below {cutoff:.2f} mm"
-            for line in only_beyond(recipe.lines, cutoff)
+            for line in lines_below_cutoff(recipe.lines, cutoff)
         ]
     return "; ".join(said)
 
 
 def require_path_time(recipe: Recipe, program: Program) -> None:
-    """PlanRefused where the path alone takes longer than a pass may."""
+    """PlanRefused where the path alone exceeds the longest pass."""
     least = _least_s(recipe, program)
     if not least <= recipe.envelope.max_pass_s:
         raise PlanRefused(_too_long(recipe, f"{program.name} at the largest feed takes", least))
 
 
 def require_removal_time(recipe: Recipe, measured: MeasureResult, answer: RemovalAnswer, lower_s: FloatArray) -> None:
-    """PlanRefused where the volume to be removed, at the largest rate on the path, takes longer than a pass may.
+    """PlanRefused where the volume to remove, at the largest rate on the path, exceeds the longest pass.
 
-    Only where the least residual is asked for: the other choices of a dwell may take less time than that.
+    This applies only to the least residual: the other choices of a dwell may take less time.
     """
-    if recipe.dwell.choose != "least":
+    if recipe.dwell.objective != "least":
         return
     least = SURE * removal_time_s(measured, answer, lower_s)
     if not least <= recipe.envelope.max_pass_s:
@@ -111,7 +111,7 @@ def require_removal_time(recipe: Recipe, measured: MeasureResult, answer: Remova
 
 
 def removal_time_s(measured: MeasureResult, answer: RemovalAnswer, lower_s: FloatArray) -> float:
-    """Seconds in which the point that removes most would remove what the surface wants of the clear aperture."""
+    """Seconds in which the point with the largest rate would remove the volume wanted in the clear aperture."""
     clear = measured.metric_mask
     piston = choose_piston_nm(measured.height_nm, clear, answer.removal_nm(lower_s))
     rate = answer.effect.adjoint(clear.astype(np.float64))  # nm/s, summed over the samples
@@ -127,53 +127,53 @@ def _too_long(recipe: Recipe, what: str, seconds: float) -> str:
     return (
         f"{what} {seconds:.0f} s, more than limits.max_pass_s = {recipe.envelope.max_pass_s:g} s; "
         f"set it to {math.ceil(ROOM * seconds):d} or more, or take a shorter path, a larger spot, or a budget "
-        "(dwell.choose)"
+        "(dwell.objective)"
     )
 
 
-# Whether a program is this part's: one of another part would polish it all the same, with nobody there.
+# Does a program belong to this part? A program of another part would polish it without supervision.
 
 MOST_UNREACHED = 0.05
-"""Of the clear aperture: one whose spots end at 97 % of a round one's radius misses more."""
+"""Share of the clear aperture: a program whose spots end at 97 % of a round part's radius misses more."""
 LANDING_MM = 10.0
-"""Beyond the rim: turns and landing points lie there, and are much of a small part's path."""
+"""Width beyond the rim for turns and landing points, which are much of a small part's path."""
 MOST_OUTSIDE = 0.5
-"""Of the path. A square raster round a round part, a quarter of its radius too large, has less beyond the rim."""
+"""Share of the path. A square raster on a round part, too large by a quarter of the radius, has less outside."""
 
 Covers = Literal["aperture", "zone"]
-"""What a program is for."""
+"""Purpose of a program."""
 
 
 def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:
-    """How far the program reaches, and over what; ConfigError where it is another part's."""
-    said, problem = judged(recipe, program, config.program.covers)
+    """Describe the coverage of the program; ConfigError where it belongs to another part."""
+    said, problem = judged(recipe, program, config.program.coverage)
     if problem:
         raise config.error("program.path", f"{said}{problem}")
     return said
 
 
 def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
-    """How far a program reaches, and over what; and why it is another part's, empty where it may be this one's.
+    """Describe the coverage of a program, and why it belongs to another part (empty where it may be this one's).
 
-    ``zone`` says that some of the clear aperture is left alone on purpose.
+    ``zone``: the program leaves some of the clear aperture on purpose.
     """
     found = program_coverage(recipe, program)
     said = (
         f"{program.name} reaches {found.reach_mm:.1f} mm from the part's centre, the part is {recipe.outline}; "
-        f"no point reaches {100 * found.unreached:.1f} % of the clear aperture"
+        f"no point reaches {100 * found.unreachable:.1f} % of the clear aperture"
     )
     mend = "name the program of this part, or mend the part's outline ([part]) or program.offset_mm"
     if found.outside > MOST_OUTSIDE:
         away = f"{100 * found.outside:.0f} % of its path lies more than {LANDING_MM:g} mm beyond the part's rim"
         return said, f", and {away}: {mend}"
-    if found.unreached > MOST_UNREACHED and covers == "aperture":
+    if found.unreachable > MOST_UNREACHED and covers == "aperture":
         zone = 'post it with closer lines where it leaves gaps; where it is for a zone only, say covers = "zone"'
         return said, f": {mend}; {zone}"
     return said, ""
 
 
 def program_coverage(recipe: Recipe, program: Program) -> PathCoverage:
-    """What the program covers of the recipe's part."""
+    """Coverage of the recipe's part by the program."""
     placed = steps.executed_surface(recipe, program)
     return coverage(
         placed.start_mm,

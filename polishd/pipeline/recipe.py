@@ -1,4 +1,4 @@
-"""The recipe of a job: all that the computing steps need, picklable, made once from the config and the plugins."""
+"""The recipe of a job: the complete, picklable input of the computing steps, made once from config and plugins."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from polishd.model.process import ComplianceOptions, Correction, MeasuredTif, Op
 from polishd.model.program import Envelope
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Accept, ToleranceLine
-from polishd.process.metrology.system_map import SystemMap
+from polishd.process.metrology.absolute_test import SystemMap
 
 DEFAULT = FindingLimits()
 
 
 @dataclass(frozen=True, slots=True)
 class ToolStep:
-    """A tool's turn among several."""
+    """The position of a tool in the sequence."""
 
     tool: str
     passes: int
     change_s: float
-    """Machine time that it takes to change to it."""
+    """Machine time of the change to this tool."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """One part, one process, one robot, one way of solving: sections of the config, and what is made of the others."""
+    """One part, process, robot and solver: sections of the config, and objects made from them."""
 
     part: PartSection
     outline: Outline
-    """Of the part, about its centre."""
+    """Outline of the part, about its center."""
     program: ProgramSection
     dwell: DwellSection
     job: JobSection
     instrument: Instrument | None
-    """The profile of the instrument that the maps come from; None: maps must say everything themselves."""
-    spike_mads: float
+    """Profile of the instrument of the maps; None: the maps must state everything."""
+    spike_threshold_mad: float
     nominal: SurfaceMap | None
-    """The form wanted, in the part's frame; None: a flat, or what the interferometer's null makes one."""
+    """Nominal form in the part's frame; None: flat, or the form of the interferometer's null."""
     grid_mm: float
     process: ToolProcess
     robot: RobotModel
@@ -62,32 +62,32 @@ class Recipe:
     cross_check: DwellSolver | None
     finding: FindingLimits = DEFAULT
     tolerance: tuple[ToleranceLine, ...] = ()
-    """The drawing's lines, where the job has no short form."""
+    """Lines of the drawing, where the job has no short form."""
     remembers: bool = False
-    """A job begins with what the last one of its series has taught."""
+    """A job begins with the estimates of the last job of its series."""
     touch_off: TouchOff | None = None
-    """How the part's seat is proved; None: nobody proves it."""
-    between: BetweenPasses = NOTHING
+    """Proof of the part's seat; None: no proof."""
+    part_handling: BetweenPasses = NOTHING
     turn: ToolStep | None = None
-    """Of the tool that it is for; None where the cell has one tool."""
+    """Tool of the recipe; None where the cell has one tool."""
     system: SystemMap | None = None
-    """The instrument's own error, off each map; None: nobody has told it."""
+    """The instrument's own error, subtracted from each map; None: unknown."""
 
     @property
     def accept(self) -> Accept:
-        """By what an RMS is accepted. Without a word of the job by the bound only where something is known for it."""
-        if self.job.accept is not None:
-            return self.job.accept
+        """Acceptance rule of an RMS. The default is the bound where the instrument's error is known."""
+        if self.job.accept_by is not None:
+            return self.job.accept_by
         known = self.system is not None and self.part.alignment != "piston"
         return "bound" if known else "figure"
 
     @property
     def lines(self) -> tuple[ToleranceLine, ...]:
-        """What the part is judged by: it is accepted when all of them hold."""
+        """Lines of the tolerance: a part is accepted when all of them hold."""
         return lines_of(self.job, self.tolerance)
 
     def facts(self) -> dict[str, Any]:
-        """What a summary says of it."""
+        """Facts for a summary."""
         job = self.job.model_dump(include={"tolerance_nm", "tolerance_period_mm", "lsf_period_mm"})
         lines = [{"what": line.what, "limit": line.limit, "unit": line.unit} for line in self.lines]
         return {
@@ -100,11 +100,11 @@ class Recipe:
         }
 
 
-# How long a computing step may take.
+# Time limit of a computing step.
 
 
 class CpuLimit(NamedTuple):
-    """So many CPU seconds, and which key of the config gives more."""
+    """CPU seconds, and the config key that raises the limit."""
 
     within_s: float
     key: str = ""

@@ -1,7 +1,7 @@
-"""What the steps of a cycle leave behind: one schema for the journal, its store, the run folder, and who reads them.
+"""Records of the steps of a cycle: one schema for the journal, its store, the run folder, and their readers.
 
-A record has ``files``, what it leaves for people (docs/run-folder.md). One that a later run of the daemon needs again
-has ``facts``, which the journal's rows hold as JSON, and is made again from them and from the arrays of its ``.npz``.
+A record has ``files`` for people (docs/run-folder.md). A record that a later run of the daemon needs has ``facts``,
+which the journal's rows hold as JSON, and is loaded from them and from the arrays of its ``.npz``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from polishd.model.estimates import UNTAUGHT, Diagnosis, Estimate, Estimates, Pa
 from polishd.model.program import IntArray, Plan, Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceStats
 from polishd.model.text import printable
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.process.identification.findings import UNEXPLAINED, Forecast
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.metrology.conditioning import Masks
@@ -45,7 +45,7 @@ def arrays_of(record: Any) -> dict[str, NDArray[Any]]:
 
 
 def facts_of(record: Any) -> dict[str, Any]:
-    """Its other fields, as JSON holds them but for tuples."""
+    """The other fields of a dataclass as JSON values, except tuples."""
     return {
         name: asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
         for name, value in _values(record).items()
@@ -54,9 +54,9 @@ def facts_of(record: Any) -> dict[str, Any]:
 
 
 def record_of(cls: type[T], facts: Mapping[str, Any], arrays: Mapping[str, Any] = MappingProxyType({})) -> T:
-    """The dataclass that ``facts_of`` and ``arrays_of`` took apart, also from JSON; what it has no field for is left.
+    """Restore a dataclass from ``facts_of`` and ``arrays_of``, also from JSON; ignore unknown fields.
 
-    ConfigError where a field is missing, or a fact of another type: another polishd, or another plugin, wrote it.
+    ConfigError where a field is missing or has another type: another polishd or plugin wrote it.
     """
     hints = get_type_hints(cls)
     try:
@@ -90,7 +90,7 @@ def table(columns: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def as_json(content: Any) -> bytes:
-    """A JSON object, or a dataclass as one. TypeError for what is neither."""
+    """Write a JSON object or a dataclass as JSON. TypeError for other values."""
     plain = asdict(content) if is_dataclass(content) and not isinstance(content, type) else content
     return (json.dumps(plain, indent=2, default=_plain) + "\n").encode()
 
@@ -112,7 +112,7 @@ FIGURES = ("rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm")
 PASS_FIGURES = ("predicted_rms_nm", "dwell_s", "rate")
 
 Stored = Mapping[str, NDArray[Any]]
-"""Arrays as they are read back."""
+"""Arrays read from a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,37 +127,37 @@ class MeasureResult:
     stats: SurfaceStats
     sha256: str
     registration: Registration = CENTRED
-    """Where the part lay in the map."""
+    """Position of the part in the map."""
     spikes: int = 0
-    """Samples of the map that were taken for spikes, and out."""
+    """Number of samples that were removed as spikes."""
     notes: tuple[str, ...] = ()
-    """What a person should know of how it was levelled, and of figures that are near to their limits."""
-    judged: tuple[Judged, ...] = ()
+    """Notes for people on the leveling, and on figures that are near their limits."""
+    judged: tuple[LineResult, ...] = ()
     """Each line of the tolerance."""
     map_grid: Grid | None = None
     """The map's own samples; None: of a job of an earlier polishd."""
     system: str = ""
-    """sha256 of the instrument's system map, which was taken off; empty: none was."""
+    """sha256 of the instrument's system map that was subtracted; empty: none."""
 
     @property
     def masks(self) -> Masks:
-        """For the maps that follow."""
+        """Frozen masks for the following maps."""
         return Masks(self.solve_mask, self.metric_mask)
 
     @property
     def figure_nm(self) -> float:
-        """The RMS that the surface may not get worse in: of the short tolerance's periods, where it has any."""
+        """The RMS that must not grow: of the short tolerance's periods, where there are any."""
         return tolerated_nm(self.facts())
 
     def facts(self) -> dict[str, Any]:
-        """Its figures, and what else is no array."""
+        """Figures and all other fields that are no arrays."""
         judged = [one.facts() for one in self.judged]
         rest = {"spikes": self.spikes, "notes": list(self.notes), "sha256": self.sha256, "judged": judged}
         rest["system"] = self.system
         return {**asdict(self.stats), **rest, "registration": asdict(self.registration)}
 
     def arrays(self) -> Arrays:
-        """What ``surface.npz`` holds."""
+        """Arrays of ``surface.npz``."""
         return {
             "height_nm": np.where(self.solve_mask, self.height_nm, np.nan),
             "solve_mask": self.solve_mask,
@@ -173,9 +173,9 @@ class MeasureResult:
 
     @classmethod
     def load(cls, arrays: Stored, facts: Mapping[str, Any], register_by: str) -> Self:
-        """From both again.
+        """Restore a record from arrays and facts.
 
-        ``register_by`` is the instrument's: a job of an earlier polishd kept where the part lay as an array only, or
+        ``register_by`` is the instrument's method: a job of an earlier polishd kept the registration as an array or
         not at all.
         """
         height = np.asarray(arrays["height_nm"], dtype=np.float64)
@@ -200,15 +200,15 @@ def _grid(stored: NDArray[Any] | None) -> Grid | None:
 
 @dataclass(frozen=True, slots=True)
 class EstimatesInUse:
-    """What the cycles have taught: of the removal, by its model's own record; and of the machine."""
+    """Estimates of the removal (the model's own record) and of the machine."""
 
     removal: Estimates = UNTAUGHT
     block_overhead_s: float = 0.0
     """Time that a block takes beyond its motion."""
     unexplained: float = UNEXPLAINED
-    """RMS of what no rate explains of a pass, relative to its removal."""
+    """RMS of a pass's removal that no rate explains, relative to its removal."""
     ripple: float = 0.0
-    """RMS of what a pass leaves finer than the process grid, relative to its removal."""
+    """RMS that a pass leaves below the resolution of the process grid, relative to its removal."""
 
     @property
     def rate(self) -> float:
@@ -216,14 +216,14 @@ class EstimatesInUse:
         return self.removal.rate.value
 
     def facts(self) -> dict[str, Any]:
-        """The numbers that everybody asks for, and all that the model believes."""
+        """The common numbers and all estimates of the model."""
         numbers = {"rate": self.rate, "block_overhead_s": self.block_overhead_s, "unexplained": self.unexplained}
         numbers["ripple"] = self.ripple
         return {**numbers, "removal": asdict(self.removal)}
 
     @classmethod
     def load(cls, facts: Mapping[str, Any], initial: Estimates) -> Self:
-        """From them again; ``initial`` is of the model's own kind. A job of an earlier polishd kept the two only."""
+        """Restore estimates from facts; ``initial`` has the model's type. An earlier polishd kept only two values."""
         if "removal" in facts:
             removal = record_of(type(initial), {**facts_of(initial), **facts["removal"]})
         else:
@@ -234,7 +234,7 @@ class EstimatesInUse:
 
 @dataclass(frozen=True, slots=True)
 class ExecutedPass:
-    """A pass, as learning takes it."""
+    """A pass with the data that the learning step needs."""
 
     before: MeasureResult
     after: MeasureResult
@@ -243,42 +243,42 @@ class ExecutedPass:
     executed_s: FloatArray
     """(n,) time that each timed point had."""
     acting_s: FloatArray | None = None
-    """(n,) the time that it would have taken at the process's own force and speed to remove as much; None: the same."""
+    """(n,) time for the same removal at the process's own force and speed; None: the executed time."""
     predicted_rms_nm: float | None = None
-    """RMS that its plan expected after it; None: not known."""
+    """RMS that the plan predicted; None: unknown."""
     forecast: Forecast | None = None
-    """The same as a distribution, of what the map will show; None: of a pass of an earlier polishd."""
+    """Distribution of the RMS that the map is expected to show; None: a pass of an earlier polishd."""
     again: tuple[Diagnosis, ...] | None = None
-    """What maps of the part since the pass have named among themselves; None: there was one only."""
+    """Diagnoses from the changes between maps since the pass; None: there was only one map."""
 
     @property
     def acted_s(self) -> FloatArray:
-        """(n,) ``acting_s``, or what was executed where nothing is known of force and speed."""
+        """(n,) ``acting_s``, or the executed times where force and speed are unknown."""
         return self.executed_s if self.acting_s is None else self.acting_s
 
 
 @dataclass(frozen=True, slots=True)
 class LearnResult:
-    """What a pass taught, or why nothing is believed of it."""
+    """Result of the learning step, or the reason why the estimates stay."""
 
     believed: EstimatesInUse
     verdict: RemovalCheckResult
     grid: Grid
     found: Mapping[str, Any] | None = None
-    """How, by the removal model (``Lesson.found``); None where the gate stops."""
+    """Details of the removal model (``EstimateUpdate.found``); None where the removal check stops."""
     notes: tuple[str, ...] = ()
     shown: PassIndicators | None = None
-    """What the pass showed of its process; None where the gate stops."""
+    """Indicators of the process; None where the removal check stops."""
     named: tuple[Diagnosis, ...] = ()
-    """Which of the loop's assumptions failed."""
+    """Diagnoses: failed assumptions of the loop."""
 
     @property
     def doubted(self) -> bool:
-        """Nothing is learned before another map, with no pass between, has told what is the pass's and what is not."""
+        """Estimates stay until a second map, without a pass in between, separates the effect of the pass."""
         return any(one.again for one in self.named)
 
     def files(self) -> dict[str, bytes]:
-        """What the gate found and what was learned or, where it stops, the maps that it compared, for the picture."""
+        """Result of the removal check with the new estimates or, where it stops, with the maps that it compared."""
         words = facts_of(self.verdict)
         words["best"]["name"] = self.verdict.best.name
         words["named"] = [{**asdict(one), "words": one.words} for one in self.named]
@@ -295,37 +295,37 @@ class LearnResult:
 
 @dataclass(frozen=True, slots=True)
 class SolveResult:
-    """A dwell solution with what it was derived from."""
+    """A dwell solution with its inputs."""
 
     dwell: DwellSolution
     answer: RemovalAnswer
-    """Its effect stays in the process that solved (`staying.Staying`)."""
+    """Its effect stays in the process that solved (`CachedEffect`)."""
     asked_s: FloatArray
-    """(n,) time to write into the program: the dwell less what a block takes by itself."""
+    """(n,) time to write into the program: the dwell less the block overhead."""
     expected_s: FloatArray
     """(n,) time that the machine is expected to deliver."""
     believed: EstimatesInUse
     curve: tuple[Mapping[str, Any], ...] = ()
-    """Residual against time where it was asked for: a certified optimum a row (`dwell.curve.Solved.row`)."""
+    """Residual against time, on request: each row is a certified optimum."""
 
     def files(self) -> dict[str, bytes]:
-        """Kept whether the dwell will be used or not."""
+        """Files that are kept also for an unused dwell."""
         curve = {"curve.json": as_json(list(self.curve))} if self.curve else {}
         return {"certificate.json": as_json(self.dwell.certificate), **curve}
 
 
 @dataclass(frozen=True, slots=True)
 class PlanResult:
-    """What is kept of a plan: the next cycle learns from it, and its solve starts from it.
+    """Record of a plan, for the learning step and the warm start of the next cycle.
 
     Its arrays are those of ``plan.npz``, by name; points are in the part's frame.
     """
 
     certificate: OptimalityCertificate
     believed: EstimatesInUse
-    """With which it was solved."""
+    """Estimates that the solve used."""
     state: Stored
-    """What its solver can start from again, by name."""
+    """Warm start of its solver, by name."""
     block: IntArray
     """(n,) sequence number of each timed point's block."""
     time_s: FloatArray
@@ -347,13 +347,13 @@ class PlanResult:
     curve_s: FloatArray
     curve_nm: FloatArray
     forecast: Forecast | None = None
-    """What the next map is expected to show; None: of a pass of an earlier polishd."""
+    """Forecast for the next map; None: a pass of an earlier polishd."""
     tool: str = ""
-    """Of several the one that it is for; empty: the cell has one."""
+    """Tool of the plan; empty: the cell has one tool."""
 
     @classmethod
     def of(cls, plan: Plan, solved: SolveResult, part: Program, forecast: Forecast, tool: str = "") -> Self:
-        """Of a plan, what it was solved as, its program in the part's frame, what is expected of it, and with which."""
+        """Record a plan from its solution, its program in the part's frame, its forecast, and its tool."""
         dwell, answer = solved.dwell, solved.answer
         return cls(
             certificate=dwell.certificate,
@@ -378,11 +378,11 @@ class PlanResult:
 
     @property
     def kept(self) -> WarmStart:
-        """What the next solve can start from."""
+        """Warm start for the next solve."""
         return WarmStart(self.time_s, self.state)
 
     def facts(self) -> dict[str, Any]:
-        """What the journal knows of the pass that runs it."""
+        """Facts of the pass for the journal."""
         certificate = asdict(self.certificate)
         total = {"predicted_rms_nm": certificate["predicted_rms_nm"], "dwell_s": float(self.expected_s.sum())}
         expected = None if self.forecast is None else asdict(self.forecast)
@@ -390,7 +390,7 @@ class PlanResult:
         return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
 
     def start(self) -> Arrays:
-        """A store's file of its own: small beside the plan's."""
+        """A separate file of the store, small compared with the plan's."""
         return {"time_s": self.time_s, **self.state}
 
     def files(self) -> dict[str, bytes]:
@@ -408,7 +408,7 @@ class PlanResult:
 
     @classmethod
     def load(cls, arrays: Stored, start: Stored, facts: Mapping[str, Any], initial: Estimates) -> Self:
-        """From ``plan.npz``, what ``start`` gave, and the facts of its pass."""
+        """Restore a plan from ``plan.npz``, the file of ``start``, and the facts of its pass."""
         state = {name: value for name, value in start.items() if name != "time_s"}
         rest = {"certificate": record_of(OptimalityCertificate, facts["certificate"]), "state": state}
         expected = facts.get("forecast")

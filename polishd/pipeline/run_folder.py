@@ -1,4 +1,4 @@
-"""The run folder: what a job leaves behind for people. The journal, not this folder, is what the daemon trusts."""
+"""The run folder: files of a job for people. The daemon trusts the journal, not this folder."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from polishd.util.files import write_atomic
 
 
 class RunFolder:
-    """Files of one job; each is written whole. Layout: docs/run-folder.md."""
+    """Files of one job; each is written completely. Layout: docs/run-folder.md."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def create(self) -> None:
-        """Make the folder, with its parents; whoever writes does, for a person may have deleted it meanwhile."""
+        """Make the folder with its parents. Each writer calls this, since a person may have deleted the folder."""
         self.path.mkdir(parents=True, exist_ok=True)
 
     def cycle(self, cycle: int) -> RunFolder:
-        """The subfolder of one cycle."""
+        """Subfolder of one cycle."""
         return RunFolder(self.path / f"cycle-{cycle:02d}")
 
     def holds(self, name: str) -> bool:
-        """Whether the file is there."""
+        """Whether the file exists."""
         return (self.path / name).exists()
 
     def set_aside(self, name: str, patterns: Sequence[str]) -> None:
@@ -40,21 +40,21 @@ class RunFolder:
             path.replace(folder.path / path.name)
 
     def write(self, files: Mapping[str, bytes]) -> None:
-        """What a record leaves (its ``files``)."""
+        """Write the files of a record (its ``files``)."""
         for name, content in files.items():
             self.bytes(name, content)
 
     def bytes(self, name: str, content: bytes) -> None:
-        """A file as it is."""
+        """Write a file unchanged."""
         self.create()
         write_atomic(self.path / name, content)
 
     def json(self, name: str, content: Any) -> None:
-        """A JSON object, or a dataclass as one."""
+        """Write a JSON object, or a dataclass as one."""
         self.bytes(name, as_json(content))
 
     def map_file(self, surface: SurfaceMap) -> None:
-        """A copy of the file that a map was read from, as ``map`` with its ending; nothing where it has none."""
+        """Copy the file of a map as ``map`` with its ending, where it has one."""
         if surface.path is None:
             return
         self.create()
@@ -64,7 +64,7 @@ class RunFolder:
         partial.rename(self.path / name)
 
 
-# Reading what people hand over: programs and maps, with one clear error each.
+# Reading of programs and maps from people, with one clear error each.
 
 SNIFF_BYTES = 4096
 
@@ -81,7 +81,7 @@ def read_program_bytes(path: Path) -> bytes:
 
 
 def read_map(path: Path, readers: Collection[SurfaceReader]) -> SurfaceMap:
-    """Read a map with the first reader that knows the file; SurfaceError where none does, or that one refuses."""
+    """Read a map with the first reader that knows the file; SurfaceError where none does or the reader refuses."""
     try:
         with path.open("rb") as file:
             head = file.read(SNIFF_BYTES)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -16,67 +18,125 @@ from polishd.model.instrument import Instrument
 from polishd.model.program import Envelope, Plan, Program, Segments
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.pipeline import acceptance
-from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import CENTRED, EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, SolveResult
 from polishd.pipeline.run_folder import read_program_bytes
-from polishd.process.dwell.problem import negligible, without_traces
+from polishd.process.dwell.problem import negligible_share, without_traces
 from polishd.process.identification import removal_check, residual_diagnosis
-from polishd.process.identification.findings import WearIndicators, half_width_mm, pooled, traces, unexplained
+from polishd.process.identification.findings import (
+    WearIndicators,
+    half_width_mm,
+    pool_unexplained,
+    traces,
+    unexplained_share,
+)
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.identification.removal_fit import MOST_DRIFT_NM
-from polishd.process.identification.residual_diagnosis import leftover
+from polishd.process.identification.residual_diagnosis import fit_residual
 from polishd.process.metrology import conditioning
-from polishd.process.metrology.conditioning import Masks, cleaned
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.absolute_test import SystemMap
+from polishd.process.metrology.conditioning import Masks, clean_map
+from polishd.process.metrology.instrument import apply_profile
 from polishd.process.metrology.registration import register
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import surface_stats
-from polishd.process.metrology.statistics import Removal, without
-from polishd.process.metrology.system_map import SystemMap
-from polishd.process.metrology.tolerance import alignment_notes, judge, less_nominal, notes_of
-from polishd.process.removal.transfer_function import SpotTransferFunction, correctable
+from polishd.process.metrology.statistics import Removal, remove_terms
+from polishd.process.metrology.tolerance import alignment_notes, judge_lines, subtract_nominal, tolerance_notes
+from polishd.process.removal.effect import Effect
+from polishd.process.removal.transfer_function import SpotTransferFunction, correctable_surface
 from polishd.process.robot import motion
 from polishd.process.toolpath.apertures import tool_axes
 
-# The surface that figures are of: a map on its own samples over the clear aperture, without what is alignment.
+# Large effects stay in the process that made them.
+
+
+class CachedEffect:
+    """An Effect that pickles as its name; the process that made it finds it again by that name, once."""
+
+    _left: ClassVar[dict[str, Effect]] = {}
+    """The last one whose name was sent: of the plan that is being made."""
+
+    def __init__(self, effect: Effect | None, grid: Grid, name: str = "") -> None:
+        self._effect = effect
+        self.grid = grid
+        self._name = name or uuid.uuid4().hex
+
+    @property
+    def here(self) -> bool:
+        """Whether this process has it."""
+        return self._effect is not None
+
+    @property
+    def n(self) -> int:
+        """Number of timed points."""
+        return self._own().n
+
+    @property
+    def negligible(self) -> float:
+        """Share of the strongest removal below which removal counts as zero."""
+        return negligible_share(self._own())
+
+    def removal_nm(self, time_s: FloatArray) -> FloatArray:
+        """(n,) s -> (ny, nx) nm."""
+        return self._own().removal_nm(time_s)
+
+    def adjoint(self, weight: FloatArray) -> FloatArray:
+        """(ny, nx) -> (n,)."""
+        return self._own().adjoint(weight)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        if self._effect is not None:
+            CachedEffect._left = {self._name: self._effect}
+        return _by_name, (self._name, self.grid)
+
+    def _own(self) -> Effect:
+        if self._effect is None:
+            raise ComputeError("the effect is in the process that solved with it, and this is another one")
+        return self._effect
+
+
+def _by_name(name: str, grid: Grid) -> CachedEffect:
+    return CachedEffect(CachedEffect._left.pop(name, None), grid, name)
+
+
+# The surface of the figures: a map on its own samples over the clear aperture, without alignment terms.
 
 ROUNDING = 1e-3
-"""Of a share of samples: files keep a pitch in seven digits, and a rim must not move with the last of them."""
+"""Tolerance of a share of samples: files keep a pitch in seven digits, and the last digit must not move a rim."""
 
 
 def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
-    """The map as it lies on the part, less the instrument's own error where that was told; BadMap as `as_profiled`."""
-    lying = as_profiled(surface, instrument)
+    """The map in the part's frame, less the instrument's own error where that is known; BadMap as `apply_profile`."""
+    lying = apply_profile(surface, instrument)
     return lying if system is None else system.off(lying)
 
 
 def of_part(
-    lying: SurfaceMap, spike_mads: float, nominal: SurfaceMap | None, lies: Registration
+    lying: SurfaceMap, spike_threshold_mad: float, nominal: SurfaceMap | None, lies: Registration
 ) -> tuple[SurfaceMap, int]:
-    """That map without spikes and less the form wanted, and how many samples were taken for spikes."""
-    clean, spikes = cleaned(lying, spike_mads)
-    return (clean if nominal is None else less_nominal(clean, nominal, lies)), spikes
+    """Remove spikes and the nominal form from a map; return it with the number of spikes."""
+    clean, spikes = clean_map(lying, spike_threshold_mad)
+    return (clean if nominal is None else subtract_nominal(clean, nominal, lies)), spikes
 
 
 def figure_of(
     clean: SurfaceMap, grid: Grid, metric_mask: BoolArray, lies: Registration, alignment: Removal
 ) -> tuple[FloatArray, BoolArray]:
-    """What is judged, and over which samples.
+    """Return the judged heights and their samples.
 
     Args:
         clean: the map as ``of_part`` gives it.
         grid: the process grid, on which the clear aperture is frozen.
         metric_mask: (ny, nx) on it: the clear aperture.
         lies: where the part lies in the map.
-        alignment: what is alignment, and no figure.
+        alignment: terms that are alignment, not figure.
 
     Returns:
         (rows, columns) of the map itself: height in nm less the alignment, NaN outside the aperture; and the clear
         aperture there.
     """
     clear = on_map(clean, grid, metric_mask, lies)
-    return without(clean.height_nm, clear, alignment), clear
+    return remove_terms(clean.height_nm, clear, alignment), clear
 
 
 def on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration) -> BoolArray:
@@ -88,20 +148,20 @@ def on_map(surface: SurfaceMap, grid: Grid, mask: BoolArray, lies: Registration)
     return np.asarray(share >= 0.5 - ROUNDING, dtype=np.bool_) & surface.valid
 
 
-# What a pass showed of its process, from what the learning step has at hand.
+# Indicators of the process after a pass, from the data of the learning step.
 
 
 def pass_indicators(
     done: ExecutedPass, answer: RemovalAnswer, predicted_nm: FloatArray, verdict: RemovalCheckResult, rate: float
 ) -> PassIndicators:
-    """What a pass showed that the gate did not stop.
+    """Indicators of a pass that passed the removal check.
 
     Args:
         done: the pass.
-        answer: of the removal model, by what was believed.
-        predicted_nm: (ny, nx) removal that it predicts of what was executed; also beside the clear aperture.
-        verdict: the gate's.
-        rate: the removal rate that was believed.
+        answer: of the removal model with the estimates before the pass.
+        predicted_nm: (ny, nx) removal that it predicts for the executed times; also beside the clear aperture.
+        verdict: of the removal check.
+        rate: the estimated removal rate before the pass.
     """
     grid, mask = done.before.grid, done.before.metric_mask
     seen = WearIndicators()
@@ -125,7 +185,7 @@ def pass_indicators(
 
 
 def _lateness(time_s: FloatArray) -> FloatArray:
-    """(n,) where each point lies in the pass's time: -1/2 at its begin, 1/2 at its end."""
+    """(n,) position of each point in the pass's time, from -1/2 at its start to 1/2 at its end."""
     total = float(time_s.sum())
     return np.asarray((np.cumsum(time_s) - time_s / 2) / total - 0.5 if total > 0 else time_s, dtype=np.float64)
 
@@ -135,7 +195,7 @@ def _within_reach_nm(
 ) -> float | None:
     if spot is None:
         return None
-    found = correctable(after.height_nm, mask, grid.pitch_mm, spot)
+    found = correctable_surface(after.height_nm, mask, grid.pitch_mm, spot)
     return found.within_reach_rms_nm if found.resolved else found.rms_nm
 
 
@@ -144,9 +204,9 @@ def _told(value: float, sigma: float) -> Estimate | None:
 
 
 ALIKE = 0.2
-"""Share of a map's sample by which the part may lie elsewhere in the next one, the samples being taken for the same."""
+"""Largest shift of the part between two maps, as a share of a sample, for which their samples count as the same."""
 TOUCH_MISS_MM = 3.0
-"""So far off where it should the spot may act in a pass as programmed: to find that out is what it is made for."""
+"""Largest error of the spot's position in a pass as programmed; the pass serves to measure this error."""
 
 
 def read_program(recipe: Recipe, path: Path) -> Program:
@@ -155,7 +215,7 @@ def read_program(recipe: Recipe, path: Path) -> Program:
 
 
 def initial_estimates(recipe: Recipe) -> EstimatesInUse:
-    """What is believed before anything was polished."""
+    """Estimates before the first pass."""
     return EstimatesInUse(recipe.model.beliefs, recipe.envelope.block_overhead_s)
 
 
@@ -164,13 +224,13 @@ def condition(
 ) -> MeasureResult:
     """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
 
-    ``masks`` and ``last`` are of earlier maps of the part: its frozen masks, and where it lay in the last one.
+    ``masks`` and ``last`` come from earlier maps of the part: its frozen masks, and its last registration.
     """
     profiled = map_on_part(surface, recipe.instrument, recipe.system)
     lies = CENTRED
     if recipe.instrument is not None:
         lies = register(profiled, recipe.instrument, recipe.outline, last)
-    clean, spikes = of_part(profiled, recipe.spike_mads, recipe.nominal, lies)
+    clean, spikes = of_part(profiled, recipe.spike_threshold_mad, recipe.nominal, lies)
     part = conditioning.condition(
         clean,
         outline=recipe.outline,
@@ -190,10 +250,10 @@ def condition(
     )
     height = np.where(part.solve_mask, part.height_nm, 0.0)
     repeats = None if recipe.instrument is None else recipe.instrument.repeatability_nm
-    judged = judge(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
+    judged = judge_lines(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
     judged = acceptance.bounded(recipe, judged, figure, clear, clean.grid.pitch_mm)
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
-    notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *notes_of(judged))
+    notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *tolerance_notes(judged))
     return MeasureResult(
         part.grid,
         height,
@@ -211,7 +271,7 @@ def condition(
 
 
 def expected_removal(recipe: Recipe, before: MeasureResult, residual_nm: FloatArray) -> MeasureResult:
-    """The measurement of a surface that a pass is expected to leave, (ny, nx) on the process grid: nobody's map."""
+    """Measurement of the surface expected after a pass, (ny, nx) on the process grid; it belongs to no map."""
     stats = surface_stats(
         residual_nm,
         before.metric_mask,
@@ -224,26 +284,26 @@ def expected_removal(recipe: Recipe, before: MeasureResult, residual_nm: FloatAr
 
 
 def map_change_nm(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> float:
-    """RMS in the clear aperture of what changed from one measurement to the next, without its alignment."""
-    changed = without(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
+    """RMS change in the clear aperture between two measurements, without alignment."""
+    changed = remove_terms(after.height_nm - before.height_nm, before.metric_mask, _unknown(recipe))
     return float(np.sqrt(np.mean(changed[before.metric_mask] ** 2)))
 
 
 def map_changes(recipe: Recipe, before: MeasureResult, after: MeasureResult) -> tuple[Diagnosis, ...]:
-    """What a measurement and a later one name, with no pass between."""
+    """Diagnose the change between two measurements without a pass in between."""
     grid, mask = before.grid, before.metric_mask
     lost_nm = before.height_nm - after.height_nm
-    return residual_diagnosis.diagnose_change(leftover(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
+    return residual_diagnosis.diagnose_change(fit_residual(lost_nm, mask, grid.pitch_mm, removal=_unknown(recipe)))
 
 
 def harmful_changes(recipe: Recipe, moves: tuple[Diagnosis, ...]) -> tuple[Diagnosis, ...]:
-    """Of what goes on changing from map to map that which the tolerance does not bear."""
+    """Select the continuing changes between maps that exceed the tolerance."""
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=MOST_DRIFT_NM)
-    return residual_diagnosis.harmful(moves, wanted)
+    return residual_diagnosis.limiting_change(moves, wanted)
 
 
 def in_part_frame(recipe: Recipe, program: Program) -> Program:
-    """The same program with its points and axes in the part's frame; one that is there already stays."""
+    """Transform a program's points and axes into the part's frame, unless they are there already."""
     if program.frame == "part":
         return program
     turn = scipy.spatial.transform.Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
@@ -258,9 +318,9 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
 
 
 def executed_surface(recipe: Recipe, program: Program) -> Program:
-    """The program in the part's frame, with the tool's axis: where it states none, the way the cell dips.
+    """The program in the part's frame with the tool's axis; without one in the program, the cell's dip is used.
 
-    ``run`` refuses a program that states none (``violations``), since the robot would not know.
+    ``run`` refuses a program without an axis (``violations``), since the robot would not dip the tool.
     """
     part = in_part_frame(recipe, program)
     if _states_no_axis(recipe, program):
@@ -274,12 +334,12 @@ def _states_no_axis(recipe: Recipe, program: Program) -> bool:
 
 
 def effect_of(recipe: Recipe, program: Program, grid: Grid, believed: EstimatesInUse | None = None) -> RemovalAnswer:
-    """Compliance, gamma and effect along the program, on the process grid, by what is believed: None before a pass."""
+    """Compliance, gamma and effect along the program on the process grid; ``believed`` is None before a pass."""
     return recipe.model.effect(request_of(recipe, program, grid, believed or initial_estimates(recipe)))
 
 
 def request_of(recipe: Recipe, program: Program, grid: Grid, believed: EstimatesInUse) -> RemovalRequest:
-    """What a removal model is asked for a program."""
+    """Request to a removal model for a program."""
     return RemovalRequest(
         program=executed_surface(recipe, program),
         grid=grid,
@@ -291,15 +351,15 @@ def request_of(recipe: Recipe, program: Program, grid: Grid, believed: Estimates
         options=recipe.options,
         optic=recipe.optic,
         tif=recipe.tif,
-        rim=recipe.outline if recipe.part.rim == "free" else None,
+        rim=recipe.outline if recipe.part.free_edge else None,
         beliefs=believed.removal,
     )
 
 
 def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: EstimatesInUse) -> LearnResult:
-    """Compare predicted with measured removal of the last pass.
+    """Compare predicted with measured removal of the last pass, and update the estimates.
 
-    Nothing is learned from it where the gate stops, nor where another map must tell first (`Taught.doubted`).
+    The estimates stay where the removal check stops, or where another map is needed first (`LearnResult.doubted`).
     """
     grid, mask = done.before.grid, done.before.metric_mask
     request = request_of(recipe, program, grid, believed)
@@ -308,12 +368,12 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
     measured = done.before.height_nm - done.after.height_nm
     low, high = 1 - recipe.max_rate_change, 1 + recipe.max_rate_change
     allowed = (low / believed.rate, high / believed.rate)
-    miss = TOUCH_MISS_MM if recipe.dwell.choose == AS_PROGRAMMED else removal_check.MAX_SHIFT_MM
+    miss = TOUCH_MISS_MM if recipe.dwell.objective == AS_PROGRAMMED else removal_check.MAX_SHIFT_MM
     unknown = _unknown(recipe)
-    verdict = removal_check.judge(
+    verdict = removal_check.check_removal(
         predicted, measured, mask, grid.pitch_mm, allowed, removal=unknown, most_shift_mm=miss
     )
-    left = leftover(measured, mask, grid.pitch_mm, predicted, removal=unknown)
+    left = fit_residual(measured, mask, grid.pitch_mm, predicted, removal=unknown)
     removed_nm = float(np.sqrt(np.mean(predicted[mask] ** 2)))
     named = residual_diagnosis.diagnose_pass(verdict, left, removed_nm, done.again, miss)
     taught = LearnResult(believed, verdict, grid, named=named)
@@ -332,7 +392,7 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
         noise_nm=_change_noise_nm(recipe),
         pixels=_pixels(done.before, done.after),
         most_miss_mm=miss,
-        must_tell=recipe.dwell.choose == AS_PROGRAMMED,
+        must_tell=recipe.dwell.objective == AS_PROGRAMMED,
     )
     lesson = recipe.model.learn(request, evidence)
     if lesson.stop:
@@ -342,16 +402,16 @@ def learn(recipe: Recipe, program: Program, done: ExecutedPass, believed: Estima
     overhead = motion.learn_overhead_s(program, done.asked_s, done.executed_s, envelope)
     shown = pass_indicators(done, answer, predicted, verdict, believed.rate)
     rest, ripple = None, believed.ripple
-    if recipe.dwell.choose != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
-        rest = unexplained(predicted, measured, mask, acceptance.noise_nm(recipe, done.after))
+    if recipe.dwell.objective != AS_PROGRAMMED:  # of narrow tracks both are what the grid does not resolve
+        rest = unexplained_share(predicted, measured, mask, acceptance.noise_nm(recipe, done.after))
         ripple = acceptance.ripple(recipe, done.before, done.after, removed_nm)
-    learned = EstimatesInUse(lesson.beliefs, overhead, pooled(believed.unexplained, rest), ripple)
+    learned = EstimatesInUse(lesson.beliefs, overhead, pool_unexplained(believed.unexplained, rest), ripple)
     notes = (*(one.words for one in taught.named), *lesson.notes)
     return replace(taught, believed=learned, found=lesson.found, notes=notes, shown=shown)
 
 
 def _pixels(before: MeasureResult, after: MeasureResult) -> MapPixels | None:
-    """Of both maps, where the part lay alike in both."""
+    """Pixels of both maps where the part has the same registration in both; None otherwise."""
     grid, lies, was = after.map_grid, after.registration, before.registration
     if grid is None or before.map_grid != grid:
         return None
@@ -362,28 +422,28 @@ def _pixels(before: MeasureResult, after: MeasureResult) -> MapPixels | None:
 
 
 def _unknown(recipe: Recipe) -> Removal:
-    """Of the change from one map to the next: the part is set up anew for each, even where tilt is figure."""
+    """Terms to remove from the change between two maps: the part is mounted anew for each map."""
     return "power" if recipe.part.alignment == "power" else "tilt"
 
 
 def _change_noise_nm(recipe: Recipe) -> float | None:
-    """Of the change from one map to the next, a sample; None where nothing is known of the instrument's."""
+    """Noise of a sample in the change between two maps; None where the instrument's repeatability is unknown."""
     one = None if recipe.instrument is None else recipe.instrument.repeatability_nm
     return None if one is None else 2**0.5 * one
 
 
 def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) -> Plan:
-    """The rewritten program, read back from its own bytes, with what it is expected to do."""
+    """Rewrite the program, read it back from its bytes, and add its expected times and removal."""
     text = recipe.format.rewrite(program, solved.asked_s)
     rewritten = recipe.format.read(text, name)
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
     expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.believed))
     answer = solved.answer
-    if isinstance(answer.effect, CachedEffect) and not answer.effect.here:  # the worker that solved is no more
+    if isinstance(answer.effect, CachedEffect) and not answer.effect.here:  # the worker that solved has ended
         answer = effect_of(recipe, program, answer.effect.grid, solved.believed)
     effect = answer.effect
-    share = effect.negligible if isinstance(effect, CachedEffect) else negligible(effect)
+    share = effect.negligible if isinstance(effect, CachedEffect) else negligible_share(effect)
     return Plan(
         program=rewritten,
         approach_blocks=int(rewritten.block[0]),
@@ -395,7 +455,7 @@ def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) ->
 
 
 def envelope_of(recipe: Recipe, program: Program, believed: EstimatesInUse | None = None) -> Envelope:
-    """The machine's limits with the overhead that was learned; moves to a dwell run at the program's own feed."""
+    """The machine's limits with the estimated overhead; moves to a dwell run at the program's own feed."""
     envelope = recipe.envelope
     if believed is not None and believed.block_overhead_s:
         envelope = replace(envelope, block_overhead_s=believed.block_overhead_s)
@@ -406,9 +466,9 @@ def envelope_of(recipe: Recipe, program: Program, believed: EstimatesInUse | Non
 
 
 def violations(recipe: Recipe, plan: Plan) -> list[str]:
-    """What forbids to run a plan: no tool axis, or landing points on the part.
+    """List the reasons against running a plan: no tool axis, or landing points on the part.
 
-    The tool stands still at a landing point while the force comes and goes.
+    The tool stands still at a landing point while the force rises and falls.
     """
     program = in_part_frame(recipe, plan.program)
     found = []
@@ -427,5 +487,5 @@ def violations(recipe: Recipe, plan: Plan) -> list[str]:
 
 
 def process_grid(recipe: Recipe) -> Grid:
-    """The grid that surfaces are brought to: the aperture and a margin, centred on the part."""
+    """The grid for all surfaces: the aperture and a margin, centered on the part."""
     return conditioning.process_grid(recipe.outline, recipe.grid_mm)

@@ -29,7 +29,7 @@ from polishd.api import (
 )
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import automatic, douglas_rachford, interior_point, lucy_richardson, newton_cg
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import check
 from polishd.process.dwell.time_limit import SLOWEST, TimeLimit
 
@@ -47,7 +47,7 @@ NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Backend:
+class QpBackend:
     """How one backend is asked, for a relative gap of 1e-8 or better on a program in natural units."""
 
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -58,15 +58,17 @@ class Backend:
 
 BACKENDS = {
     # in one thread, whose CPU time is counted; more gain nothing here
-    "clarabel": Backend(
+    "clarabel": QpBackend(
         {"tol_gap_abs": 1e-13, "tol_gap_rel": 1e-13, "tol_feas": 1e-10, "max_threads": 1}, "time_limit"
     ),
-    "piqp": Backend({"eps_abs": 1e-12, "eps_rel": 1e-12, "eps_duality_gap_abs": 1e-14, "eps_duality_gap_rel": 1e-14}),
-    "scs": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 1_000_000}, "time_limit_secs"),
-    "qpalm": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}, "time_limit"),
-    "osqp": Backend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 1_000_000, "polishing": True}, "time_limit"),
-    "proxqp": Backend({"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "highs": Backend(time_limit="time_limit", takes_hessian=False),  # it errs on a full Hessian as qpsolvers passes it
+    "piqp": QpBackend({"eps_abs": 1e-12, "eps_rel": 1e-12, "eps_duality_gap_abs": 1e-14, "eps_duality_gap_rel": 1e-14}),
+    "scs": QpBackend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 1_000_000}, "time_limit_secs"),
+    "qpalm": QpBackend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}, "time_limit"),
+    "osqp": QpBackend({"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 1_000_000, "polishing": True}, "time_limit"),
+    "proxqp": QpBackend({"eps_abs": 1e-9, "eps_rel": 0.0}),
+    "highs": QpBackend(
+        time_limit="time_limit", takes_hessian=False
+    ),  # it errs on a full Hessian as qpsolvers passes it
 }
 """In order of preference; any other is asked as it comes, and its certificate says how far it got."""
 
@@ -102,14 +104,14 @@ def solve_qp(problem: DwellProblem, within_s: float, backend: str | None = None)
         raise ComputeError(f"QP backend {name} is not installed; there are: {', '.join(there)}")
     answers: list[DwellSolution] = []
     late = False
-    for with_hessian in _forms(problem, BACKENDS.get(name, Backend())):
+    for with_hessian in _forms(problem, BACKENDS.get(name, QpBackend())):
         if late:
             break
         dwell, late = _asked(problem, name, with_hessian, limit)
         if dwell is None:
             continue
         answers.append(
-            certified(
+            certify_dwell(
                 problem, dwell, solver=f"{QP_NAME}:{name}", iterations=0, seconds=limit.cpu_s, stopped="converged"
             )
         )
@@ -121,7 +123,7 @@ def solve_qp(problem: DwellProblem, within_s: float, backend: str | None = None)
     return replace(best, certificate=replace(best.certificate, stopped="deadline" if late else "iterations"))
 
 
-def _forms(problem: DwellProblem, how: Backend) -> list[bool]:
+def _forms(problem: DwellProblem, how: QpBackend) -> list[bool]:
     """Whether to write ``R'R`` out: where that is quicker first; without it, no digit is lost to cancellation."""
     dense = problem.effect.n > DENSE_POINTS * np.count_nonzero(problem.solve_mask)
     return [False] if dense or not how.takes_hessian else [True, False]
@@ -131,7 +133,7 @@ def _asked(problem: DwellProblem, name: str, with_hessian: bool, limit: TimeLimi
     """(n,) dwell within the bounds that the backend found, certain or not; and whether its time was over."""
     program, unit_s = _program(problem, with_hessian)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a backend's advice on matrix formats is nobody's business
+        warnings.simplefilter("ignore")  # advice of a backend on matrix formats
         try:
             solution, late = _in_time(program, name, limit)
         except (qpsolvers.QPError, ValueError) as error:
@@ -149,7 +151,7 @@ def _in_time(program: qpsolvers.Problem, name: str, limit: TimeLimit) -> tuple[q
     Backends count wall seconds: one whose wall seconds were over before it had its CPU seconds is asked again, for as
     much longer as the machine was slow, if more are left than were not enough.
     """
-    how = BACKENDS.get(name, Backend())
+    how = BACKENDS.get(name, QpBackend())
     slowness = 1.0
     while True:
         cpu, wall, wall_limit = limit.cpu_s, limit.wall_s, slowness * max(limit.left_s, 1e-3)

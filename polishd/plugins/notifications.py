@@ -1,4 +1,4 @@
-"""Ways to reach a person: the notifier types ``email``, ``webhook`` and ``command`` (docs/notifications.md)."""
+"""The notifier types ``email``, ``webhook`` and ``command`` (docs/notifications.md)."""
 
 from __future__ import annotations
 
@@ -29,50 +29,50 @@ from polishd.api import (
     NotifierType,
     SecretPlace,
     Severity,
-    hide,
     hookimpl,
     read_secret,
+    redact_secrets,
 )
 from polishd.config.fields import ConfigSection
 
-# A command of the shop's own: a notification as JSON on its standard input.
+# A shop's command: it reads a notification as JSON from standard input.
 
 OUTPUT_BYTES = 500
-"""As much of the end of its standard error is told."""
+"""Length of the quoted end of its standard error."""
 
 
 class CommandOptions(ConfigSection):
     """Keys of ``[notify.NAME]`` with ``type = "command"``."""
 
     argv: Annotated[list[str], Field(min_length=1)]
-    """The program and its arguments; no shell reads them. It starts in the folder of the cell's file, from where a
-    program with a slash in its name is looked for."""
-    within_s: Annotated[float, Field(gt=0, le=50)] = 30.0
-    """Longest that it may run; then it is killed, with what it started."""
+    """The program and its arguments, without a shell. It starts in the folder of the cell's file, to which a program
+    with a slash in its name is relative."""
+    timeout_s: Annotated[float, Field(gt=0, le=50)] = 30.0
+    """Longest run time; then the command and its child processes are killed."""
 
 
 class Command:
-    """Runs the command; anything but exit code 0 is a failure."""
+    """Run the command; any exit code but 0 is a failure."""
 
     def __init__(self, options: CommandOptions, base_dir: Path) -> None:
         program = options.argv[0]
         path = str(base_dir / Path(program).expanduser()) if "/" in program else program
         found = shutil.which(path)
         if found is None:
-            raise ConfigError(f"{program!r}: there is no such program that may be run; mend argv")
+            raise ConfigError(f"{program!r}: no such executable program; correct argv")
         self._argv = [found, *options.argv[1:]]
-        self._within_s, self._base_dir = options.within_s, base_dir
+        self._within_s, self._base_dir = options.timeout_s, base_dir
 
     def __call__(self, notification: Notification) -> None:
-        """Run it to its end; LinkError where it fails, or is killed.
+        """Run the command to its end; LinkError where it fails or is killed.
 
-        Files, not pipes: whatever it leaves running cannot keep anybody waiting, nor can one that does not read.
+        Files, not pipes: a command that does not read, or leaves a child running, cannot block the notifier.
         """
-        with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as said:
-            given.write(json.dumps(notification.facts()).encode() + b"\n")
-            given.seek(0)
+        with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as stderr:
+            stdin.write(json.dumps(notification.facts()).encode() + b"\n")
+            stdin.seek(0)
             process = subprocess.Popen(
-                self._argv, stdin=given, stdout=subprocess.DEVNULL, stderr=said, cwd=self._base_dir, process_group=0
+                self._argv, stdin=stdin, stdout=subprocess.DEVNULL, stderr=stderr, cwd=self._base_dir, process_group=0
             )
             try:
                 code = process.wait(self._within_s)
@@ -81,21 +81,21 @@ class Command:
                 process.wait()
                 raise LinkError(f"{self._argv[0]}: was killed after {self._within_s:g} s") from None
             if code:
-                said.seek(max(said.seek(0, os.SEEK_END) - OUTPUT_BYTES, 0))
-                words = " ".join(said.read().decode("utf-8", "replace").split())
-                raise LinkError(f"{self._argv[0]}: ended with {code}: {words}".rstrip(": "))
+                stderr.seek(max(stderr.seek(0, os.SEEK_END) - OUTPUT_BYTES, 0))
+                output = " ".join(stderr.read().decode("utf-8", "replace").split())
+                raise LinkError(f"{self._argv[0]}: ended with {code}: {output}".rstrip(": "))
 
 
-# What mail and webhooks share: how long a step may take, whom to trust, and where a secret may go in the clear.
+# Shared by mail and webhooks: timeout of a step, trusted authorities, and hosts that may get a secret unencrypted.
 
 STEP_S = 15.0
-"""Longest that a server may leave unanswered: a connection, or one command."""
+"""Timeout of a connection or of one command, s."""
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-"""A secret in the clear stays on this computer."""
+"""Hosts to which a secret may go unencrypted: this computer."""
 
 
-def trusting(ca_file: str | None, base_dir: Path) -> ssl.SSLContext:
-    """Who is believed: the system's authorities, or those of that file. ConfigError, which quotes it."""
+def _trust_context(ca_file: str | None, base_dir: Path) -> ssl.SSLContext:
+    """TLS context that trusts the system's authorities, or those of that file. ConfigError, which quotes the file."""
     try:
         return ssl.create_default_context(cafile=None if ca_file is None else base_dir / Path(ca_file).expanduser())
     except (OSError, ssl.SSLError) as error:
@@ -125,17 +125,17 @@ class MailOptions(ConfigSection):
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """Its port; left out: 587 for `starttls`, 465 for `tls`, 25 for `none`. [1]"""
     security: Literal["starttls", "tls", "none"] = "starttls"
-    """How the connection is kept private; the server must have a certificate that is trusted."""
+    """Encryption of the connection; the server needs a trusted certificate."""
     ca_file: str | None = None
-    """Certificates to trust instead of the system's, PEM: for a server of the house."""
+    """Certificates to trust instead of the system's, PEM: for a company's own server."""
     user: str | None = None
-    """Who logs in; left out: nobody does."""
+    """User name; left out: no login."""
     password: SecretPlace | None = None
-    """Where the password is kept: `file:NAME` or `env:VARIABLE`, never what it is."""
+    """Location of the password: `file:NAME` or `env:VARIABLE`, never the password."""
     sender: Address
-    """The address that it comes from."""
+    """The sender's address."""
     to: Annotated[list[Address], Field(min_length=1)]
-    """Whom it goes to."""
+    """The recipients' addresses."""
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
@@ -147,19 +147,19 @@ class MailOptions(ConfigSection):
 
 
 class Mail:
-    """Sends a notification to all addresses, and after a failure to those that it has not reached."""
+    """Send a notification to all addresses, and after a failure to the remaining ones."""
 
     def __init__(self, options: MailOptions, base_dir: Path) -> None:
         self._options, self._base_dir = options, base_dir
         self._port = options.port or PORTS[options.security]
-        self._context = trusting(options.ca_file, base_dir)
+        self._context = _trust_context(options.ca_file, base_dir)
         self._missed: dict[str, list[str]] = {}
-        """Whom a notification did not reach, by its id, where it reached others."""
+        """Addresses that a notification did not reach, by its id, where it reached others."""
         if options.password:
             read_secret(options.password, base_dir)
 
     def __call__(self, notification: Notification) -> None:
-        """Hand it to the server; LinkError where that does not take it for everybody."""
+        """Send it to the server; LinkError where the server refuses a recipient."""
         to = self._missed.get(notification.id, self._options.to)
         where = f"{self._options.host}:{self._port}"
         try:
@@ -177,11 +177,11 @@ class Mail:
         self._missed.pop(notification.id, None)
 
     def _handed(self, mail: EmailMessage, to: list[str]) -> dict[str, tuple[int, bytes]]:
-        """Who was refused, of those whom the server could have taken it for."""
+        """Send the mail and return the refused recipients."""
         smtp = self._connected()
         try:
             refused = smtp.send_message(mail, self._options.sender, to)
-            with suppress(OSError, smtplib.SMTPException):  # it is taken; how they part does not matter
+            with suppress(OSError, smtplib.SMTPException):  # the server has accepted the mail
                 smtp.quit()
             return refused
         finally:
@@ -208,8 +208,8 @@ class Mail:
             smtp.login(user, password)
         except UnicodeEncodeError:
             raise LinkError("smtplib logs in with ASCII only; choose another password") from None
-        except smtplib.SMTPResponseException as error:  # some servers repeat what they were told
-            said = hide(_answer(error.smtp_code, error.smtp_error), password)
+        except smtplib.SMTPResponseException as error:  # some servers repeat the password
+            said = redact_secrets(_answer(error.smtp_code, error.smtp_error), password)
             raise LinkError(f"{self._options.host}:{self._port}: login as {user!r} refused: {said}") from None
 
     def _mail(self, notification: Notification) -> EmailMessage:
@@ -219,7 +219,7 @@ class Mail:
         mail["Subject"] = notification.title
         mail["Date"] = format_datetime(datetime.fromisoformat(notification.at))
         mail["Message-ID"] = f"<{notification.id}@polishd>"
-        mail["Auto-Submitted"] = "auto-generated"  # nobody's absence is answered
+        mail["Auto-Submitted"] = "auto-generated"  # no absence notes
         if notification.severity is Severity.ALARM:
             mail["Importance"] = "high"
             mail["X-Priority"] = "1"
@@ -232,22 +232,22 @@ def _answer(code: int, text: bytes | str) -> str:
     return " ".join(f"{code} {said}".split())
 
 
-# A webhook: HTTP POST, to a program of the shop's own or to a chat.
+# A webhook: HTTP POST to a program or a chat.
 
 NTFY_PRIORITY: Mapping[Severity, str] = {Severity.INFO: "2", Severity.WARNING: "4", Severity.ALARM: "5"}
 REPLY_BYTES = 200
-"""As much of a refusal is told."""
+"""Length of the quoted part of a refusal."""
 
 
 def _url_or_place(text: str) -> str:
-    """What it is made of is not repeated: it may be secret."""
+    """Check a URL; messages do not repeat it, since it may be secret."""
     if not text.startswith(("file:", "env:")):
         _parsed(text)
     return text
 
 
 def _parsed(url: str) -> SplitResult:
-    wrong = 'is no URL; write it as "https://host/path", or where it is kept: "file:NAME", "env:VARIABLE"'
+    wrong = 'is no URL; write it as "https://host/path", or its location: "file:NAME", "env:VARIABLE"'
     try:
         parts = urlsplit(url)
         whole = parts.scheme in {"http", "https"} and parts.hostname and parts.port != 0
@@ -256,7 +256,7 @@ def _parsed(url: str) -> SplitResult:
     if not whole or not url.isascii() or not url.isprintable() or " " in url:
         raise ValueError(wrong)
     if parts.username or parts.password:
-        raise ValueError('a password does not stand in a config; use token = "file:NAME"')
+        raise ValueError('a config must not contain a password; use token = "file:NAME"')
     return parts
 
 
@@ -264,29 +264,28 @@ class WebhookOptions(ConfigSection):
     """Keys of ``[notify.NAME]`` with ``type = "webhook"``."""
 
     url: Annotated[str, AfterValidator(_url_or_place)]
-    """Where it is posted to; or where that is kept, `file:NAME` or `env:VARIABLE`, since who knows the address of a
-    chat's hook may write there."""
+    """URL to post to, or its location, `file:NAME` or `env:VARIABLE`: the address of a chat's hook is a secret."""
     format: Literal["json", "slack", "ntfy"] = "json"
-    """What is posted: all fields of a notification; `{"text": ...}` as Slack, Mattermost and Rocket.Chat take it; or
-    plain text, title and priority for ntfy."""
+    """Content: all fields of a notification; `{"text": ...}` for Slack, Mattermost and Rocket.Chat; or plain text,
+    title and priority for ntfy."""
     token: SecretPlace | None = None
-    """Where a token is kept that is sent as `Authorization: Bearer`: `file:NAME` or `env:VARIABLE`."""
+    """Location of the token for `Authorization: Bearer`: `file:NAME` or `env:VARIABLE`."""
     ca_file: str | None = None
-    """Certificates to trust instead of the system's, PEM: for a server of the house."""
+    """Certificates to trust instead of the system's, PEM: for a company's own server."""
 
 
 class Webhook:
-    """Posts a notification; anything but an answer of 200 to 299 is a failure. No proxy, no redirection."""
+    """Post a notification; any answer but 200 to 299 is a failure. No proxy, no redirection."""
 
     def __init__(self, options: WebhookOptions, base_dir: Path) -> None:
         self._options, self._base_dir = options, base_dir
-        self._context = trusting(options.ca_file, base_dir)
+        self._context = _trust_context(options.ca_file, base_dir)
         self._address()
         if options.token:
             read_secret(options.token, base_dir)
 
     def __call__(self, notification: Notification) -> None:
-        """Post it; LinkError where that is not accepted. It names the host, not the rest of the URL."""
+        """Post it; LinkError, which names the host only, where the server does not accept it."""
         parts = self._address()
         token = read_secret(self._options.token, self._base_dir) if self._options.token else ""
         path = parts._replace(scheme="", netloc="", fragment="").geturl() or "/"
@@ -296,17 +295,17 @@ class Webhook:
             self._post(parts, path, headers, body)
         except (OSError, HTTPException, ValueError) as error:
             secrets = (token, *(part for part in (parts.path, parts.query) if len(part) > 1))
-            raise LinkError(hide(f"{parts.scheme}://{parts.netloc}: {error}", *secrets)) from None
+            raise LinkError(redact_secrets(f"{parts.scheme}://{parts.netloc}: {error}", *secrets)) from None
 
     def _address(self) -> SplitResult:
-        """ConfigError, which quotes the key's value where that is a place."""
+        """The URL. ConfigError, which quotes the key's value where that is a location."""
         url = self._options.url
         try:
             parts = _parsed(read_secret(url, self._base_dir) if url.startswith(("file:", "env:")) else url)
         except ValueError as error:
-            raise ConfigError(f"{url!r}: what is kept there {error}") from None
+            raise ConfigError(f"{url!r}: the value there {error}") from None
         if self._options.token and parts.scheme == "http" and parts.hostname not in LOOPBACK:
-            raise ConfigError(f"{self._options.token!r}: a token is not sent in the clear; use an https:// address")
+            raise ConfigError(f"{self._options.token!r}: a token needs encryption; use an https:// address")
         return parts
 
     def _content(self, notification: Notification) -> tuple[dict[str, str], bytes]:

@@ -1,17 +1,18 @@
 """Plugin: the removal models ``hertz_preston`` and ``measured_tif``, with the robot's compliance along the path.
 
-Both believe in the removal rate and learn it; or, with ``process.learns = "machine"``, all that identification finds.
+Both estimate the removal rate; with ``process.estimates = "machine"`` all that identification finds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from polishd.api import (
     ComputeError,
+    Effect,
     Estimates,
     EstimateUpdate,
     Grid,
@@ -19,6 +20,7 @@ from polishd.api import (
     MachineEstimates,
     MapPixels,
     PassEvidence,
+    Program,
     RemovalAnswer,
     RemovalModel,
     RemovalRequest,
@@ -26,18 +28,190 @@ from polishd.api import (
     learn_rate,
 )
 from polishd.model.surface import FloatArray
-from polishd.plugins.removal_along_path import ProgramPath, effect_along_path, path_of
-from polishd.process.identification.decision import LOOK, beliefs_of, decide, knowledge_of, on_the_next_part
+from polishd.process.checks import require_number
+from polishd.process.identification.decision import (
+    LOOK,
+    decide,
+    estimates_after_pass,
+    estimates_for_next_part,
+    knowledge_from_estimates,
+)
+from polishd.process.identification.forward_model import ParameterAction
 from polishd.process.identification.identify import IdentificationResult, identify
 from polishd.process.identification.parameters import ExecutedBlocks, MapPixelData, RemovalMap, RemovalNoise
-from polishd.process.metrology.resampling import Registration, averaging
-from polishd.process.removal.dynamic_tif import lean_azimuth_rad
+from polishd.process.metrology.resampling import Registration, averaging_matrix
+from polishd.process.removal.contact import contact_on_curved_part, contact_radius_mm, hertz_depth_mm
+from polishd.process.removal.convolution import are_on_nodes
+from polishd.process.removal.dynamic_tif import CorrectedSpot, lean_azimuth_rad, tif_at_point
+from polishd.process.removal.path_tif import SpotPath, levelled_axes
 from polishd.process.removal.tif import HertzSpot, Spot, hertz_spot, measured_spot
+from polishd.process.removal.transfer_function import spot_transfer_function
+from polishd.process.robot.compliance import depth_ratio, path_compliance
+
+# Effect of dwelling along a program with any spot.
+
+NEWTON_S = 7e-9
+"""CPU seconds that a solve with a matrix takes, over entries^2 / points: 4e-9 to 1.2e-8 from 100 to 300 mm.
+
+A product costs as its entries, and conjugate gradients take the more of them, the more samples a spot covers."""
+WORTH_S = 2.0
+"""CPU seconds of such a solve, above which an effect without a matrix is tried: making that takes as long."""
+WIDE = 100
+"""Entries to a point, below which it is not. Such spots are refused (65 and 93 entries to a point: off by 2.5e-3 and
+more), or the steps without a matrix stall: 300 mm of R 800, 65 entries to a point, 90 s; with the matrix 1.8 s."""
+MOST_ENTRIES = 100_000_000
+"""Of a matrix: with its transpose, which the solver needs, 2.4 GB."""
+NEAR = 1e-3, 2e-3
+"""How far off the removal may be without a matrix, over its peak, where that only saves time; tried in turn."""
+LESS_NEAR = 5e-3
+"""How far off the removal may be without a matrix, over its peak, where the matrix would be too large."""
+MOST_CONVOLUTIONS = 6
+"""A family of higher rank (the azimuth turns over the part) costs more as convolutions than as a matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramPath:
+    """A spot along a request's program, as it is believed to act."""
+
+    along: SpotPath
+    spots: CorrectedSpot
+    """With the rates of their places, but for the rate of all."""
+    gamma: FloatArray
+    """(n,) as the robot's compliance gives it."""
+    compliance_um_per_n: FloatArray
+    radius_mm: float
+    """Of the circle that the rate's field is over: that of the grid's longer side."""
+    notes: tuple[str, ...]
+
+
+def path_of(request: RemovalRequest, spot: Spot, reference: float) -> ProgramPath:
+    """The spot at each timed point: as the compliance sinks it, and as what was identified moves and scales it.
+
+    ``reference`` is the depth ratio of the one spot that the corrections other than "exact" take for all points.
+    Raises ComputeError that names what is impossible, its value with the unit, and the first point it happens at.
+    """
+    process, program = request.process, request.program
+    depth = hertz_depth_mm(process)
+    middle = (program.start_mm + program.end_mm)[:, :2] / 2
+    curved = contact_on_curved_part(process, request.optic, middle, contact=isinstance(spot, HertzSpot))
+    at = (request.robot, request.placement)
+    path = path_compliance(program, process, *at, options=request.options, optic=request.optic)
+    gamma = depth_ratio(path.compliance_mm_per_n, process, depth if curved is None else depth * curved.deeper)
+    acting, pass_h = _acting(request)
+    level = levelled_axes(program, request.optic)
+    along = SpotPath(_laid(level, acting), acting.spot(spot), process, request.rim, curved)
+    sunk = acting.sunk(gamma)
+    spots, how = along.on_part(tif_at_point(request.correction, sunk, process.depth_exponent, reference))
+    radius = max(request.grid.shape) * request.grid.pitch_mm / 2
+    hours = pass_h * (np.arange(program.n) + 0.5) / max(program.n, 1)
+    own = np.exp(acting.log_rate(sunk, hours) + acting.log_field(middle, radius))
+    notes = [f"rigid contact: depth {depth:.5f} mm, radius {float(contact_radius_mm(process, depth)):.4f} mm"]
+    if gamma.size:
+        notes.append(f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}")
+    return ProgramPath(
+        along,
+        replace(spots, factor=spots.factor * own),
+        gamma,
+        path.compliance_mm_per_n * 1e3,
+        radius,
+        (*notes, *how, *path.notes),
+    )
+
+
+def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> RemovalAnswer:
+    """Effect matrix, compliance and gamma along the request's program (paper eq. 43-49); errors as of `path_of`."""
+    _check(request.grid, request.rate)
+    path = path_of(request, spot, reference)
+    spots = replace(path.spots, factor=path.spots.factor * request.rate)
+    effect, how = _effect(path.along, request.grid, spots)
+    return RemovalAnswer(
+        effect=effect,
+        compliance_um_per_n=path.compliance_um_per_n,
+        gamma=path.gamma,
+        divide_by=spots.divide_by,
+        notes=(*path.notes, *how),
+        transfer=spot_transfer_function(spot, float(path.gamma.mean())) if path.gamma.size else None,
+    )
+
+
+def _acting(request: RemovalRequest) -> tuple[ParameterAction, float]:
+    """What was identified, and the hours of contact that the pass is taken to last."""
+    known = request.beliefs
+    return (
+        (ParameterAction(known.applied), known.pass_h)
+        if isinstance(known, MachineEstimates)
+        else (ParameterAction({}), 0.0)
+    )
+
+
+def _laid(program: Program, acting: ParameterAction) -> Program:
+    """The program where it really runs."""
+    if not acting.moves:
+        return program
+    lean = lean_azimuth_rad(program)
+    start, _ = acting.laid(program.start_mm[:, :2], lean)
+    end, azimuth = acting.laid(program.end_mm[:, :2], lean)
+    tilt = np.hypot(program.axis[:, 0], program.axis[:, 1])
+    return replace(
+        program,
+        start_mm=np.column_stack([start, program.start_mm[:, 2]]),
+        end_mm=np.column_stack([end, program.end_mm[:, 2]]),
+        axis=np.column_stack([tilt * np.cos(azimuth), tilt * np.sin(azimuth), program.axis[:, 2]]),
+    )
+
+
+def _effect(along: SpotPath, grid: Grid, spots: CorrectedSpot) -> tuple[Effect, tuple[str, ...]]:
+    """Few convolutions where all points rest on nodes of the grid, else a matrix while that is quick; and which it is.
+
+    Which is quicker follows from its entries and points, before either is made. Where no effect without a matrix is
+    near enough it is a matrix, while that fits a computer's memory; beyond, one that is less near, whose certificate
+    says how far off it is. ComputeError where that is too far.
+    """
+    if are_on_nodes(grid, along.program):
+        found = along.convolutions(grid, spots)
+        if found.rank <= MOST_CONVOLUTIONS:
+            note = (
+                f"the TIF's family is a sum of {found.rank} convolutions, truncated to {found.truncation:.1e} of a spot"
+            )
+            return found, (note,)
+    entries = along.entries(grid, spots)
+    if prefers_no_matrix(entries, along.program.n):
+        why = ""
+        for tolerance in NEAR if entries <= MOST_ENTRIES else (NEAR[0], LESS_NEAR):
+            try:
+                spread = along.without_matrix(grid, spots, tolerance)
+            except ComputeError as error:
+                why = str(error)
+            else:
+                return spread, (spread.note,)
+        if entries > MOST_ENTRIES:
+            raise ComputeError(why)
+        return along.matrix(grid, spots), (f"the effect is a matrix: {why}",)
+    return along.matrix(grid, spots), ()
+
+
+def newton_s(entries: float, points: int) -> float:
+    """About the CPU seconds of a solve with a matrix of so many entries and points."""
+    return NEWTON_S * entries**2 / max(points, 1)
+
+
+def prefers_no_matrix(entries: float, points: int) -> bool:
+    """Whether an effect without a matrix is tried in the place of such a matrix: where it saves time, or memory."""
+    slow = newton_s(entries, points) > WORTH_S and entries > WIDE * points
+    return slow or entries > MOST_ENTRIES
+
+
+def _check(grid: Grid, rate: float) -> None:
+    require_number("the learned removal rate", rate, "(relative)", above=0.0)
+    require_number("the grid's pitch", grid.pitch_mm, "mm", above=0.0)
+    if grid.ny < 1 or grid.nx < 1:
+        raise ComputeError(f"the grid has {grid.ny} rows and {grid.nx} columns, it needs one of each")
+
 
 # The learner ``machine``: what a pass's removal says of rate, its field, wear, spot, compliance and seat.
 
 NOISE_NM = 0.2
-"""Of a change between maps where nobody says; what is left by the fit counts where it is more."""
+"""Noise of a difference of two maps where the profile states none; a larger fit residual replaces it."""
 FINE = 1.25
 """Samples are this much of the spot's step apart, at most, or as fine as they are."""
 COARSE = 0.25
@@ -49,22 +223,22 @@ BELIEVED = "believed"
 def learn_machine(
     request: RemovalRequest, evidence: PassEvidence, spot_of: Callable[[RemovalRequest], tuple[Spot, float]]
 ) -> EstimateUpdate:
-    """Identification (docs/identification.md) of a pass; the rate alone where that does not settle."""
+    """Identify the machine from a pass (docs/identification.md); only the rate where that does not converge."""
     beliefs = request.beliefs
     if not isinstance(beliefs, MachineEstimates):
-        raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
+        raise ComputeError(f"identification needs estimates of type MachineEstimates, not {type(beliefs).__name__}")
     rate_alone = learn_rate(request, evidence)
     try:
         found = _identified(request, evidence, beliefs, *spot_of(request))
     except ComputeError as error:
-        told = f"the machine was not identified: {error}"
+        reason = f"the machine was not identified: {error}"
         kept = replace(beliefs, rate=rate_alone.beliefs.rate)
-        stop = f"{told}; this pass was made to teach, and has not: {LOOK}" if evidence.must_tell else ""
-        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, told), stop=stop)
+        stop = f"{reason}; this pass was made for identification: {LOOK}" if evidence.must_tell else ""
+        return replace(rate_alone, beliefs=kept, notes=(*rate_alone.notes, reason), stop=stop)
     decision = decide(found, misses_mm=evidence.most_miss_mm)
     taken = [one.name for one in decision.corrected if one.name != "rate"]
     contact_h = float(evidence.executed_s.sum()) / 3600
-    after = beliefs_of(found.learned, taken, contact_h, evidence.rates, found.volume)
+    after = estimates_after_pass(found.learned, taken, contact_h, evidence.rates, found.volume)
     how = {**rate_alone.found, "rate": after.rate.value / beliefs.rate.value, "parameters": _table(found)}
     said = tuple(f"{one.words}: corrected" for one in decision.corrected if one.name != "rate")
     said += tuple(f"{one.words}: found, and not certain" for one in decision.left if one.name != "rate")
@@ -72,10 +246,10 @@ def learn_machine(
 
 
 def machine_on_the_next_part(beliefs: Estimates, days: float) -> MachineEstimates:
-    """What a job on another part begins with. ComputeError where another polishd kept other parameters."""
+    """Return the initial estimates of a job on another part. ComputeError for estimates of another model."""
     if not isinstance(beliefs, MachineEstimates):
-        raise ComputeError(f"identification goes on from beliefs of its own, not from {type(beliefs).__name__}")
-    return on_the_next_part(beliefs, days)
+        raise ComputeError(f"identification needs estimates of type MachineEstimates, not {type(beliefs).__name__}")
+    return estimates_for_next_part(beliefs, days)
 
 
 def _identified(
@@ -88,7 +262,7 @@ def _identified(
     removed = RemovalMap(request.grid, measured, evidence.mask, noise, _pixels(evidence.pixels, request.grid))
     step = float(np.median(spot.step_mm(path.spots.depth_ratio)))
     odd = max(int(FINE * step / request.grid.pitch_mm) - 1, 0) // 2 * 2 + 1
-    prior = knowledge_of(beliefs, turns=not isinstance(spot, HertzSpot))
+    prior = knowledge_from_estimates(beliefs, turns=not isinstance(spot, HertzSpot))
     return identify(
         removed.coarser(odd),
         blocks,
@@ -114,10 +288,10 @@ def blocks_along(path: ProgramPath, executed_s: FloatArray, acted_s: FloatArray 
 
 
 def _pixels(at: MapPixels | None, grid: Grid) -> MapPixelData | None:
-    """Left out where they are so fine that their mean is that over the cell: of 0.4 of the pitch it is not yet."""
+    """The map's pixels; None where they are so fine that their mean equals the cell's (at 0.4 of the pitch not yet)."""
     if at is None or at.grid.pitch_mm < COARSE * grid.pitch_mm:
         return None
-    return MapPixelData(at, averaging(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
+    return MapPixelData(at, averaging_matrix(at.grid, grid, Registration(at.rotation_deg, at.shift_mm)))
 
 
 def _table(found: IdentificationResult) -> dict[str, dict[str, float | str | bool]]:
@@ -127,8 +301,8 @@ def _table(found: IdentificationResult) -> dict[str, dict[str, float | str | boo
             "value": one.value,
             "sigma": one.sigma,
             "unit": one.parameter.unit,
-            "decided": one.told.decided,
-            "confounded_with": ", ".join(one.told.confounded_with),
+            "decided": one.confounding.decided,
+            "confounded_with": ", ".join(one.confounding.confounded_with),
             "detection_limit": one.detection_limit,
             "probability": one.probability,
             "said": one.sentence,

@@ -1,25 +1,25 @@
-"""Plugin ``run_report``: writes ``report.html`` and ``pictures/*.png`` into a run or plan folder when it is complete.
+"""Plugin ``run_report``: writes ``report.html`` and ``pictures/*.png`` into a complete run or plan folder.
 
-The page is self-contained: it opens offline and refers to nothing on a network. A run that ended early is reported
-too, and the page says what is missing. It is drawn in a process of its own: in a thread, matplotlib would hold up the
-loop that is in contact with a part.
+The page opens offline. A run that ended early is reported too, with a list of what is missing. A separate process
+draws: in a thread, matplotlib would delay the contact loop.
 """
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 from polishd.api import Event, PolishdError, hookimpl
 from polishd.model import events
-from polishd.util.secret_files import environment_without_secrets
+from polishd.model.errors import ComputeError
+from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
 POLISHD_API = 1
+TARGET = "polishd.reports.run_report:start_worker"
+LIMIT = WorkerLimit(wall_s=3600.0, cpu_s=900.0)
+"""Of one report: some 10 s of CPU time for a pass."""
 
 
 @hookimpl
 def polishd_on_event(event: Event) -> None:
-    """Write the report, or the gate's picture, into the folder that the event names; other events pass by."""
+    """Write the report, or the picture of a failed removal check, into the folder of the event."""
     match event:
         case events.RemovalCheckFailed():
             _draw(event.cycle_dir, "gate")
@@ -29,17 +29,9 @@ def polishd_on_event(event: Event) -> None:
             pass
 
 
-def _draw(*arguments: str) -> None:
-    command = [sys.executable, "-P", "-m", "polishd.reports.run_report", *arguments]
-    # in a group of its own: Ctrl-C is the daemon's to answer
-    drawn = subprocess.run(
-        command,
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        check=False,
-        process_group=0,
-        env=environment_without_secrets(),
-    )
-    if drawn.returncode:
-        raise PolishdError(f"no report in {arguments[0]}: {drawn.stderr.strip()}")
+def _draw(folder: str, what: str = "report") -> None:
+    with WorkerProcess(TARGET, "the report worker") as worker:
+        try:
+            worker.request({"folder": folder, "draw": what}, limit=LIMIT)
+        except ComputeError as error:
+            raise PolishdError(f"no report in {folder}: {error}") from error

@@ -25,7 +25,7 @@ class VoiceCoilOptions(ConfigSection):
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
     watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = round(1000 * _TIMES.watchdog_s)
-    """So long without heartbeat the actuator retracts by itself. Heartbeats come every 50 ms."""
+    """Time without a heartbeat after which the actuator retracts. Heartbeats come every 50 ms."""
     silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = _TIMES.silence_s
     """No answer for so long: spindle off, and the robot takes the tool away."""
     landing_s: Seconds = _TIMES.landing_s
@@ -33,7 +33,7 @@ class VoiceCoilOptions(ConfigSection):
     release_s: Seconds = _TIMES.release_s
     """Longest from the order to force off."""
     retract_s: Seconds = _TIMES.retract_s
-    """Longest from force off until it tells that the tool is up. Motion goes on until then."""
+    """Longest time from force off until the actuator reports the tool up. Motion continues until then."""
     stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = _TIMES.stroke_mm
     """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
     unpowered: Unpowered = "lifts"
@@ -81,6 +81,13 @@ def _build_serial(options: VoiceCoilOptions, context: DeviceContext) -> ForceAct
 def polishd_device_types() -> Sequence[DeviceType]:
     """``voice_coil_modbus``, ``voice_coil_serial``."""
     return [
-        DeviceType("voice_coil_modbus", "actuator", ModbusOptions, _build_modbus),
-        DeviceType("voice_coil_serial", "actuator", VoiceCoilOptions, _build_serial),
+        DeviceType(
+            "voice_coil_modbus",
+            "actuator",
+            ModbusOptions,
+            _build_modbus,
+            simulated_by="actuator",
+            substitute={"silence_s": 1.0, "watchdog_ms": 2000},
+        ),
+        DeviceType("voice_coil_serial", "actuator", VoiceCoilOptions, _build_serial, simulated_by="actuator"),
     ]

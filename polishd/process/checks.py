@@ -1,4 +1,4 @@
-"""How the process layer refuses: what is wrong, its value with the unit, and at which point of how many."""
+"""Refusals of the process layer: the quantity, its value and unit, and the first wrong point of how many."""
 
 from __future__ import annotations
 

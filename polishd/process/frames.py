@@ -93,7 +93,7 @@ def lean_directions(
     return np.asarray(way / length[:, None], dtype=np.float64)
 
 
-def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArray:
+def normals_from_axes(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArray:
     """(n, 3) unit normals: tool axes (n, 3) turned back by the dip, against the way they ``lean`` (n, 3), unit."""
     against = lean - np.einsum("ni,ni->n", lean, axis)[:, None] * axis
     length = np.linalg.norm(against, axis=1)
@@ -102,7 +102,7 @@ def turned_back(axis: FloatArray, lean: FloatArray, dip_deg: float) -> FloatArra
     return np.asarray(np.cos(dip) * axis - np.sin(dip) * against / length[:, None], dtype=np.float64)
 
 
-def upright(axis: FloatArray, normal: FloatArray) -> FloatArray:
+def axes_on_level_surface(axis: FloatArray, normal: FloatArray) -> FloatArray:
     """(n, 3) axes as seen where the surface lies level: turned with their (n, 3) unit normals the short way to z."""
     both = normal + np.array([0.0, 0.0, 1.0])
     size = 1 + normal[:, 2]
@@ -174,7 +174,7 @@ def angles_from_axis(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _on_other_branch(a_deg: FloatArray, c_deg: FloatArray) -> BoolArray:
-    """Where (-A, C + 180) is taken instead of (A, C), (m,): the wrist moves the least from each to the next."""
+    """(m,) True where (-A, C + 180) replaces (A, C): the wrist moves least from each to the next."""
     turn = np.abs((np.diff(c_deg) + 180.0) % 360.0 - 180.0)
     stay = np.hypot(np.diff(a_deg), turn)
     change = np.hypot(a_deg[1:] + a_deg[:-1], 180.0 - turn)
@@ -196,7 +196,7 @@ class ArrayOrientation:
 
     @property
     def name(self) -> str:
-        """What was done to the array, in words: "as it is", "turned 90", "flipped up-down" ..."""
+        """Name of the turn: "as it is", "turned 90", "flipped up-down" ..."""
         return _NAMES[self.mirror, self.rotation_deg]
 
     def turn(self, array: NDArray[Any]) -> NDArray[Any]:
@@ -247,5 +247,5 @@ _BY_NAME = {orientation.name: orientation for orientation in ORIENTATIONS}
 
 
 def orientations(shape: tuple[int, ...]) -> tuple[ArrayOrientation, ...]:
-    """Those of the eight that keep an array's shape: four where it is not square."""
+    """Return the orientations that keep an array's shape: four where it is not square."""
     return tuple(o for o in ORIENTATIONS if shape[0] == shape[1] or o.rotation_deg % 180 == 0)

@@ -36,7 +36,7 @@ def unit_normals(optic: Optic, plane_mm: FloatArray) -> FloatArray:
 
 
 def is_flat(optic: Optic) -> bool:
-    """Whether the surface is a plane; ComputeError where its figures are no optic's."""
+    """Return whether the surface is a plane; ComputeError for impossible figures."""
     radius = optic.radius_mm
     if radius is not None and not (np.isfinite(radius) and radius != 0):
         raise ComputeError(f"the part's radius of curvature is {radius} mm, it must be finite and not 0")

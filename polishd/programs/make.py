@@ -33,7 +33,7 @@ from polishd.process.toolpath import apertures
 from polishd.process.toolpath.apertures import Aperture, largest_turn_deg, over_outline, tool_axes
 from polishd.process.toolpath.paths import quiet_step_mm, raster, spiral
 from polishd.programs.options import MakeOptions
-from polishd.programs.rewrite import not_over, target_file
+from polishd.programs.rewrite import require_new_target, target_file
 from polishd.programs.show import path_picture
 from polishd.rendering.plots import save_picture
 from polishd.rendering.terminal import emit, key_table, stderr
@@ -45,18 +45,18 @@ SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "rectangle": (2, apertures.rectangle),
     "hexagon": (1, lambda flats_mm: apertures.over_outline(hexagon(flats_mm))),
 }
-"""Apertures by name: how many lengths, and what makes one of them."""
+"""Apertures by name: number of lengths, and constructor."""
 UNCHECKED = (
     "the robot's reach and singular poses",
     "the machine's range and feeds",
     "whether the landing points lie beside the part",
 )
-"""What nobody can say of a program without the cell that it is for."""
+"""Checks of a program that need its cell."""
 UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
 
 
 @dataclass(frozen=True, slots=True)
-class MadePath:
+class GeneratedPath:
     """A path in the part's frame."""
 
     aperture: Aperture
@@ -67,22 +67,22 @@ class MadePath:
 
     @property
     def length_mm(self) -> FloatArray:
-        """(n,) of each move."""
+        """(n,) length of each move."""
         return np.asarray(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
-class MadeProgram:
-    """A program of a path."""
+class GeneratedProgram:
+    """A program along a path."""
 
-    path: MadePath
+    path: GeneratedPath
     text: bytes
     answer: dict[str, Any]
-    """What ``polishd program make`` says of it."""
+    """Answer of ``polishd program make``."""
 
 
 def make_verb(options: MakeOptions, *, as_json: bool) -> None:
-    """Make the path, write the program whole, say what it is. Nothing is written where anything is refused."""
+    """Make the path, write the program, and describe it; write nothing where anything is refused."""
     config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
     with stderr.status("making the path"):
         program = make_program(options, config, hooks)
@@ -91,10 +91,10 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
 
 
-def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> MadeProgram:
-    """The program's text and what it is; nothing is written.
+def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks | None) -> GeneratedProgram:
+    """Text and description of the program, without writing it.
 
-    ComputeError or ProgramError where it cannot be, or where the cell's `plan` or `run` would refuse it.
+    ComputeError or ProgramError where it is impossible, or where the cell's `plan` or `run` would refuse it.
     """
     encoding = _encoding(options)
     dialect = options.dialect or (DEFAULT if config is None else dialect_of(config))
@@ -118,17 +118,17 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
         "out": str(options.out),
         "not_checked": list(UNCHECKED) if config is None else [],
     }
-    return MadeProgram(made, text, answer)
+    return GeneratedProgram(made, text, answer)
 
 
 def dialect_of(config: CellConfig) -> str:
-    """The cell's: a shipped name, or the path of a profile of its own."""
+    """The cell's dialect: a shipped name, or the path of its profile."""
     own = {dialect_named(path).name: str(path) for path in config.dialect_paths}
     return own.get(config.program.format, config.program.format)
 
 
 def _encoding(options: MakeOptions) -> Encoding:
-    """Where the time is written; BadParameter for times that are none."""
+    """Encoding of the time; BadParameter for invalid times."""
     for name, value in (("--feed", options.feed_mm_min), ("--dwell", options.dwell_s)):
         if value is not None and not 0 < value < np.inf:
             raise typer.BadParameter(f"{name} {value:g}: must be above 0")
@@ -137,10 +137,10 @@ def _encoding(options: MakeOptions) -> Encoding:
     return options.encoding or ("feed" if options.dwell_s is None else "dwell")
 
 
-def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
+def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
     kind, _, rest = (options.aperture or "").partition(":")
     aperture = rest if kind in ("mask", "polygon") else ""
-    not_over(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
+    require_new_target(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
     with target_file(options.out) as file:
         file.write(text)
     if options.picture is not None:
@@ -148,8 +148,8 @@ def _write(options: MakeOptions, made: MadePath, text: bytes) -> None:
         save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
 
 
-def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
-    """Points on the optic and tool axes, in the part's frame. ComputeError where they cannot be."""
+def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
+    """Points on the optic and tool axes, in the part's frame. ComputeError where there are none."""
     aperture, optic = _aperture(options, config), _optic(options, config)
     lengths = (options.pitch_mm, options.step_mm)
     beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
@@ -162,7 +162,7 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> MadePath:
     if lean is None or options.azimuth_deg is not None:
         lean = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=options.azimuth_deg or 0.0)
     axis = tool_axes(points, optic, dip_deg, lean, placement)
-    return MadePath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
+    return GeneratedPath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
 
 
 def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
@@ -209,7 +209,7 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Feed (n,) mm/min and time (n,) s of each move: a dwell that sits in the feed is the time of its move."""
+    """Feed (n,) mm/min and time (n,) s of each move; a dwell in the feed is the time of its move."""
     feed = np.full(len(length_mm), options.feed_mm_min)
     if encoding == "dwell":
         return feed, 60 * length_mm / feed + (options.dwell_s or 0.0)
@@ -219,7 +219,7 @@ def _timing(options: MakeOptions, encoding: Encoding, length_mm: FloatArray) -> 
 
 
 def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """From the part's frame to the one that the cell's programs are written in."""
+    """Transform from the part's frame to that of the cell's programs."""
     if config is None:
         return points, axis
     back = Rotation.from_euler("z", -config.program.rotation_deg, degrees=True)
@@ -227,8 +227,8 @@ def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatA
 
 
 def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
-    """ProgramError with everything for which the cell's `plan` or `run` would refuse the program, whatever the map."""
-    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"nominal": None})}
+    """ProgramError with every reason for which the cell's `plan` or `run` would refuse the program with any map."""
+    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"form": None})}
     recipe = make_recipe(config.model_copy(update=without_map), hooks)
     found = precheck.precheck_plan(recipe, program, hooks.check_plan)
     if found:
@@ -257,11 +257,11 @@ def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
     return key_table(f"{_title(options)} ({answer['dialect']})", rows)
 
 
-# How wide a cell's contact is: the distance of a path's lines follows from it.
+# Width of a cell's contact, which sets the line distance of a path.
 
 
 def contact_radius_mm(config: CellConfig) -> float:
-    """Radius of the contact that acts at the part's centre."""
+    """Radius of the contact at the part's center."""
     centre, process, placement = np.zeros((1, 3)), config.tool_process(), config.placement()
     options, optic = config.compliance_options(), config.optic()
     axes = tool_axes(centre, optic, config.process.dip_deg, options, placement)
@@ -279,26 +279,26 @@ def contact_radius_mm(config: CellConfig) -> float:
     return float(contact.contact_radius_mm(process, gamma * depth)[0])
 
 
-# A raster that suits a cell: over its part and a little more, quiet for its spot, dipped as its tool dips.
+# A raster for a cell: slightly larger than its part, without ripple for its spot, with the cell's dip.
 
 RASTER_MM = 1.0
-"""Length of a block, and most distance of the lines: the step that leaves no ripple is a little less."""
+"""Block length and largest line distance: the step without ripple is slightly less."""
 OVERRUN_MM = 1.0
-"""How far the raster is larger than the part: its turns, where the machine stops, lie on the ring around it."""
+"""Overrun of the raster beyond the part: its turns, with the stops of the machine, lie on the ring around it."""
 LANDING_MM = 6.0
-"""How far outside the part the tool lands, on the ring that the part sits in."""
+"""Distance of the landing points from the part, on the ring that the part sits in."""
 FEED_MM_MIN = 900.0
 
 
 def own_program(config: CellConfig, name: str) -> bytes:
-    """That raster as RNC text, timed by feeds."""
+    """The raster as RNC text, timed by feeds."""
     return path_program(*own_path(config), FEED_MM_MIN, name)
 
 
 def own_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) points of that raster, mm, and the tool axes there.
+    """(n, 3) points of the raster, mm, and tool axes.
 
-    ``dwells_mm``: most distance of the points where each has a dwell: they are then quiet along the lines, too.
+    ``dwells_mm``: largest distance of points with dwells, so that they leave no ripple along the lines.
     """
     covered = over_outline(config.outline()).larger(OVERRUN_MM)
     step = quiet_step_mm(contact_radius_mm(config), dwells_mm or RASTER_MM)

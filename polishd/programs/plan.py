@@ -1,4 +1,4 @@
-"""``polishd plan``: everything short of motion, for a map and a program given by hand. Opens no device."""
+"""``polishd plan``: compute a pass from a given map and program, without motion. It opens no device."""
 
 from __future__ import annotations
 
@@ -27,52 +27,52 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult, PlanResult, SolveResult, figures
 from polishd.pipeline.run_folder import RunFolder, read_map
 from polishd.plugin_loader import Hooks
-from polishd.process.metrology.instrument import as_profiled
-from polishd.util.files import require_new, require_writable, unwritable
+from polishd.process.metrology.instrument import apply_profile
+from polishd.util.files import require_new, require_writable, unwritable_message
 
 
 @dataclass(frozen=True, slots=True)
 class _Pass:
-    """What one tool is to do."""
+    """Task of one tool."""
 
     recipe: Recipe
     program: Program
     measured: MeasureResult
-    """The surface that it finds: of the second tool what the first is expected to leave."""
+    """Surface before the tool: for the second tool, the expected result of the first."""
     solved: SolveResult
     plan: Plan
     planned: PlanResult
 
     def files(self) -> dict[str, bytes]:
-        """All that the plan's folder holds of it."""
+        """Files of the plan's folder."""
         program_file = {"program.rnc": self.plan.program.text}
         return {**self.measured.files(), **self.solved.files(), **program_file, **self.planned.files()}
 
     def notes(self, covers: Covers) -> list[str]:
-        """What a person should know of it."""
+        """Notes for people."""
         said, misfit = judged(self.recipe, self.program, covers)
         found = [f"check will refuse: {said}{misfit}"] if misfit else []
         found += [*self.program.warnings, *steps.violations(self.recipe, self.plan), *self.solved.answer.notes]
-        return list(dict.fromkeys([*found, *self.planned.certificate.notes]))  # the effect says its own in both
+        return list(dict.fromkeys([*found, *self.planned.certificate.notes]))  # the effect has its own note in both
 
     def row(self) -> dict[str, Any]:
-        """Its entry in the summary."""
+        """Entry in the summary."""
         turn = {} if self.recipe.turn is None else {"tool": self.recipe.turn.tool}
         return {**turn, **figures(self.measured.facts(), self.planned.facts()), "executed_s": None}
 
 
 def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path | None, out: Path) -> dict[str, Any]:
-    """Map figures, corrected dwell, rewritten program, certificate and pictures in ``out``; the summary.
+    """Write map figures, corrected dwell, rewritten program, certificate and pictures to ``out``; return the summary.
 
-    Of several tools that for each, in a folder of its own. ``program_path``: another program than the cell's.
-    ``out`` appears whole or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
+    With several tools, each has a subfolder. ``program_path``: another program than the cell's.
+    ``out`` appears complete or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
     SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
     """
     require_new(out)
     require_writable(out.parent)
     recipes = make_recipes(config, hooks)
     if len(recipes) > 1 and program_path is not None:
-        raise config.error("tools", "each tool has a program of its own: leave the one out that was given")
+        raise config.error("tools", "each tool has its own program: remove the program from the command line")
     paths = [own.program_path if program_path is None else program_path for own in config.turns]
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
@@ -83,8 +83,8 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []
-    notes += [*as_profiled(surface, recipe.instrument).warnings, *measured.notes]
-    notes += [note for one in passes for note in one.notes(config.program.covers)]
+    notes += [*apply_profile(surface, recipe.instrument).warnings, *measured.notes]
+    notes += [note for one in passes for note in one.notes(config.program.coverage)]
     blocks = max(len(one.plan.segments) for one in passes)
     run_dir = config.run_dir or config.state_dir
     notes += (
@@ -104,7 +104,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
 
 def _passes(turns: Sequence[ToolProblem], measured: MeasureResult, hooks: Hooks) -> list[_Pass]:
     found, vetoes, finds = list[_Pass](), list[str](), measured
-    for turn, solved in zip(turns, dwell_step.solve_turns(turns, measured), strict=True):
+    for turn, solved in zip(turns, dwell_step.solve_tools(turns, measured), strict=True):
         recipe, program, _ = turn
         require_certificate(solved.dwell.certificate, recipe)
         plan = steps.rewrite(recipe, program, solved, program.name)
@@ -124,7 +124,7 @@ def _of_tool(recipe: Recipe) -> str:
 
 @contextmanager
 def _appearing(out: Path) -> Iterator[RunFolder]:
-    """A folder to write, which becomes ``out`` at the end; ConfigError where that cannot be."""
+    """A folder to write, which becomes ``out`` at the end; ConfigError where that is impossible."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
@@ -135,7 +135,7 @@ def _appearing(out: Path) -> Iterator[RunFolder]:
                 out.rmdir()
             shutil.move(str(folder.path), out)
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_message(out, error) from error
 
 
 def _require_part(surface: SurfaceMap, part_id: str, path: Path) -> list[str]:
@@ -167,7 +167,7 @@ def _dwell_s(one: _Pass) -> float:
 
 
 def _writes(blocks: int) -> dict[str, Any]:
-    """What the pass would write when it is run, MB: rows of the journal; table and copy in the run folder."""
+    """Data that the pass would write, MB: rows of the journal; table and copy in the run folder."""
     journal_mb, table_mb = blocks * disk_space.ROW_BYTES / disk_space.MB, blocks * disk_space.CSV_BYTES / disk_space.MB
     return {"blocks": blocks, "writes": {"state_mb": journal_mb, "run_mb": table_mb + journal_mb}}
 

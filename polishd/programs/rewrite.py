@@ -1,4 +1,4 @@
-"""Programs from file to file: of any size, whole or not at all, in parts where the controller limits their lines."""
+"""Rewrite programs from file to file: any size, complete or not at all, in parts where lines are limited."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
-from polishd.plugins.rnc_robot.gcode.rewrite import look_through, rewrite_stream
+from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream, scan_program
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
 from polishd.util.files import whole_file
@@ -29,22 +29,22 @@ from polishd.util.files import whole_file
 # A CSV of dwells: one number in seconds a row, no header, one row a point.
 
 _PIECE = 1 << 20
-"""Bytes read at a time: a table of any length needs no more memory."""
+"""Bytes read at a time, so that a table of any length needs no more memory."""
 _PLAIN = b"0123456789+-.eE \t\r\n"
 
 
 class DwellTable:
-    """The rows of a table of dwells, taken in order; never many more of them in memory than are asked for at once."""
+    """Rows of a table of dwells, read in order and in blocks, to limit the memory."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.total_s = 0.0
-        """Sum of what was taken."""
+        """Sum of the times that were taken."""
         self._rows = chain.from_iterable(rows.tolist() for rows in dwell_rows(path))
         self._taken = 0
 
     def take(self, count: int) -> FloatArray:
-        """The next so many, (count,) s. ProgramError where there are fewer, or where a row is no dwell."""
+        """Take the next (count,) s. ProgramError where there are fewer, or where a row is no dwell."""
         rows = np.fromiter(islice(self._rows, count), np.float64)
         self._taken += len(rows)
         if len(rows) < count:
@@ -64,7 +64,7 @@ _COUNT = "To do: write one row a point; polishd program inspect counts them."
 
 
 def dwell_rows(path: Path) -> Iterator[FloatArray]:
-    """The rows of a table of dwells, s, as arrays of (k,), in order. Lines end in LF or CRLF.
+    """Read the rows of a table of dwells, s, as arrays of (k,), in order. Lines end in LF or CRLF.
 
     Raises:
         ProgramError: The file cannot be read, or a row is not one number of seconds, 0 or more; names the row.
@@ -86,8 +86,8 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
 
 
 def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
-    """The numbers of some rows, of which ``before`` rows came before."""
-    with suppress(ValueError):  # whose fault it is, is found out below
+    """Numbers of some rows; ``before`` rows precede them."""
+    with suppress(ValueError):  # the error is located below
         values = np.array(list(map(float, rows)), dtype=np.float64) + 0.0  # no -0.0
         if not b"".join(rows).translate(None, _PLAIN) and np.isfinite(values).all() and (values >= 0).all():
             return values
@@ -102,7 +102,7 @@ def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
 
 
 def _reason(row: bytes, number: int) -> str | None:
-    """What is wrong with a row; None: nothing is."""
+    """Error in a row; None: the row is valid."""
     text = row.strip()
     if not text:
         return "is empty"
@@ -120,21 +120,21 @@ def _reason(row: bytes, number: int) -> str | None:
 
 
 Progress = Callable[[int], None]
-"""Hears of bytes read."""
+"""Callback with the number of bytes read."""
 
 _FIRST_LINES = re.compile(rb"(?:[ \t]*(?:%|;\$PATH|[Oo:][0-9]).*\n|[ \t]*\r?\n)*")
-"""Tape marks, program numbers and paths stand before everything else."""
+"""Lines before which nothing may be written: tape marks, program numbers and paths."""
 
 
 @dataclass(frozen=True, slots=True)
 class RewriteResult:
-    """What was written; times are read back from it."""
+    """Result of a rewrite, with times read back from the file."""
 
     out: tuple[Path, ...]
     encoding: Encoding
     points: int
     rows: int
-    """Times asked for; fewer than points where moves without a dwell now carry their time, too."""
+    """Number of requested times; fewer than points where moves without a dwell now carry their time, too."""
     asked_total_s: float
     dwell_total_s: float
 
@@ -158,30 +158,30 @@ def rewrite_file(
     Raises:
         ProgramError: Anything is wrong with program, table or output. Nothing was written.
     """
-    not_over(out, file, table.path)
+    require_new_target(out, file, table.path)
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
     return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
 
 
-def not_over(out: Path, *sources: Path) -> None:
-    """ProgramError where ``out`` is one of the files that are read, under whatever name."""
+def require_new_target(out: Path, *sources: Path) -> None:
+    """ProgramError where ``out`` is one of the input files, under any name."""
     for source in sources:
-        with suppress(OSError):  # what is not there, or cannot be looked at, is refused where it is opened
+        with suppress(OSError):  # a missing or unreadable file is refused when it is opened
             if out.samefile(source):
                 raise ProgramError(f"{out}: is what is read. To do: name another file.")
 
 
 def content(file: Path) -> bytes:
-    """The bytes of a program's file; ProgramError where there are none to be had."""
+    """Bytes of a program's file; ProgramError where it cannot be read."""
     with opened(file) as source:
         return source.read()
 
 
 @contextmanager
 def opened(file: Path) -> Iterator[BinaryIO]:
-    """A program's file, for reading, more than once; ProgramError where it cannot be read."""
+    """Open a program's file for repeated reading; ProgramError where it cannot be read."""
     try:
         with file.open("rb") as source:
             yield source if source.seekable() else BytesIO(source.read())  # a pipe is held in memory
@@ -195,7 +195,7 @@ def _streamed(
     with opened(file) as source, target_file(out) as target:
         sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
         passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
-        found = look_through(dialect, target, out.name)
+        found = scan_program(dialect, target, out.name)
     return RewriteResult((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
 
 
@@ -210,7 +210,7 @@ def _held(
         raise ProgramError(f"{program.name}: cannot be written in other words without a change: {proof.difference}.")
     parts = [text] if isinstance(dialect, GcodeDialect) else split(dialect, text, program.name)
     outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
-    with ExitStack() as stack:  # all are on the disk before the first gets its name
+    with ExitStack() as stack:  # all files are on the disk before the first gets its name
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)
     written = program.encoding if encoding is None else encoding
@@ -219,7 +219,7 @@ def _held(
 
 @contextmanager
 def target_file(path: Path) -> Iterator[BinaryIO]:
-    """A file that gets its name when the block ends; ProgramError where it cannot be written."""
+    """A file that gets its name at the end of the block; ProgramError where it cannot be written."""
     try:
         with whole_file(path) as file:
             yield file
@@ -228,7 +228,7 @@ def target_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def _comment(dialect: AnyDialect) -> bytes:
-    """The line that says what was done, in the dialect's comment."""
+    """Comment line about the rewrite, in the dialect's syntax."""
     if not isinstance(dialect, GcodeDialect):
         raise ProgramError(
             f"in {dialect.name} a line of comment has no place that is sure everywhere. To do: leave --comment out."
@@ -238,20 +238,20 @@ def _comment(dialect: AnyDialect) -> bytes:
 
 
 class _Marked:
-    """Puts a line of comment before the first piece of a program that goes by."""
+    """Insert a line of comment before the first piece of a streamed program."""
 
     def __init__(self, target: BinaryIO, mark: bytes) -> None:
         self._target = target
         self._mark = mark
 
     def write(self, piece: bytes) -> int:
-        """As a file's."""
+        """As `StreamCounts.write` of a file."""
         text, self._mark = _marked(piece, self._mark), b""
         return self._target.write(text)
 
 
 def _marked(text: bytes, mark: bytes) -> bytes:
-    """The text with the mark in a line of its own, behind tape marks and program number."""
+    """The text with the mark in a separate line, after tape marks and program number."""
     if not mark:
         return text
     found = _FIRST_LINES.match(text)

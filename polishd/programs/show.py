@@ -1,4 +1,4 @@
-"""``polishd program``: what an RNC program says, its times rewritten, and the proof that nothing else changed."""
+"""``polishd program``: contents of a program, new times for it, and the proof that nothing else changed."""
 
 from __future__ import annotations
 
@@ -16,20 +16,30 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from polishd.model.errors import ProgramError
 from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, AnyDialect, DwellWord, GcodeDialect, dialect
+from polishd.plugins.rnc_robot.dialect import (
+    DEFAULT,
+    DIALECTS,
+    HEAD_BYTES,
+    AnyDialect,
+    DwellWord,
+    GcodeDialect,
+    detect,
+    dialect,
+    require_language,
+)
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
-from polishd.plugins.rnc_robot.dialect_detection import HEAD_BYTES, detect, require_language
 from polishd.plugins.rnc_robot.formats import read
-from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, look_through
+from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, scan_program
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
 from polishd.process.toolpath.apertures import TOWARDS, Aperture
-from polishd.programs.rewrite import DwellTable, content, not_over, opened, rewrite_file
-from polishd.rendering.plots import BLUE, INK, ORANGE, SEQUENTIAL, figure, png, polishd_style
+from polishd.programs.rewrite import DwellTable, content, opened, require_new_target, rewrite_file
+from polishd.rendering.map_plots import path_map
+from polishd.rendering.plots import BLUE, INK, ORANGE, figure, png, polishd_style
 from polishd.rendering.terminal import emit, key_table, record_table, stderr, stdout
 
 SHOWN = 20
-"""Most changed lines and warnings that a person is shown."""
+"""Longest list of changed lines and warnings for people."""
 
 
 def _is_pipe(file: Path) -> bool:
@@ -39,13 +49,13 @@ def _is_pipe(file: Path) -> bool:
 
 
 def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
-    """The dialect of a program, and by what it was chosen.
+    """The dialect of a program, and the reason of the choice.
 
     Raises:
         ProgramError: the file is in another language than the dialect; or, without one, several fit, or none is read.
         ConfigError: there is no such dialect.
     """
-    if _is_pipe(file):  # it is read once
+    if _is_pipe(file):  # read only once
         return dialect_named(dialect or DEFAULT), "--dialect" if dialect else "assumed: not a regular file"
     with opened(file) as source:
         head = source.read(HEAD_BYTES)
@@ -58,10 +68,10 @@ def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
 
 
 def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_json: bool) -> None:
-    """What a program says: points, times, feeds, bounds, and what was assumed."""
+    """Show points, times, feeds, bounds and assumptions of a program."""
     profile, why = chosen(file, dialect)
     if picture is not None:
-        not_over(picture, file)
+        require_new_target(picture, file)
     answer = {**_inspected(file, profile), "dialect_by": why}
     if picture is not None:
         from polishd.rendering.plots import save_picture
@@ -76,11 +86,11 @@ def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_js
 
 
 def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
-    """The figures as JSON holds them. NC text of any size is looked through in bounded memory."""
+    """Figures as JSON values. NC text of any size is read in bounded memory."""
     found: StreamCounts | Program
     if isinstance(profile, GcodeDialect):
         with _bar("reading", file) as progress, opened(file) as source:
-            found = look_through(profile, source, file.name, progress)
+            found = scan_program(profile, source, file.name, progress)
         points, total_s, (slow, fast) = found.points, found.time_s, found.feed_mm_min
         bounds = (found.low_mm, found.high_mm)
     else:
@@ -126,7 +136,7 @@ ENCODINGS: dict[Encoding, str] = {
 def rewrite_verb(
     file: Path, dwell: Path, out: Path, dialect: str | None, encoding: Encoding | None, *, comment: bool, as_json: bool
 ) -> None:
-    """Write the program with other times; nothing is written where anything is wrong."""
+    """Write the program with other times; write nothing where anything is wrong."""
     (profile, why), table = chosen(file, dialect), DwellTable(dwell)
     with _bar("rewriting", file) as progress:
         written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
@@ -147,7 +157,7 @@ def _kept(moves: int) -> str:
 
 @contextmanager
 def _bar(what: str, file: Path) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr for as long as a file is read; hears of bytes."""
+    """Progress bar on stderr while a file is read; it takes bytes."""
     size = os.path.getsize(file) if os.path.isfile(file) else None  # noqa: PTH113, PTH202 - Path's raise
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
@@ -192,7 +202,7 @@ def _say_notes(what: str, notes: list[str] | tuple[str, ...]) -> None:
         stdout.print(f"{what}: {len(notes) - SHOWN} more; --json has them", markup=False)
 
 
-# ``polishd program dialects``: what each shipped profile says about time.
+# ``polishd program dialects``: time rules of each shipped profile.
 
 _COLUMNS = ("dialect", "for", "dwell", "new dwells", "quantum, s", "time in F", "lines at most")
 
@@ -204,7 +214,7 @@ def dialects_verb(*, as_json: bool) -> None:
 
 
 def dialect_answer(profile: AnyDialect) -> dict[str, Any]:
-    """What a profile says about time, as JSON holds it; null: it has none, or no limit."""
+    """Time rules of a profile as JSON values; null: none, or no limit."""
     return {
         "name": profile.name,
         "kind": profile.kind,
@@ -240,7 +250,7 @@ def _of_nc(profile: GcodeDialect) -> dict[str, Any]:
 
 
 def _unit(word: DwellWord) -> str:
-    """Unit of a dwell word, in words; empty where it is refused either way."""
+    """Unit of a dwell word as text; empty where both forms are refused."""
     if word.whole == word.decimal:
         return "" if word.whole == "refuse" else word.whole
     ways = ((word.whole, "without a point"), (word.decimal, "with a point"))
@@ -262,17 +272,17 @@ def _row(answer: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _quantum(answer: dict[str, Any]) -> str:
-    """Of new numbers, how fine the program's own may be, and what the controller makes of it."""
+    """Resolution of new numbers, of the program's own, and of the controller."""
     found = f"{answer['quantum_s']:g}"
     if answer["finest_s"] < answer["quantum_s"]:
         found += f", to {answer['finest_s']:g}"
     return found + (f" (runs {answer['resolution_s']:g})" if answer["resolution_s"] else "")
 
 
-# Pictures of programs: where one dwells, and for how long; and the run of a path that was made.
+# Pictures of programs: dwell times on the part, and a generated path.
 
 MOST_DOTS = 20_000
-"""Points drawn one by one; of more, every k-th."""
+"""Most points that are drawn one by one; of more, every k-th."""
 
 
 def program_picture(program: Program) -> bytes:
@@ -282,9 +292,7 @@ def program_picture(program: Program) -> bytes:
     with polishd_style():
         page = figure(7.6, 3.6)
         above, along = page.subplots(1, 2)
-        shown = above.scatter(place[:, 0], place[:, 1], c=time_s, s=max(0.5, 4000 / len(place)) ** 0.5, cmap=SEQUENTIAL)
-        above.set(title=program.name.replace("$", r"\$"), xlabel="x, mm", ylabel="y, mm", aspect="equal")
-        page.colorbar(shown, ax=above, shrink=0.85, label="s")
+        path_map(above, place, time_s, program.name, "s")
         along.plot(np.arange(1, program.n + 1, step), time_s, color=BLUE, linewidth=0.8)
         along.set(title="time along the program", xlabel="point", ylabel="s", ylim=(0, None))
         return png(page)
@@ -304,10 +312,7 @@ def path_picture(points_mm: FloatArray, normal: FloatArray, aperture: Aperture, 
         path.plot(*points_mm[-1, :2], "s", color=ORANGE, markersize=4, label="last point")
         path.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
         path.set(title=title.replace("$", r"\$"), ylabel="y, mm")
-        size = max(0.5, 4000 * step / len(points_mm)) ** 0.5
-        shown = tilt.scatter(*points_mm[::step].T[:2], c=tilt_deg[::step], s=size, cmap=SEQUENTIAL)
-        tilt.set(title="tilt of the normal")
-        page.colorbar(shown, ax=tilt, shrink=0.85, label="deg")
+        path_map(tilt, points_mm[::step], tilt_deg[::step], "tilt of the normal", "deg")
         for axes in (path, tilt):
             axes.plot(*np.vstack([outline, outline[:1]]).T, color=INK, linewidth=0.9)
             axes.plot(*(aperture.hole_mm * np.vstack([TOWARDS, TOWARDS[:1]])).T, color=INK, linewidth=0.9)

@@ -1,4 +1,4 @@
-"""How the pictures look: one quiet style, colours that colour-blind people can tell apart, and PNG bytes."""
+"""Style of the plots, with colors that color-blind people can distinguish, and PNG output."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ ORANGE = "#d55e00"
 GREEN = "#009e73"
 
 DIVERGING = "RdBu_r"
-"""For heights: red high, blue low, white at 0."""
+"""Colors of heights: red high, blue low, white at 0."""
 SEQUENTIAL = "cividis"
-"""For what has no sign."""
+"""Colors of values without a sign."""
 
 DPI = 110
 
@@ -70,28 +70,28 @@ RC: dict[Any, Any] = {
 
 @contextmanager
 def polishd_style() -> Iterator[None]:
-    """Draw in polishd's style inside the block."""
+    """Draw in polishd's style."""
     with mpl.rc_context():
         mpl.rcParams.update(RC)
         yield
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure that no global state knows of."""
+    """Return an empty figure outside the global state of matplotlib."""
     fig = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(fig)
     return fig
 
 
 def png(fig: Figure, dpi: int = DPI) -> bytes:
-    """The figure as PNG bytes."""
+    """Return the figure as PNG bytes."""
     target = io.BytesIO()
     fig.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
     return target.getvalue()
 
 
 def ruled(axes: Axes, axis: str = "y") -> None:
-    """Light rules behind the data."""
+    """Draw light rules behind the data."""
     if axis in ("x", "both"):
         axes.xaxis.grid(visible=True)
     if axis in ("y", "both"):
@@ -99,8 +99,8 @@ def ruled(axes: Axes, axis: str = "y") -> None:
 
 
 def save_picture(path: Path, picture: bytes) -> None:
-    """Write a PNG whole; ConfigError where it cannot be written."""
+    """Write a PNG; ConfigError if it cannot be written."""
     try:
         write_atomic(path, picture)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; name a file with --out") from error
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}. Name another file with --out.") from error

@@ -1,4 +1,4 @@
-"""Tables for people. Programs read ``--json`` instead."""
+"""Tables on the terminal. Programs read ``--json``."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from rich.table import Table
 from rich.text import Text
 
 from polishd.model.text import printable
-from polishd.model.tolerance import Judged, judged_of
+from polishd.model.tolerance import LineResult, line_results
 from polishd.util.serialization import plain
 
-# What reaches a terminal: text from outside has its control characters escaped here, and nowhere else.
+# Output to the terminal. Control characters in text from outside are escaped here, and in no other module.
 
 
 def say(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Print a text on stdout, or on stderr."""
+    """Print a text on stdout or stderr."""
     typer.echo(printable(text), err=err, nl=nl)
 
 
 def escape_logs() -> None:
-    """Escape what this process logs to stderr where no log file is set up."""
+    """Escape log records on stderr if no log file is set up."""
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(_Escaped())
 
@@ -40,21 +40,21 @@ class _Escaped(logging.Formatter):
 
 
 WIDE = 160
-"""Columns where stdout is no terminal: a file or a pipe should lose no figure."""
+"""Columns if stdout is not a terminal: a file or a pipe has all figures."""
 
 
 class Terminal(Console):
-    """Rich's, for text that is not ours: no markup is taken from it, and its control characters are escaped."""
+    """Rich console for text from outside: no markup, and control characters are escaped."""
 
     def __init__(self, **how: Any) -> None:
         super().__init__(markup=False, emoji=False, **how)
 
     def render_str(self, text: str, **how: Any) -> Text:
-        """See Console: what is laid out as wide as it is shown."""
+        """See Console. The layout uses the escaped text."""
         return super().render_str(printable(text), **how)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """See Console; what moves the cursor comes from rich itself, as ``control``."""
+        """See Console. Cursor movements of rich are ``control`` segments."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(printable(segment.text), segment.style)
 
@@ -64,7 +64,7 @@ class Terminal(Console):
 
 
 class _Status(Status):
-    """Rich's own takes markup from its text."""
+    """Rich status without markup."""
 
     def __init__(self, status: RenderableType, **how: Any) -> None:
         super().__init__(_unmarked(status), **how)
@@ -82,7 +82,7 @@ stdout = Terminal(width=None if sys.stdout is not None and sys.stdout.isatty() e
 
 
 def cycle_table(summary: Mapping[str, Any]) -> Table:
-    """One row a measurement: what was measured, and what the pass after it predicted and did."""
+    """Table with a row for each measurement, and the prediction and execution of the pass after it."""
     period = float(summary.get("tolerance_period_mm") or 0.0)
     table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
     columns = {"pv_nm": "PV nm", "rms_nm": "RMS nm", "lsf_rms_nm": "LSF nm"}
@@ -95,26 +95,26 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
         table.add_column(name, justify="right")
     if tools := any(cycle.get("tool") for cycle in summary["cycles"]):
         table.add_column("tool")
-    if torn := any(map(_torn, summary["cycles"])):
+    if interrupted := any(map(_interruption, summary["cycles"])):
         table.add_column("pass")
     for number, cycle in enumerate(summary["cycles"]):
         figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in columns]
         tool = [cycle.get("tool") or ""] if tools else []
-        table.add_row(str(number), *figures, *tool, *([_torn(cycle)] if torn else []))
+        table.add_row(str(number), *figures, *tool, *([_interruption(cycle)] if interrupted else []))
     return table
 
 
 def outcome_tables(summary: Mapping[str, Any]) -> RenderableType:
-    """The measurements, and below them the drawing's lines: not of a short tolerance that is judged as measured."""
-    judged = [one for cycle in summary["cycles"] for one in judged_of(cycle)]
+    """Table of measurements, and of the tolerance unless it is a single limit that is judged as measured."""
+    judged = [one for cycle in summary["cycles"] for one in line_results(cycle)]
     if not judged or (summary.get("tolerance_nm") is not None and all(one.bound is None for one in judged)):
         return cycle_table(summary)
     return Group(cycle_table(summary), tolerance_table(summary))
 
 
 def tolerance_table(summary: Mapping[str, Any]) -> Table:
-    """One row a line of the tolerance: what each measurement had, the worst line of the last one first."""
-    judged = [judged_of(cycle) for cycle in summary["cycles"]]
+    """Table with a row for each line of the tolerance, the worst of the last measurement first."""
+    judged = [line_results(cycle) for cycle in summary["cycles"]]
     by_line = [{one.what: one for one in measured} for measured in judged]
     table = Table(title=f"{summary['job']}: tolerance", title_justify="left")
     for name in ("line", "limit", *map(str, range(len(judged)))):
@@ -126,7 +126,7 @@ def tolerance_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def _holding(line: Judged) -> str:
+def _holding(line: LineResult) -> str:
     word = "yes" if line.holds else f"no, {line.excess:.3g} times the limit"
     if line.bound is not None:
         return f"{word}; {line.bound_words}"
@@ -136,7 +136,7 @@ def _holding(line: Judged) -> str:
 
 
 def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
-    """Two columns, name and value."""
+    """Table of names and values."""
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column()
@@ -146,7 +146,7 @@ def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
 
 
 def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
-    """A plain table with a header."""
+    """Table with a header."""
     table = Table(title=title, title_justify="left")
     for column in columns:
         table.add_column(column)
@@ -156,7 +156,7 @@ def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obj
 
 
 def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    """Many columns of figures after a first one of names: without rules between them, to fit a terminal."""
+    """Narrow table of names and many columns of figures."""
     table = record_table(title, columns, rows)
     table.box, table.padding, table.pad_edge = SIMPLE_HEAD, (0, 1, 0, 0), False
     for column in table.columns[1:]:
@@ -164,13 +164,13 @@ def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str
     return table
 
 
-def _torn(cycle: Mapping[str, Any]) -> str:
-    """How much of the pass was executed, where it did not come to its end, and what nobody knows of it."""
+def _interruption(cycle: Mapping[str, Any]) -> str:
+    """Return the executed share and the uncertain blocks of an interrupted pass; empty for a whole pass."""
     if cycle.get("how") in {None, "done"}:
         return ""
-    torn = f"interrupted at {cycle['executed_s'] / cycle['dwell_s']:.0%}"
+    text = f"interrupted at {cycle['executed_s'] / cycle['dwell_s']:.0%}"
     uncertain = sum(last - first + 1 for first, last in cycle.get("uncertain") or ())
-    return f"{torn}, {uncertain} blocks uncertain" if uncertain else torn
+    return f"{text}, {uncertain} blocks uncertain" if uncertain else text
 
 
 def _figure(value: object, digits: int) -> str:
@@ -184,7 +184,7 @@ def emit(
     table: Callable[[], RenderableType] | None = None,
     lines: Iterable[str] = (),
 ) -> None:
-    """JSON on stdout for programs; a table for people, and lines below it."""
+    """Print JSON on stdout, or a table and lines below it."""
     if as_json:
         say(json_line(answer))
         return
@@ -195,5 +195,5 @@ def emit(
 
 
 def json_line(answer: Mapping[str, Any] | Sequence[Any]) -> str:
-    """One line of JSON; what is no number in it (NaN, infinity) is null."""
+    """Return one line of JSON; NaN and infinity are null."""
     return json.dumps(json.loads(json.dumps(answer, default=plain), parse_constant=lambda _: None))

@@ -1,1 +1,1 @@
-"""Reports: of a run, of a map, and the certificate of a part."""
+"""Reports: run report, map report, and the certificate of a part. Each is a function from facts to a document."""

@@ -1,4 +1,4 @@
-"""All that ``polishd map report`` says of a map: the figures of ``polishd map``, and those that only the page has."""
+"""Facts of the map report: the figures of ``polishd map``, and those that only the report has."""
 
 from __future__ import annotations
 
@@ -13,62 +13,58 @@ from polishd import __version__
 from polishd.maps.figures import ISO_KEYS, MapFigures
 from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import FloatArray, Grid
-from polishd.model.tolerance import Judged, ToleranceLine, holds
+from polishd.model.tolerance import LineResult, ToleranceLine, part_holds
 from polishd.process.metrology import iso10110, zernike
 from polishd.process.metrology.spectra import radial_psd
-from polishd.process.metrology.statistics import Removal, slope, slope_map, without
-from polishd.process.metrology.tolerance import judge
+from polishd.process.metrology.statistics import Removal, remove_terms, slope, slope_map
+from polishd.process.metrology.tolerance import judge_lines
 from polishd.process.metrology.zernike import FIRST, Ordering, primary
 
 T = TypeVar("T")
 WORST_CONDITION = 1e3
-"""Of a fit beyond which its single terms are large and cancel each other: they are no aberrations of the part."""
+"""Condition of a fit beyond which its terms are large and cancel each other: they are not aberrations of the part."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapReportOptions:
-    """What the page is to have beside what every map has."""
+    """Options of the report."""
 
     wavelength_nm: float
     ordering: Ordering
     terms: int
     lines: tuple[ToleranceLine, ...] = ()
-    """The drawing's."""
+    """Of the drawing."""
     repeatability_nm: float | None = None
-    """Of the instrument, RMS of a map's noise; None: not known."""
+    """Of the instrument: RMS noise of a map; None: not known."""
     by: str = ""
-    """Who answers for the page."""
+    """Name of the person who is responsible for the report."""
     judged_by: str = ""
-    """The file in which the lines stand."""
+    """File with the lines."""
     alignment: Removal = "tilt"
-    """What the lines do not count."""
+    """Terms that are removed before the lines are judged."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapReportData:
-    """A map's figures, with what its pictures are drawn of."""
+    """Figures of a map, and the arrays of its pictures."""
 
     figured: MapFigures
-    grid: Grid
-    """The map's; with a pitch of 1 px where it has none."""
-    unit: str
-    """Of places on it: mm, or px."""
     slope_urad: FloatArray | None
-    """(ny, nx) magnitude; None where the map does not carry it."""
+    """(ny, nx) magnitude; None if the map does not support it."""
     lines: tuple[ToleranceLine, ...]
     answer: dict[str, Any]
 
 
 @dataclass(slots=True)
 class _Finder:
-    """Computes what the map carries, and keeps the reasons of what it does not."""
+    """Computes the figures that a map supports, and lists the others with the reason."""
 
     found: MapFigures
-    asked: MapReportOptions
+    options: MapReportOptions
     left_out: list[str] = field(default_factory=list)
 
     def some(self, name: str, figure: Callable[[], T]) -> T | None:
-        """The figure, or None, noted, where the samples do not carry it."""
+        """Return the figure; None, listed, if the samples do not support it."""
         try:
             return figure()
         except SurfaceError as error:
@@ -76,7 +72,7 @@ class _Finder:
             return None
 
     def scaled(self, name: str, figure: Callable[[float], T]) -> T | None:
-        """Likewise of what needs the pitch."""
+        """Return a figure that needs the pitch in the same way."""
         pitch = self.found.surface.pitch_mm
         if pitch is None:
             self.left_out.append(f"{name}: the map has no lateral scale")
@@ -84,30 +80,30 @@ class _Finder:
         return self.some(name, lambda: figure(pitch))
 
     def length(self, nm: float) -> dict[str, float]:
-        """A height in nm and in waves of the surface."""
-        return {"nm": nm, "waves": nm / self.asked.wavelength_nm}
+        """Return a height in nm and in waves of surface height."""
+        return {"nm": nm, "waves": nm / self.options.wavelength_nm}
 
 
-def reported(found: MapFigures, asked: MapReportOptions) -> MapReportData:
-    """The figures of the page, over the mask and the trim of ``found``, piston and tilt removed.
+def reported(found: MapFigures, options: MapReportOptions) -> MapReportData:
+    """Return the figures of the report, over the mask and the trim of ``found``, piston and tilt removed.
 
     Raises:
-        BadMap: a line of the drawing counts what the map does not show.
+        MapError: a line of the drawing needs periods that the map does not show.
     """
-    level, mask, finder = found.level_nm, found.mask, _Finder(found, asked)
+    level, mask, finder = found.level_nm, found.mask, _Finder(found, options)
     pitch = found.surface.pitch_mm
     grid = Grid(mask.shape[0], mask.shape[1], 1.0 if pitch is None else pitch)
-    fitted = finder.some("Zernike", lambda: zernike.fit(level, mask, asked.terms, asked.ordering))
+    fitted = finder.some("Zernike", lambda: zernike.fit(level, mask, options.terms, options.ordering))
     iso = finder.some("ISO 10110-5", lambda: iso10110.irregularity(level, mask))
     slopes = finder.scaled("slope", lambda pitch_mm: slope(level, mask, pitch_mm))
     psd = finder.scaled("PSD", lambda pitch_mm: radial_psd(level, mask, pitch_mm))
-    judged = _judged(found, asked)
+    judged = _judged(found, options)
     shown = None if psd is None else psd.frequency_per_mm <= 0.5 / grid.pitch_mm
     places = {"peak": np.nanargmax(level), "valley": np.nanargmin(level)}
     marks = {name: _mark(level, grid, int(place)) for name, place in places.items()}
     answer = {
         **found.answer,
-        "wavelength_nm": asked.wavelength_nm,
+        "wavelength_nm": options.wavelength_nm,
         "level": {
             name: None if found.answer[key] is None else finder.length(found.answer[key])
             for name, key in (("pv", "pv_tilt_removed_nm"), ("rms", "rms_tilt_removed_nm"), ("pvr", "pvr_nm"))
@@ -115,7 +111,7 @@ def reported(found: MapFigures, asked: MapReportOptions) -> MapReportData:
         "aberrations": None if fitted is None else finder.some("aberrations", lambda: _aberrations(finder, fitted)),
         "iso10110_waves": None
         if iso is None
-        else {key.removesuffix("_nm"): getattr(iso, key) / asked.wavelength_nm for key in ISO_KEYS},
+        else {key.removesuffix("_nm"): getattr(iso, key) / options.wavelength_nm for key in ISO_KEYS},
         "indications": None
         if iso is None
         else {
@@ -134,34 +130,35 @@ def reported(found: MapFigures, asked: MapReportOptions) -> MapReportData:
         },
         "zernike": None if fitted is None else _zernike(finder, fitted),
         "tolerance": [one.facts() for one in judged],
-        "within": holds(judged) if judged else None,
-        "judged_by": asked.judged_by if judged else None,
-        "alignment": asked.alignment if judged else None,
+        "within": part_holds(judged) if judged else None,
+        "judged_by": options.judged_by if judged else None,
+        "alignment": options.alignment if judged else None,
         "left_out": finder.left_out,
         "computed": {
             "program": "polishd",
             "version": __version__,
             "at": datetime.now(UTC).isoformat(timespec="seconds"),
-            "by": asked.by,
+            "by": options.by,
         },
     }
     slope_urad = None if slopes is None else slope_map(level, mask, grid.pitch_mm)
-    return MapReportData(found, grid, answer["place_unit"], slope_urad, asked.lines, answer)
+    return MapReportData(found, slope_urad, options.lines, answer)
 
 
-def _judged(found: MapFigures, asked: MapReportOptions) -> Sequence[Judged]:
-    if not asked.lines:
+def _judged(found: MapFigures, options: MapReportOptions) -> Sequence[LineResult]:
+    if not options.lines:
         return ()
     pitch = found.surface.pitch_mm
     if pitch is None:
         raise MapError(
-            f"{found.surface.path}: has no lateral scale to judge a tolerance by; give the instrument's --profile"
+            f"{found.surface.path}: the map has no lateral scale, which a tolerance needs. Name the "
+            "instrument's --profile."
         )
     figure = found.level_nm
-    if asked.alignment != "tilt":
-        figure = without(found.surface.height_nm, found.mask, asked.alignment)
+    if options.alignment != "tilt":
+        figure = remove_terms(found.surface.height_nm, found.mask, options.alignment)
     try:
-        return judge(asked.lines, figure, found.mask, pitch, asked.repeatability_nm)
+        return judge_lines(options.lines, figure, found.mask, pitch, options.repeatability_nm)
     except MapError as error:
         raise MapError(f"{found.surface.path}: {error}") from error
 
@@ -169,8 +166,8 @@ def _judged(found: MapFigures, asked: MapReportOptions) -> Sequence[Judged]:
 def _aberrations(finder: _Finder, fitted: zernike.ZernikeFit) -> dict[str, dict[str, float]]:
     if fitted.condition > WORST_CONDITION:
         raise MapError(
-            f"over this shape the Zernike terms are hard to tell apart (condition {fitted.condition:.1e}, at most "
-            f"{WORST_CONDITION:.0e}): fit fewer --terms, or lay a round --mask"
+            f"condition of the Zernike fit is {fitted.condition:.1e}, more than {WORST_CONDITION:.0e}, for this "
+            "shape. Fit fewer --terms, or use a round --mask."
         )
     first = primary(fitted)
     return {
@@ -197,14 +194,14 @@ def _zernike(finder: _Finder, fitted: zernike.ZernikeFit) -> dict[str, Any]:
 
 
 def _mark(level_nm: FloatArray, grid: Grid, place: int) -> dict[str, float]:
-    """Where a sample is: x right and y up from the map's centre, and its row and column."""
+    """Return the position of a sample: x right and y up from the center of the map, row and column."""
     row, column = divmod(place, grid.nx)
     x, y = float(grid.x_mm[column]), float(grid.y_mm[row])
     return {"x": x, "y": y, "row": row, "column": column, "nm": float(level_nm[row, column])}
 
 
 def _profiles(level_nm: FloatArray, grid: Grid, marks: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Along x and along y through both marks; a sample outside the mask is None."""
+    """Return the profiles along x and y through both marks; a sample outside the mask is None."""
     found = []
     for name, mark in marks.items():
         for along, places, heights in (

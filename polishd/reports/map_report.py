@@ -1,4 +1,4 @@
-"""``polishd map report FILE... --out report.html|pdf``: the page that goes to the customer."""
+"""``polishd map report FILE... --out report.html|pdf``: the report of maps for the customer."""
 
 from __future__ import annotations
 
@@ -10,18 +10,28 @@ from typing import Any
 
 import numpy as np
 import typer
-from matplotlib.axes import Axes
 
 from polishd.maps.figures import figured
 from polishd.maps.inspect import date_words
 from polishd.maps.map_files import MapSource, edges_mm, printable
 from polishd.maps.options import ReportOptions
-from polishd.maps.pictures import LEAST_NM
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.surface import FloatArray
-from polishd.model.tolerance import ToleranceLine
-from polishd.rendering.document import Cell, Chapter, DocumentSection, Picture, ReportDocument, ReportValue, Table
-from polishd.rendering.plots import BLUE, DIVERGING, INK, NO_DATA, ORANGE, SEQUENTIAL, figure, png, polishd_style, ruled
+from polishd.rendering.document import (
+    DASH,
+    Cell,
+    Chapter,
+    DocumentSection,
+    Picture,
+    ReportDocument,
+    ReportValue,
+    Table,
+    Verdict,
+    html,
+    pdf,
+)
+from polishd.rendering.map_plots import PERCENTILE, Spectrum, height_limit, height_map, profiles, spectrum, value_map
+from polishd.rendering.plots import BLUE, INK, ORANGE, figure, png, polishd_style
 from polishd.rendering.terminal import json_line, say, stdout
 from polishd.reports.map_figures import MapReportData, MapReportOptions, reported
 from polishd.util.files import write_atomic
@@ -29,45 +39,45 @@ from polishd.util.files import write_atomic
 ENDINGS = (".html", ".pdf")
 
 
-def report_verb(files: Sequence[Path], asked: ReportOptions, *, as_json: bool) -> None:
-    """Report of the maps. One that cannot be read is named on stderr, the others are reported; the exit code is 8."""
-    edges = edges_mm(asked.bands)
-    if asked.out.suffix.lower() not in ENDINGS:
-        raise ConfigError(f"{asked.out}: a report is an HTML or a PDF file; name it *.html or *.pdf")
-    source = MapSource.by(asked)
-    wanted = _wanted(asked, source)
+def report_verb(files: Sequence[Path], options: ReportOptions, *, as_json: bool) -> None:
+    """Report the maps. A map that cannot be read is named on stderr; the others are reported and the exit code is 8."""
+    edges = edges_mm(options.bands)
+    if options.out.suffix.lower() not in ENDINGS:
+        raise ConfigError(f"{options.out}: a report is an HTML or a PDF file. Use a name that ends in .html or .pdf.")
+    source = MapSource.by(options)
+    report_options = _report_options(options, source)
     found: list[MapReportData] = []
     for file in files:
         try:
-            found.append(reported(figured(source.read(file), asked.trim, edges), wanted))
+            found.append(reported(figured(source.read(file), options.trim, edges), report_options))
         except SurfaceError as error:
             say(f"polishd: {error}", err=True)
             continue
         if as_json:
             say(json_line(found[-1].answer))
     if found:
-        _write(asked.out, found, as_json=as_json)
+        _write(options.out, found, as_json=as_json)
     if len(found) < len(files):
         raise typer.Exit(SurfaceError.exit_code)
 
 
-def _wanted(asked: ReportOptions, source: MapSource) -> MapReportOptions:
-    wanted = MapReportOptions(
-        wavelength_nm=asked.wavelength,
-        ordering=asked.zernike.value,
-        terms=asked.terms,
+def _report_options(options: ReportOptions, source: MapSource) -> MapReportOptions:
+    report = MapReportOptions(
+        wavelength_nm=options.wavelength,
+        ordering=options.zernike.value,
+        terms=options.terms,
         repeatability_nm=None if source.instrument is None else source.instrument.repeatability_nm,
-        by=asked.by,
+        by=options.by,
     )
-    if asked.tolerance is not None:
+    if options.tolerance is not None:
         from polishd.config.tolerance import load_tolerance
 
-        return replace(wanted, lines=load_tolerance(asked.tolerance), judged_by=str(asked.tolerance))
-    return wanted if asked.cell is None else _as_the_cell(wanted, asked.cell)
+        return replace(report, lines=load_tolerance(options.tolerance), judged_by=str(options.tolerance))
+    return report if options.cell is None else _with_cell(report, options.cell)
 
 
-def _as_the_cell(wanted: MapReportOptions, cell: Path) -> MapReportOptions:
-    """Judged by the lines of a cell's file, as its job is."""
+def _with_cell(report: MapReportOptions, cell: Path) -> MapReportOptions:
+    """Use the tolerance of a cell's file, as its job does."""
     from polishd.config.cell import load_config
     from polishd.pipeline.build_recipe import instrument_of
 
@@ -75,119 +85,96 @@ def _as_the_cell(wanted: MapReportOptions, cell: Path) -> MapReportOptions:
     instrument = instrument_of(config)
     repeatability_nm = instrument.repeatability_nm if instrument is not None else None
     return replace(
-        wanted,
+        report,
         lines=config.lines,
         judged_by=str(cell),
         alignment=config.part.alignment,
-        repeatability_nm=wanted.repeatability_nm if wanted.repeatability_nm is not None else repeatability_nm,
+        repeatability_nm=report.repeatability_nm if report.repeatability_nm is not None else repeatability_nm,
     )
 
 
 def _write(out: Path, found: list[MapReportData], *, as_json: bool) -> None:
-
-    page = sheet(found)
-    if out.suffix.lower() == ".pdf":
-        from polishd.rendering.pdf import pdf
-
-        content = pdf(page)
-    else:
-        from polishd.rendering.document import html
-
-        content = html(page).encode()
+    document = map_report_document(found)
+    content = pdf(document) if out.suffix.lower() == ".pdf" else html(document).encode()
     try:
         write_atomic(out, content)
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}; name a file with --out") from error
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}. Name another file with --out.") from error
     if not as_json:
         stdout.print(f"report of {len(found)} map{'s' * (len(found) > 1)} in {printable(out)}", markup=False)
 
 
-# Pictures of a map's report: heights with marked peak and valley, lines through them, slope, spectrum and its line.
+# Pictures of the map report: heights with peak, valley and profiles, slope, and spectrum.
 
-WIDE_IN = 9.0
+WIDTH_IN = 9.0
 DPI = 160
-"""A report is printed, too."""
-COLOURS = {"peak": ORANGE, "valley": BLUE}
+"""For a report that may be printed."""
+MARK_COLORS = {"peak": ORANGE, "valley": BLUE}
 MARKS = {"peak": "^", "valley": "v"}
 
 
-def height_picture(found: MapReportData) -> Picture:
-    """The level map with its peak and valley, and the lines through them, along x and y."""
+def heights_picture(data: MapReportData) -> Picture:
+    """Draw the level map with its peak and valley, and the profiles through them along x and y."""
     caption = (
-        "Piston and tilt removed; red is high. Marked: peak (triangle up) and valley (triangle down); the dashed lines "
-        "are the profiles beside it. Grey: no data, or outside the mask."
+        "Piston and tilt removed; red is high. Marked: peak (triangle up) and valley (triangle down). The dashed lines "
+        "are the profiles on the right. Gray: no data, or outside the mask."
     )
+    answer, unit = data.answer, data.answer["place_unit"]
     with polishd_style():
-        page = figure(WIDE_IN, 4.2)
+        page = figure(WIDTH_IN, 4.2)
         axes = page.subplot_mosaic([["map", "x"], ["map", "y"]], width_ratios=[1.15, 1.0])
-        level = found.figured.level_nm
-        limit = float(np.nanmax(np.abs(level)))
-        limit = limit if limit > LEAST_NM else 1.0
-        _map(axes["map"], found, level, "nm", cmap=DIVERGING, vmin=-limit, vmax=limit)
-        for name, colour in COLOURS.items():
-            mark = found.answer[name]
-            axes["map"].axhline(mark["y"], color=colour, linewidth=0.7, linestyle="--")
-            axes["map"].axvline(mark["x"], color=colour, linewidth=0.7, linestyle="--")
-            axes["map"].plot(mark["x"], mark["y"], MARKS[name], color=colour, markeredgecolor=INK, markersize=7)
-        for line in found.answer["profiles"]:
-            ax, name = axes[line["along"]], line["through"]
-            nm = np.array([np.nan if value is None else value for value in line["nm"]])
-            ax.plot(line["place"], nm, color=COLOURS[name], linewidth=0.9, label=f"through the {name}")
-            ax.plot(found.answer[name][line["along"]], found.answer[name]["nm"], MARKS[name], color=COLOURS[name])
+        level = data.figured.level_nm
+        height_map(axes["map"], level, data.figured.surface.pitch_mm, "", limit_nm=height_limit(level, 100.0))
+        for name, color in MARK_COLORS.items():
+            mark = answer[name]
+            axes["map"].axhline(mark["y"], color=color, linewidth=0.7, linestyle="--")
+            axes["map"].axvline(mark["x"], color=color, linewidth=0.7, linestyle="--")
+            axes["map"].plot(mark["x"], mark["y"], MARKS[name], color=color, markeredgecolor=INK, markersize=7)
         for along in "xy":
-            axes[along].set(xlabel=f"{along}, {found.unit}", ylabel="nm")
-            ruled(axes[along])
-        axes["x"].legend(loc="best")
+            lines = {
+                f"through the {line['through']}": (line["place"], np.array(line["nm"], dtype=np.float64))
+                for line in answer["profiles"]
+                if line["along"] == along
+            }
+            profiles(axes[along], lines, xlabel=f"{along}, {unit}", colors=(ORANGE, BLUE))
+            for name, color in MARK_COLORS.items():
+                axes[along].plot(answer[name][along], answer[name]["nm"], MARKS[name], color=color)
         return Picture("heights", caption, png(page, DPI))
 
 
-def slopes(found: MapReportData, slope_urad: FloatArray) -> Picture:
-    """The magnitude of the slope."""
-    caption = "Magnitude of the slope over two samples' distance; the last colour is the 99.8th percentile and above."
+def slope_picture(data: MapReportData, slope_urad: FloatArray) -> Picture:
+    """Draw the magnitude of the slope."""
+    caption = (
+        f"Magnitude of the slope over the distance of two samples. The colors end at the {PERCENTILE:g}th percentile."
+    )
     with polishd_style():
-        page = figure(WIDE_IN * 0.6, 3.8)
-        most = float(np.nanpercentile(slope_urad, 99.8)) or 1.0
-        _map(page.add_subplot(), found, slope_urad, "µrad", cmap=SEQUENTIAL, vmin=0.0, vmax=most)
+        page = figure(WIDTH_IN * 0.6, 3.8)
+        greatest = float(np.nanpercentile(slope_urad, PERCENTILE)) or 1.0
+        pitch_mm = data.figured.surface.pitch_mm
+        value_map(page.add_subplot(), slope_urad, pitch_mm, "", "µrad", scale=(0.0, greatest))
         return Picture("slope", caption, png(page, DPI), wide=False)
 
 
-def spectrum_picture(found: MapReportData) -> Picture:
-    """The radially averaged PSD up to Nyquist, with the lines that the drawing has for it."""
-    psd = found.answer["psd"]
-    lines = [line for line in found.lines if line.figure == "psd"]
+def spectrum_picture(data: MapReportData) -> Picture:
+    """Draw the radial PSD up to the Nyquist frequency, with the drawing's PSD lines."""
+    psd = data.answer["psd"]
+    lines = [line for line in data.lines if line.figure == "psd"]
     caption = "Radially averaged two-dimensional PSD, up to the frequency of two samples a period."
-    caption += " The straight lines are the drawing's: the PSD must be below." if lines else ""
-    frequency, density = (np.asarray(psd[key]) for key in ("frequency_per_mm", "density_nm2_mm2"))
-    some = density > LEAST_NM**2
+    caption += " The straight lines are those of the drawing: the PSD must be below them." if lines else ""
     with polishd_style():
-        page = figure(WIDE_IN * 0.6, 3.8)
+        page = figure(WIDTH_IN * 0.6, 3.8)
         ax = page.add_subplot()
-        ax.loglog(frequency[some], density[some], color=BLUE, linewidth=1.0, label="measured")
-        for line, at in _ends(lines):
+        spectrum(ax, {"measured": Spectrum(psd["frequency_per_mm"], psd["density_nm2_mm2"])}, "")
+        for line in lines:
+            ends = np.array([1 / (line.below_mm or np.inf), 1 / line.above_mm])
             label = f"{line.limit:g} / f^{line.exponent:g}" if line.exponent else f"{line.limit:g}"
-            ax.loglog(at, line.limit / at**line.exponent, color=ORANGE, linewidth=1.8, label=label)
-        ax.set(xlabel="spatial frequency f, 1/mm", ylabel="PSD, nm² mm²")
-        ruled(ax, "both")
+            ax.plot(ends, line.limit / ends**line.exponent, color=ORANGE, linewidth=1.8, label=label)
         if lines:
             ax.legend()
         return Picture("spectrum", caption, png(page, DPI), wide=False)
 
 
-def _ends(lines: list[ToleranceLine]) -> Iterator[tuple[ToleranceLine, FloatArray]]:
-    """Each line of a PSD with the frequencies between which it holds."""
-    for line in lines:
-        yield line, np.array([1 / (line.below_mm or np.inf), 1 / line.above_mm])
-
-
-def _map(ax: Axes, found: MapReportData, values: FloatArray, unit: str, **colours: Any) -> None:
-    half_x, half_y = found.grid.nx * found.grid.pitch_mm / 2, found.grid.ny * found.grid.pitch_mm / 2
-    ax.set_facecolor(NO_DATA)
-    seen = ax.imshow(values, extent=(-half_x, half_x, -half_y, half_y), interpolation="none", **colours)
-    ax.set(xlabel=f"x, {found.unit}", ylabel=f"y, {found.unit}")
-    ax.figure.colorbar(seen, ax=ax, label=unit, shrink=0.9)
-
-
-# The report of a map as it stands on paper: every figure of it is taken from the answer that ``--json`` gives.
+# The document of the map report. Each figure is taken from the answer of ``--json``.
 
 FORM = "ISO 10110-5:2015, evaluated by ISO 14999-4:2015"
 EDITIONS = (
@@ -196,9 +183,9 @@ EDITIONS = (
     ("evaluation of both", "ISO 14999-4:2015", "2026"),
     ("PSD line A / f^B", "ISO 10110-8:2010", "2019"),
 )
-"""What is followed, and the edition that is newer and whose text was not at hand."""
-WORDS = {"pv": "PV", "rms": "RMS", "pvr": "PVr"}
-ISO_WORDS = {
+"""Figure, edition that is followed, and newer edition whose text was not available."""
+HEIGHT_NAMES = {"pv": "PV", "rms": "RMS", "pvr": "PVr"}
+ISO_NAMES = {
     "a": "A, sagitta error",
     "b": "B, irregularity",
     "c": "C, rotationally symmetric irregularity",
@@ -207,13 +194,13 @@ ISO_WORDS = {
     "rms_a": "RMSa, without the symmetric part",
 }
 BANDS = {"from_mm": "g", "to_mm": "g", "rms_nm": ".3f"}
-"""Figures of a band, and their formats."""
+"""Fields of a band, and their formats."""
 REMOVED = {"piston": "piston", "tilt": "piston and tilt", "power": "piston, tilt and power"}
 NORMS = {"edge": "amplitude 1 at the circle's edge", "rms": "RMS 1 over the circle"}
 
 
-def sheet(found: list[MapReportData]) -> ReportDocument:
-    """A chapter for each map."""
+def map_report_document(found: Sequence[MapReportData]) -> ReportDocument:
+    """Return the report, with a chapter for each map."""
     first = found[0].answer
     title = "Surface report" + (f": {printable(first['part_id'])}" if len(found) == 1 and first["part_id"] else "")
     return ReportDocument(title, [_chapter(one) for one in found], _footer(first["computed"]))
@@ -236,32 +223,33 @@ def _chapter(found: MapReportData) -> Chapter:
         ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
     ]
     form, detail = of_form(answer), of_detail(found)
-    parts = [_surface(found), *form, *_tolerance(answer), *detail, _origin(answer), editions()]
-    verdict = _verdict(answer)
-    return Chapter(printable(answer["part_id"]) or name, facts, parts, verdict, answer["within"] is not False)
+    sections = [_surface(found), *form, *_tolerance(answer), *detail, _origin(answer), editions()]
+    return Chapter(printable(answer["part_id"]) or name, facts, sections, _verdict(answer))
 
 
 def of_form(answer: Mapping[str, Any]) -> list[DocumentSection]:
-    """Primary aberrations and ISO 10110 of a surface, as far as its samples carry them."""
+    """Return the primary aberrations and the ISO 10110 figures, as far as the samples support them."""
     return [*_aberrations(answer), *_indications(answer)]
 
 
 def of_detail(found: MapReportData, *, spectrum: bool = True) -> list[DocumentSection]:
-    """Slope, spatial periods and Zernike terms, likewise; ``spectrum``: with a picture of its PSD."""
+    """Return slope, spatial periods and Zernike terms in the same way. ``spectrum``: with the picture of the PSD."""
     return [*_slope(found), *_periods(found, spectrum=spectrum), *_zernike(found.answer)]
 
 
-def _verdict(answer: Mapping[str, Any]) -> str:
+def _verdict(answer: Mapping[str, Any]) -> Verdict | None:
     lines = answer["tolerance"]
     if not lines:
-        return ""
+        return None
     held = sum(line["holds"] for line in lines)
-    return f"{'in' if answer['within'] else 'not in'} tolerance: {held} of {len(lines)} lines hold"
+    within = answer["within"]
+    words = f"{'in' if within else 'not in'} tolerance: {held} of {len(lines)} lines hold"
+    return Verdict("good" if within else "bad", words)
 
 
 def _surface(found: MapReportData) -> DocumentSection:
     answer = found.answer
-    level = [(WORDS[key], *_length(answer, f"level.{key}")) for key in WORDS]
+    level = [(HEIGHT_NAMES[key], *_length(answer, f"level.{key}")) for key in HEIGHT_NAMES]
     marks = [
         (
             name,
@@ -271,13 +259,14 @@ def _surface(found: MapReportData) -> DocumentSection:
         for name in ("peak", "valley")
     ]
     heights = (
-        "Heights are of the surface, not of a wavefront; piston and tilt are removed by least squares over the samples "
-        "that count. A wave is a wavelength of surface height: two fringes in reflection."
+        "Heights are those of the surface, not of a wavefront. Piston and tilt are removed by least squares over the "
+        "samples that count. A wave is a wavelength of surface height: two fringes in reflection."
     )
-    pvr = f"PVr: PV of a fit of {answer['pvr_terms']} Zernike terms (fringe) and three times the RMS of what it leaves."
-    places = ("place", "height, nm", f"x, {found.unit}", f"y, {found.unit}")
+    pvr = f"PVr: PV of a fit of {answer['pvr_terms']} Zernike terms (fringe) and three times the RMS of its residual."
+    unit = answer["place_unit"]
+    places = ("position", "height, nm", f"x, {unit}", f"y, {unit}")
     tables = [Table(("height", "nm", _waves(answer)), level), Table(places, marks)]
-    return DocumentSection("Surface", tables, [heights, pvr], [height_picture(found)])
+    return DocumentSection("Surface", tables, [heights, pvr], [heights_picture(found)])
 
 
 def _aberrations(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
@@ -301,21 +290,21 @@ def _aberrations(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
 
 
 def _indications(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
-    said = answer["indications"]
-    if said is None:
+    indications = answer["indications"]
+    if indications is None:
         return
     rows = [
         (
-            words,
+            name,
             ReportValue.of(answer, f"iso10110.{key}_nm", ".3f"),
             ReportValue.of(answer, f"iso10110_waves.{key}", ".4f"),
         )
-        for key, words in ISO_WORDS.items()
+        for key, name in ISO_NAMES.items()
     ]
-    texts = [("surface form, nm", said["iso10110_5"]), ("reflected wavefront, nm", said["iso10110_14"])]
+    texts = [("surface form, nm", indications["iso10110_5"]), ("reflected wavefront, nm", indications["iso10110_14"])]
     note = (
-        f"By {FORM}. The indications are the tightest, rounded up to three digits, that this surface keeps; the "
-        "wavefront's, by ISO 10110-14:2018, is that of one reflection at normal incidence, twice the surface."
+        f"By {FORM}. The indications are the tightest that this surface meets, rounded up to three digits. The "
+        "wavefront, by ISO 10110-14:2018, is that of one reflection at normal incidence: twice the surface."
     )
     tables = [Table((FORM, "nm", _waves(answer)), rows), Table(("indication", "text"), texts)]
     yield DocumentSection("ISO 10110-5 and ISO 10110-14", tables, [note])
@@ -337,8 +326,8 @@ def _tolerance(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
     ]
     note = (
         f"By {printable(answer['judged_by'])}, over the samples that count, {REMOVED[answer['alignment']]} removed. "
-        "± is the instrument's repeatability, where it is known. A PSD line is the A of A / f^B as ISO 10110-8:2010 "
-        "writes it, of the radially averaged two-dimensional PSD, not of profiles."
+        "± is the repeatability of the instrument, if it is known. A PSD line is the A of A / f^B by ISO 10110-8:2010, "
+        "for the radially averaged two-dimensional PSD, not for profiles."
     )
     yield DocumentSection("Tolerance", [Table(("line", "measured", "limit", "±", "unit", "holds"), rows)], [note])
 
@@ -354,7 +343,7 @@ def _slope(found: MapReportData) -> Iterator[DocumentSection]:
     ]
     length = Table(("", "mm"), [("integration length", ReportValue.of(answer, "slope.integration_mm", ".4g"))])
     table = Table(("slope", "RMS, µrad", "PV, µrad"), rows)
-    yield DocumentSection("Slope", [table, length], (), [slopes(found, found.slope_urad)])
+    yield DocumentSection("Slope", [table, length], (), [slope_picture(found, found.slope_urad)])
 
 
 def _periods(found: MapReportData, *, spectrum: bool) -> Iterator[DocumentSection]:
@@ -365,7 +354,7 @@ def _periods(found: MapReportData, *, spectrum: bool) -> Iterator[DocumentSectio
         (band["name"], *(ReportValue.of(answer, f"bands.{at}.{key}", form) for key, form in BANDS.items()))
         for at, band in enumerate(answer["bands"])
     ]
-    note = "The surface split by ideal band-passes; a dash is no limit, or a band that the samples do not show."
+    note = "The surface divided by ideal band-pass filters. A dash: no limit, or a band that the samples cannot show."
     table = Table(("band", "below, mm", "above, mm", "RMS, nm"), rows)
     yield DocumentSection("Spatial periods", [table], [note], [spectrum_picture(found)] if spectrum else [])
 
@@ -386,10 +375,10 @@ def _zernike(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
     circle = [
         ("circle's radius, mm", ReportValue.of(answer, "zernike.radius_mm", ".6g")),
         ("circle's radius, px", ReportValue.of(answer, "zernike.radius_px", ".6g")),
-        ("circle's centre, row", ReportValue.of(answer, "zernike.centre_px.0", ".6g")),
-        ("circle's centre, column", ReportValue.of(answer, "zernike.centre_px.1", ".6g")),
+        ("circle's center, row", ReportValue.of(answer, "zernike.centre_px.0", ".6g")),
+        ("circle's center, column", ReportValue.of(answer, "zernike.centre_px.1", ".6g")),
         ("condition", ReportValue.of(answer, "zernike.condition", ".3g")),
-        ("RMS that the fit leaves, nm", ReportValue.of(answer, "zernike.residual_rms_nm", ".3f")),
+        ("RMS of the residual, nm", ReportValue.of(answer, "zernike.residual_rms_nm", ".3f")),
     ]
     note = (
         f"Ordering: {fitted['ordering']}; norm: {NORMS[fitted['norm']]}. m above 0 is a cosine, below 0 a sine, "
@@ -412,7 +401,7 @@ def _origin(answer: Mapping[str, Any]) -> DocumentSection:
         ("samples that count", ReportValue.of(answer, "samples", "d")),
         ("trimmed, px", ReportValue.of(answer, "trim", "d")),
         ("orientation", answer["orientation"]),
-        ("the file does not say", ", ".join(answer["unsaid"])),
+        ("not in the file", ", ".join(answer["unsaid"])),
     ]
     tables = [Table(("measurement", ""), [row for row in rows if row[1]])]
     if answer["masks"]:
@@ -423,7 +412,7 @@ def _origin(answer: Mapping[str, Any]) -> DocumentSection:
         tables.append(Table(("mask", "samples with data in it", "of"), masks))
     if answer["factors"]:
         factors = [(printable(name), _factor(answer, name, value)) for name, value in answer["factors"].items()]
-        tables.append(Table(("applied once by the reader", ""), factors))
+        tables.append(Table(("factor applied by the reader", ""), factors))
     notes = [f"warning: {printable(warning)}" for warning in answer["warnings"]]
     return DocumentSection(
         "Measurement", tables, [*notes, *(f"left out: {printable(reason)}" for reason in answer["left_out"])]
@@ -439,13 +428,13 @@ def _factor(answer: Mapping[str, Any], name: str, value: object) -> Cell:
 
 
 def editions() -> DocumentSection:
-    """Which edition of each standard is followed, and the newer one that was not at hand."""
-    rows = [(what, edition, newer or "–") for what, edition, newer in EDITIONS]
+    """Return the editions of the standards: the one that is followed, and the newer one that was not available."""
+    rows = [(what, edition, newer or DASH) for what, edition, newer in EDITIONS]
     note = (
-        "Where a newer edition is out and its text was not at hand, the older is followed. Definitions were checked "
+        "If the text of a newer edition was not available, the older edition is followed. The definitions were checked "
         "against published summaries of the standards."
     )
-    return DocumentSection("Editions", [Table(("figure", "follows", "newer, not at hand"), rows)], [note])
+    return DocumentSection("Editions", [Table(("figure", "follows", "newer, not available"), rows)], [note])
 
 
 def _length(answer: Mapping[str, Any], key: str) -> tuple[ReportValue | str, ReportValue | str]:

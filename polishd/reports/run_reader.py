@@ -1,4 +1,4 @@
-"""Reads a run or plan folder into arrays. What is absent or broken is listed as missing, never fatal."""
+"""Reads a run or plan folder into arrays. A file that is absent or broken is listed as missing."""
 
 from __future__ import annotations
 
@@ -23,28 +23,27 @@ BoolArray = NDArray[np.bool_]
 T = TypeVar("T")
 
 NOTED = ("learned.json", "settling.json", "touch_off.json")
-"""Files of a cycle that say something for people, each where it came to that."""
+"""Files of a cycle that may hold notes for the operator."""
 
 EXECUTED_COLUMNS = frozenset({"seq", "start_s", "end_s", "contact"})
 
 
 @dataclass(frozen=True, slots=True)
 class ReportSurface:
-    """A measured map as the daemon used it: ``height_nm`` (ny, nx), row 0 the top, NaN = no data."""
+    """Measured map on the process grid: ``height_nm`` (ny, nx), row 0 the top, NaN = no data."""
 
     height_nm: FloatArray
     metric_mask: BoolArray
     pitch_mm: float
 
     @property
-    def extent_mm(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top edge in the part's frame, for ``imshow`` with its origin at the top."""
-        ny, nx = self.height_nm.shape
-        half_x, half_y = nx * self.pitch_mm / 2, ny * self.pitch_mm / 2
-        return (-half_x, half_x, -half_y, half_y)
+    def x_mm(self) -> FloatArray:
+        """Position of each column from the middle, (nx,)."""
+        nx = self.height_nm.shape[1]
+        return np.asarray((np.arange(nx) - (nx - 1) / 2) * self.pitch_mm, dtype=np.float64)
 
     def levelled(self, height_nm: FloatArray | None = None) -> FloatArray:
-        """This map, or another on its grid, less its mean in the clear aperture."""
+        """Return this map, or another on its grid, less its mean in the clear aperture."""
         height = self.height_nm if height_nm is None else height_nm
         inside = height[self.metric_mask & np.isfinite(height)]
         return height - (inside.mean() if inside.size else 0.0)
@@ -62,13 +61,13 @@ class ReportSurface:
 
 @dataclass(frozen=True, slots=True)
 class ExecutedTimes:
-    """Blocks in contact that were executed, summed over pieces of one block: (k,) sequence numbers and seconds."""
+    """Executed blocks in contact: (k,) sequence numbers and seconds, summed over the pieces of a block."""
 
     seq: NDArray[np.int64]
     seconds: FloatArray
 
     def per_point(self, plan: Arrays) -> FloatArray | None:
-        """Executed seconds of each timed point, NaN where it was not executed, or None where that is not known."""
+        """Return the executed seconds of each timed point, NaN if not executed; None if the blocks do not match."""
         n = plan["expected_s"].size
         if "block" in plan:
             block = np.asarray(plan["block"], dtype=np.int64)
@@ -78,7 +77,7 @@ class ExecutedTimes:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """What the folder of one cycle holds."""
+    """Content of a cycle's folder."""
 
     name: str
     surface: ReportSurface | None
@@ -87,28 +86,28 @@ class Cycle:
     executed: ExecutedTimes | None
     files: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    """What was said of what the pass before it taught, of the part's settling, and of its seat."""
+    """From the estimates after the pass before it, the thermal settling and the touch-off."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunFolderReader:
-    """A run folder, or a plan folder (``planned``: a single cycle that lies in the folder itself)."""
+    """A run folder, or a plan folder (``planned``: it holds the files of its single cycle)."""
 
     path: Path
     planned: bool
     summary: Mapping[str, Any]
     cycles: tuple[Cycle, ...]
     missing: list[str] = field(default_factory=list)
-    """What a complete folder would hold and this one does not, or what cannot be read."""
+    """Files that a complete folder has and this one has not, or that cannot be read."""
 
     def rows(self) -> list[Mapping[str, Any]]:
-        """The summary's entries per measurement; empty where there is no summary."""
+        """Return the summary's entry of each measurement; empty without a summary."""
         rows = self.summary.get("cycles")
         return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 
 
 def read_folder(path: Path) -> RunFolderReader:
-    """Read all that is there."""
+    """Read a run or plan folder."""
     reader = _Reader(path)
     summary = reader.json(path / "summary.json") or {}
     planned = (path / "surface.npz").exists() or (path / "plan.npz").exists()
@@ -121,17 +120,17 @@ def read_folder(path: Path) -> RunFolderReader:
 
 @dataclass(frozen=True, slots=True)
 class _Reader:
-    """Reads the files of a run; what it cannot read, it notes."""
+    """Reads the files of a run, and lists those that it cannot read."""
 
     root: Path
     missing: list[str] = field(default_factory=list)
 
     def lacks(self, path: Path, reason: str) -> None:
-        """Note what is wrong with a file."""
+        """List a file with what is wrong."""
         self.missing.append(f"{path.relative_to(self.root)}: {reason}")
 
     def read(self, path: Path, parse: Callable[[Path], T]) -> T | None:
-        """What ``parse`` makes of a file."""
+        """Parse a file; None, listed, if it cannot be read."""
         try:
             return parse(path)
         except FileNotFoundError:
@@ -141,7 +140,7 @@ class _Reader:
         return None
 
     def json(self, path: Path) -> dict[str, Any] | None:
-        """A JSON object."""
+        """Read a JSON object."""
         content = self.read(path, lambda path: [json.loads(path.read_text(encoding="utf-8"))])
         if content is not None and not isinstance(content[0], dict):
             self.lacks(path, "not an object")
@@ -149,7 +148,7 @@ class _Reader:
         return content[0] if content else None
 
     def cycle(self, folder: Path) -> Cycle:
-        """One cycle's folder. A cycle without a plan had no pass, which is no fault."""
+        """Read a cycle's folder. A cycle without a plan had no pass; nothing is missing then."""
         surface = self.surface(folder / "surface.npz")
         plan = certificate = executed = None
         if (folder / "plan.npz").exists():
@@ -159,16 +158,16 @@ class _Reader:
                 executed = self.read(folder / "executed.csv", _executed)
         files = (entry.relative_to(self.root).as_posix() for entry in folder.iterdir() if entry.is_file())
         name = "plan" if folder == self.root else folder.name
-        said = [note for file in NOTED for note in self.notes(folder / file)]
-        return Cycle(name, surface, plan, certificate, executed, tuple(sorted(files)), tuple(said))
+        notes = [note for file in NOTED for note in self.notes(folder / file)]
+        return Cycle(name, surface, plan, certificate, executed, tuple(sorted(files)), tuple(notes))
 
     def notes(self, path: Path) -> list[str]:
-        """What a file says for people; nothing where it is not there."""
+        """Read the notes of a file; empty if there is no file."""
         notes = (self.json(path) or {}).get("notes") if path.exists() else None
         return [str(note) for note in notes] if isinstance(notes, list) else []
 
     def surface(self, path: Path) -> ReportSurface | None:
-        """``surface.npz``; without a mask, all data count."""
+        """Read ``surface.npz``. Without a mask, all data are in the clear aperture."""
         arrays = self.read(path, _arrays)
         if arrays is None:
             return None
@@ -186,13 +185,13 @@ class _Reader:
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    # opened here, because numpy leaves a file that is no archive open
+    # opened here: numpy does not close a file that is no archive
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files}
 
 
 def _executed(path: Path) -> ExecutedTimes:
-    """``executed.csv`` (seq, start_s, end_s, contact): the blocks in contact."""
+    """Read the blocks in contact from ``executed.csv`` (seq, start_s, end_s, contact)."""
     found, seconds = array("q"), array("d")
     with path.open(encoding="utf-8", newline="") as lines:
         table = csv.reader(lines)
@@ -204,6 +203,6 @@ def _executed(path: Path) -> ExecutedTimes:
             if row[contact].strip().lower() in ("1", "1.0", "true"):
                 found.append(int(float(row[seq])))
                 seconds.append(float(row[end_s]) - float(row[start_s]))
-    order, which = np.unique(np.array(found, dtype=np.int64), return_inverse=True)  # one in pieces stands there twice
+    order, which = np.unique(np.array(found, dtype=np.int64), return_inverse=True)  # a block in pieces has several rows
     seconds_of = np.bincount(which, weights=np.array(seconds), minlength=order.size)
-    return ExecutedTimes(order, seconds_of.astype(np.float64))  # of no block at all they are whole numbers
+    return ExecutedTimes(order, seconds_of.astype(np.float64))  # bincount of no rows gives integers

@@ -1,28 +1,37 @@
-"""Makes a report of a folder: draws what can be drawn, says what cannot, and writes pictures and page."""
+"""Run report: draws the pictures of a run or plan folder, and writes ``pictures/*.png`` and ``report.html``."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
 import numpy as np
-from jinja2 import Template
 from matplotlib.figure import Figure
 
-from polishd.rendering.document import Picture, templates
+from polishd import __version__
+from polishd.rendering.document import (
+    DASH,
+    Cell,
+    Chapter,
+    DocumentSection,
+    Picture,
+    ReportDocument,
+    ReportValue,
+    Table,
+    Verdict,
+    html,
+)
+from polishd.rendering.map_plots import PERCENTILE
 from polishd.rendering.plots import png, polishd_style
 from polishd.reports import run_pictures, wording
-from polishd.reports.run_pictures import write_gate
+from polishd.reports.run_pictures import write_removal_check
 from polishd.reports.run_reader import Cycle, ReportSurface, RunFolderReader, read_folder
-from polishd.reports.wording import VERDICTS, Verdict, duration, figure, plain, text, when
+from polishd.reports.wording import VERDICTS, duration, figure, plain, text, when
+from polishd.util.array_stream import Message
 from polishd.util.files import write_atomic
-
-# The page: one HTML file with its style and pictures inside, by ``report.html.jinja``.
+from polishd.util.worker_main import AnswerFunction
 
 
 class Column(NamedTuple):
@@ -30,90 +39,90 @@ class Column(NamedTuple):
 
     key: str
     title: str
-    unit: str
-    shape: str
+    form: str
 
 
 COLUMNS: Sequence[Column] = (
-    Column("pv_nm", "PV", "nm", ".1f"),
-    Column("rms_nm", "RMS", "nm", ".2f"),
-    Column("lsf_rms_nm", "LSF RMS", "nm", ".2f"),
-    Column("band_rms_nm", "band RMS", "nm", ".2f"),
-    Column("predicted_rms_nm", "predicted", "RMS nm", ".2f"),
-    Column("expected_low_nm", "expected", "from, nm", ".2f"),
-    Column("expected_high_nm", "9 of 10", "to, nm", ".2f"),
-    Column("dwell_s", "dwell", "s", ",.0f"),
-    Column("executed_s", "executed", "s", ",.0f"),
-    Column("rate", "learned", "rate", ".3f"),
+    Column("pv_nm", "PV, nm", ".1f"),
+    Column("rms_nm", "RMS, nm", ".2f"),
+    Column("lsf_rms_nm", "LSF RMS, nm", ".2f"),
+    Column("band_rms_nm", "band RMS, nm", ".2f"),
+    Column("predicted_rms_nm", "predicted RMS, nm", ".2f"),
+    Column("expected_low_nm", "expected from, nm", ".2f"),
+    Column("expected_high_nm", "9 of 10 to, nm", ".2f"),
+    Column("dwell_s", "dwell, s", ",.0f"),
+    Column("executed_s", "executed, s", ",.0f"),
+    Column("rate", "estimated rate", ".3f"),
 )
 
 CERTIFICATE: Mapping[str, str] = {
     "solver": "solver",
     "stopped": "stopped because",
     "kkt_residual": "KKT residual (relative)",
-    "bound_violation_s": "bound violation (s)",
+    "bound_violation_s": "bound violation, s",
     "gap": "above the least objective, at most (relative)",
-    "gap_nm": "the same (nm)",
-    "objective": "objective (nm²)",
-    "predicted_rms_nm": "predicted RMS (nm)",
-    "predicted_pv_nm": "predicted PV (nm)",
-    "piston_nm": "mean removal asked for (nm)",
-    "dwell_total_s": "total dwell (s)",
-    "at_lower": "points at their least time",
-    "at_upper": "points at their most time",
+    "gap_nm": "above the least objective, at most, nm",
+    "objective": "objective, nm²",
+    "predicted_rms_nm": "predicted RMS, nm",
+    "predicted_pv_nm": "predicted PV, nm",
+    "piston_nm": "mean removal, nm",
+    "dwell_total_s": "total dwell, s",
+    "at_lower": "points at their lower bound",
+    "at_upper": "points at their upper bound",
     "iterations": "iterations",
-    "seconds": "time to solve (CPU s)",
+    "seconds": "time to solve, CPU s",
     "cross_check": "cross-checked by",
     "cross_check_gap": "gap to the cross-check (relative)",
-    "cutoff_period_mm": "periods below it are out of reach of this spot (mm)",
+    "cutoff_period_mm": "shorter periods are out of reach of this spot, mm",
     "notes": "notes",
 }
+"""Names of the fields of a dwell solution's optimality certificate."""
+
+PAGE = "report.html"
+PICTURES = "pictures"
+LSF_PERIOD_MM = 33.0
+"""If the summary has no ``lsf_period_mm``."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReportSection:
-    """A part of the page."""
-
-    title: str
-    folder: str
-    pictures: tuple[Picture, ...]
-    certificate: Mapping[str, Any] | None = None
-    files: tuple[str, ...] = ()
-
-    @property
-    def certified(self) -> list[tuple[str, Any]]:
-        """Names and values of the certificate, known fields first."""
-        held = self.certificate or {}
-        keys = dict.fromkeys([*(key for key in CERTIFICATE if key in held), *held])
-        return [(CERTIFICATE.get(key, key), held[key]) for key in keys]
+def write_report(run_dir: Path) -> Path:
+    """Write ``pictures/*.png`` and ``report.html`` into a run or plan folder; return the path of the page."""
+    folder = read_folder(run_dir)
+    album = Album(run_dir / PICTURES, folder.missing)
+    with polishd_style():
+        sections = [run_section(folder, album)]
+        for index in range(len(folder.cycles)):
+            sections += cycle_sections(folder, index, album)
+    target = run_dir / PAGE
+    write_atomic(target, html(run_report_document(folder, sections)).encode())
+    return target
 
 
-def render(folder: RunFolderReader, sections: Sequence[ReportSection]) -> str:
-    """The whole page."""
-    rows, outcome = folder.rows(), "planned" if folder.planned else text(folder.summary.get("outcome"))
-    return _template().render(
-        folder=folder,
-        part=text(folder.summary.get("part_id")) or folder.path.name,
-        verdict=VERDICTS.get(outcome) or Verdict("plain", outcome.replace("_", " ").capitalize()),
+def run_report_document(folder: RunFolderReader, sections: Sequence[DocumentSection]) -> ReportDocument:
+    """Return the run report.
+
+    Args:
+        folder: the facts, with what is missing.
+        sections: those with pictures, from ``run_section`` and ``cycle_sections``. Empty ones are left out.
+    """
+    part = text(folder.summary.get("part_id")) or folder.path.name
+    outcome = "planned" if folder.planned else text(folder.summary.get("outcome"))
+    lists = (("Notes", notes_of(folder)), ("Missing from this report", folder.missing))
+    chapter = Chapter(
+        title=part,
         facts=facts_of(folder),
-        rows=rows,
-        columns=[column for column in COLUMNS if any(figure(row.get(column.key), column.shape) for row in rows)],
-        lines=wording.lines(rows),
-        notes=notes_of(folder),
-        sections=sections,
+        sections=[
+            *_measurements(folder.rows()),
+            *(DocumentSection(title, notes=notes) for title, notes in lists if notes),
+            *(section for section in sections if section.pictures or section.tables or section.files),
+        ],
+        verdict=VERDICTS.get(outcome) or Verdict("plain", outcome.replace("_", " ").capitalize()),
     )
-
-
-@cache
-def _template() -> Template:
-    page = templates(Path(__file__).parent)
-    page.filters |= {"figure": figure, "plain": plain, "quote": quote, "text": text}
-    page.globals |= {name: getattr(wording, name) for name in ("measurement", "interrupted", "share")}
-    return page.get_template("report.html.jinja")
+    kind = "plan" if folder.planned else "run"
+    return ReportDocument(f"{part}: {kind} report", [chapter], f"{kind} report by polishd {__version__}")
 
 
 def facts_of(folder: RunFolderReader) -> list[tuple[str, str]]:
-    """Names and values for the header; empty values are left out."""
+    """Return names and values of the header."""
     summary, rows = folder.summary, folder.rows()
     period = summary.get("tolerance_period_mm") or 0
     judged = "band_rms_nm" if period else "rms_nm"
@@ -127,7 +136,7 @@ def facts_of(folder: RunFolderReader) -> list[tuple[str, str]]:
         ("accepted", wording.accepted(summary, rows)),
         ("passes", "" if folder.planned or not rows else wording.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
-        ("time on the wall", wording.spent(summary.get("phase_times_s"))),
+        ("elapsed time", wording.phase_durations(summary.get("phase_times_s"))),
         ("correction", text(summary.get("correction"))),
         ("outline", text(summary.get("outline"))),
         ("job", text(summary.get("job"))),
@@ -137,46 +146,51 @@ def facts_of(folder: RunFolderReader) -> list[tuple[str, str]]:
 
 
 def notes_of(folder: RunFolderReader) -> list[str]:
-    """The summary's notes, those of each measurement and of what was learned by it, and what was found in passes."""
+    """Return the notes of the summary, of each measurement, of the estimates after it, and the findings of a pass."""
+    rows = folder.rows()
     notes = [text(note) for note in folder.summary.get("notes") or []]
-    for index, row in enumerate(folder.rows()):
-        learned = folder.cycles[index].notes if index < len(folder.cycles) else ()
-        notes += [f"measurement {index}: {text(note)}" for note in (*(row.get("notes") or ()), *learned)]
-        notes += [f"{wording.pass_after(folder.rows(), index)}: {text(found)}" for found in row.get("found") or ()]
+    for index, row in enumerate(rows):
+        estimated = folder.cycles[index].notes if index < len(folder.cycles) else ()
+        notes += [f"measurement {index}: {text(note)}" for note in (*(row.get("notes") or ()), *estimated)]
+        notes += [f"{wording.pass_after(rows, index)}: {text(found)}" for found in row.get("found") or ()]
     return notes
 
 
-PAGE = "report.html"
-PICTURES = "pictures"
+def _measurements(rows: wording.Rows) -> list[DocumentSection]:
+    """Return the table of measurements, and that of the tolerance's lines; nothing without a summary."""
+    columns = [column for column in COLUMNS if any(figure(row.get(column.key), column.form) for row in rows)]
+    names = [wording.measurement(rows, index) for index in range(len(rows))]
+    if not rows:
+        return []
+    cells = [(name, *(_cell(rows, index, column) for column in columns)) for index, name in enumerate(names)]
+    tables = [Table(("measured", *(column.title for column in columns)), cells)]
+    if lines := wording.lines(rows):
+        tables.append(Table(("tolerance", "limit", *names, "the last measurement is within"), lines))
+    note = (
+        "In the clear aperture, mean removed. LSF: low spatial frequency (figure). Predicted, dwell and executed "
+        "belong to the pass that follows the measurement in their row."
+    )
+    return [DocumentSection("Measurements", tables, [note])]
 
-LSF_PERIOD_MM = 33.0
-"""Where the summary does not say."""
 
-
-def write_report(run_dir: Path) -> Path:
-    """Write ``pictures/*.png`` and ``report.html`` into a run or plan folder; returns the page's path."""
-    folder = read_folder(run_dir)
-    album = Album(run_dir / PICTURES, folder.missing)
-    with polishd_style():
-        sections = [
-            whole_run(folder, album),
-            *(cycle_section(folder, index, album) for index in range(len(folder.cycles))),
-        ]
-    target = run_dir / PAGE
-    write_atomic(target, render(folder, sections).encode())
-    return target
+def _cell(rows: wording.Rows, index: int, column: Column) -> Cell:
+    value = rows[index].get(column.key)
+    shown = figure(value, column.form)
+    if column.key == "executed_s" and wording.interrupted(rows[index]):
+        return f"{shown or DASH}; {wording.share(rows[index])}"
+    return ReportValue(shown, f"cycles.{index}.{column.key}", float(value)) if value is not None and shown else DASH
 
 
 @dataclass(slots=True)
 class Album:
-    """Draws pictures one at a time and keeps them as files; one that cannot be drawn is listed as missing."""
+    """Draws pictures and writes them as files. A picture that cannot be drawn is listed as missing."""
 
     folder: Path
     missing: list[str]
     pictures: list[Picture] = field(default_factory=list)
 
     def add(self, name: str, caption: str, draw: Callable[[], Figure], *, wide: bool = True) -> None:
-        """Draw, save as ``name.png``, and remember for the next ``take``."""
+        """Draw, write ``name.png``, and keep the picture for the next ``take``."""
         try:
             content = png(draw())
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:
@@ -187,126 +201,138 @@ class Album:
         self.pictures.append(Picture(name, caption, content, wide=wide))
 
     def take(self) -> tuple[Picture, ...]:
-        """The pictures since the last ``take``."""
+        """Return the pictures since the last ``take``."""
         taken, self.pictures = tuple(self.pictures), []
         return taken
 
 
-def whole_run(folder: RunFolderReader, album: Album) -> ReportSection:
-    """Pictures of all measurements together; a plan has only one, and its spectrum."""
+def run_section(folder: RunFolderReader, album: Album) -> DocumentSection:
+    """Draw all measurements together. A plan has one measurement, of which only the spectrum is drawn."""
     rows = folder.rows()
-    tolerance = folder.summary.get("tolerance_nm") or wording.rms_limit(rows)
+    limit_nm = folder.summary.get("tolerance_nm") or wording.rms_limit(rows)
     surfaces = [(wording.measurement(rows, index).capitalize(), surface) for index, surface in measured(folder)]
     period = folder.summary.get("tolerance_period_mm") or 0.0
     if len(surfaces) > 1:
         caption = (
-            "All measurements on the first one's colour scale, averaged onto the process grid: the RMS above a picture "
-            "is without noise and raster ripple, the table's is of the map itself. Outlined: the clear aperture."
+            "All measurements on the color scale of the first, averaged onto the process grid. The RMS above a picture "
+            "excludes noise and raster ripple; the RMS in the table is that of the map. Line: the clear aperture."
         )
-        album.add("overview", caption, lambda: run_pictures.overview(surfaces))
+        album.add("overview", caption, lambda: run_pictures.overview_picture(surfaces))
     if len(rows) > 1:
-        caption = "Measured RMS, and what each plan predicted for the measurement after it."
-        album.add("trend", caption, lambda: run_pictures.rms_per_measurement(rows, tolerance, period), wide=False)
+        caption = (
+            "Measured RMS, and what each plan predicted for the measurement after it. Dashed: an interrupted pass, for "
+            "which nothing is predicted."
+        )
+        album.add("trend", caption, lambda: run_pictures.convergence_picture(rows, limit_nm, period), wide=False)
     if surfaces:
         lsf_mm = float(folder.summary.get("lsf_period_mm") or LSF_PERIOD_MM)
         caption = f"Averaged over directions; edge tapered. Figure (LSF) is left of the dotted line at {lsf_mm:g} mm."
-        album.add("psd", caption, lambda: run_pictures.spectra(surfaces, lsf_mm), wide=False)
-    return ReportSection("The whole run" if not folder.planned else "Surface", "", album.take())
+        album.add("psd", caption, lambda: run_pictures.spectra_picture(surfaces, lsf_mm), wide=False)
+    return DocumentSection("Surface" if folder.planned else "The whole run", pictures=album.take())
 
 
 def measured(folder: RunFolderReader) -> list[tuple[int, ReportSurface]]:
-    """Cycles whose map can be shown, with their index."""
+    """Return the index and map of each cycle whose map can be read."""
     return [(index, cycle.surface) for index, cycle in enumerate(folder.cycles) if cycle.surface is not None]
 
 
-def cycle_section(folder: RunFolderReader, index: int, album: Album) -> ReportSection:
-    """One cycle: a pass between two measurements, or a measurement that no pass followed."""
-    cycle = folder.cycles[index]
+def cycle_sections(folder: RunFolderReader, index: int, album: Album) -> list[DocumentSection]:
+    """Draw a cycle: a pass between two measurements, or a measurement without a pass after it."""
+    cycle, rows = folder.cycles[index], folder.rows()
     if cycle.plan is None:
-        last_measurement(folder, index, album)
-        at = wording.measurement(folder.rows(), index)
-        return ReportSection(
-            f"Measurement {at if index else 'at the start'}", cycle.name, album.take(), None, cycle.files
-        )
+        _draw_last_map(folder, index, album)
+        title = f"Measurement {wording.measurement(rows, index) if index else 'at the start'} ({cycle.name})"
+        return [DocumentSection(title, pictures=album.take(), files=cycle.files)]
     after = folder.cycles[index + 1].surface if index + 1 < len(folder.cycles) else None
-    surface_pictures(cycle, after, album)
-    path_pictures(folder, index, album)
-    title = "Plan" if folder.planned else wording.pass_after(folder.rows(), index)
-    return ReportSection(title, "" if folder.planned else cycle.name, album.take(), cycle.certificate, cycle.files)
+    _draw_maps(cycle, after, album)
+    _draw_path(folder, index, album)
+    title = "Plan" if folder.planned else f"{wording.pass_after(rows, index)} ({cycle.name})"
+    tables = [] if cycle.certificate is None else [Table((), certificate_rows(cycle.certificate))]
+    return [
+        DocumentSection(title, pictures=album.take()),
+        DocumentSection("Certificate of the dwell solution", tables, files=cycle.files),
+    ]
 
 
-def last_measurement(folder: RunFolderReader, index: int, album: Album) -> None:
-    """The map that ended the run."""
+def certificate_rows(certificate: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return names and values of an optimality certificate, known fields first."""
+    keys = dict.fromkeys([*(key for key in CERTIFICATE if key in certificate), *certificate])
+    return [(CERTIFICATE.get(key, key), plain(certificate[key])) for key in keys]
+
+
+def _draw_last_map(folder: RunFolderReader, index: int, album: Album) -> None:
     surface = folder.cycles[index].surface
     if surface is not None:
         first = measured(folder)[0][1]
-        caption = "The same map on the first map's colour scale and on its own."
-        album.add(f"{folder.cycles[index].name}-maps", caption, lambda: run_pictures.measured_only(surface, first))
+        caption = "The same map on the color scale of the first map and on its own scale."
+        album.add(f"{folder.cycles[index].name}-maps", caption, lambda: run_pictures.last_map_picture(surface, first))
 
 
-def surface_pictures(cycle: Cycle, after: ReportSurface | None, album: Album) -> None:
-    """Maps before and after the pass; where no map followed, the predicted residual stands in."""
+def _draw_maps(cycle: Cycle, after: ReportSurface | None, album: Album) -> None:
+    """Draw the maps before and after the pass. Without a map after it, the predicted residual is drawn."""
     before = cycle.surface
     if before is None:
         album.missing.append(f"{cycle.name}: no map, so nothing to compare with")
         return
+    name = f"{cycle.name}-maps"
     if after is None:
         caption = (
-            "Measured before the pass, and what the plan predicts after it, on one colour scale and on its own. "
-            "No map follows."
+            "Measured before the pass, and predicted after it, on one color scale and on its own. There is no map "
+            "after the pass."
         )
-        album.add(
-            f"{cycle.name}-maps",
-            caption,
-            lambda: run_pictures.before_and_after(before, predicted(cycle, before), "Predicted"),
-        )
+
+        def predicted() -> Figure:
+            residual = ReportSurface(run_pictures.residual_of(cycle), before.metric_mask, before.pitch_mm)
+            return run_pictures.pass_picture(before, residual, "Predicted")
+
+        album.add(name, caption, predicted)
         return
     caption = (
-        "Measured before and after the pass on one colour scale, and after it on its own. Outlined: the clear aperture."
+        "Measured before and after the pass on one color scale, and after it on its own. Line: the clear aperture."
     )
-    album.add(f"{cycle.name}-maps", caption, lambda: run_pictures.before_and_after(before, after, "After"))
-    caption = "What the plan said would remain, what the next map shows, and the difference, on one colour scale."
-    album.add(f"{cycle.name}-prediction", caption, lambda: run_pictures.prediction(cycle, after))
+    album.add(name, caption, lambda: run_pictures.pass_picture(before, after, "After"))
+    caption = "Residual that the plan predicted, the next map, and their difference, on one color scale."
+    album.add(f"{cycle.name}-prediction", caption, lambda: run_pictures.prediction_picture(cycle, after))
 
 
-def predicted(cycle: Cycle, before: ReportSurface) -> ReportSurface:
-    """The plan's residual as if it had been measured."""
-    return ReportSurface(run_pictures.residual_of(cycle), before.metric_mask, before.pitch_mm)
-
-
-def path_pictures(folder: RunFolderReader, index: int, album: Album) -> None:
-    """What varies along the path. Compliance is shown again only where it differs from the cycle before."""
+def _draw_path(folder: RunFolderReader, index: int, album: Album) -> None:
+    """Draw what varies along the path. Compliance is drawn only if it differs from that of the cycle before."""
     cycle = folder.cycles[index]
-    plan = cycle.plan
+    plan, name = cycle.plan, cycle.name
     if plan is None:
         return
     earlier = folder.cycles[index - 1].plan if index else None
     keys = ("compliance_um_per_n", "gamma")
     if earlier is None or not all(np.array_equal(plan.get(key), earlier.get(key)) for key in keys):  # type: ignore[arg-type]
-        caption = "What the robot's compliance does to the depth of contact, along the path and over the part."
-        album.add(f"{cycle.name}-compliance", caption, lambda: run_pictures.compliance_and_gamma(plan))
-    caption = "Solved dwell over the part (values above the 99.5th percentile in the last colour), and its spread."
-    album.add(f"{cycle.name}-dwell", caption, lambda: run_pictures.dwell(plan))
+        caption = "Effect of the robot's compliance on the depth of contact, along the path and over the part."
+        album.add(f"{name}-compliance", caption, lambda: run_pictures.compliance_picture(plan))
+    caption = f"Dwell over the part (the colors end at the {PERCENTILE:g}th percentile), and its distribution."
+    album.add(f"{name}-dwell", caption, lambda: run_pictures.dwell_picture(plan))
     if plan.get("curve_s", np.empty(0)).size:
-        caption = "Each point is an optimum with a certificate of its own; more time buys less and less."
-        stand = float(plan["time_s"].sum()), float((cycle.certificate or {}).get("predicted_rms_nm", np.nan))
-        curve = plan["curve_s"], plan["curve_nm"]
-        album.add(
-            f"{cycle.name}-curve", caption, lambda: run_pictures.residual_against_time(*curve, *stand), wide=False
-        )
+        caption = "Each point is an optimum with its own certificate. More time removes less and less."
+        predicted_nm = float((cycle.certificate or {}).get("predicted_rms_nm", np.nan))
+        album.add(f"{name}-curve", caption, lambda: run_pictures.trade_off_picture(plan, predicted_nm), wide=False)
     if cycle.executed is None:
         return
-    done_s = cycle.executed.per_point(plan)
-    if done_s is None:
-        blocks = cycle.executed.seq.size
-        album.missing.append(
-            f"{cycle.name}: {blocks} blocks in contact were executed, {plan['expected_s'].size} planned"
-        )
+    executed_s = cycle.executed.per_point(plan)
+    if executed_s is None:
+        blocks, planned = cycle.executed.seq.size, plan["expected_s"].size
+        album.missing.append(f"{name}: {blocks} blocks in contact were executed, {planned} planned")
         return
-    caption = "Time that the robot took beside the time that the plan expected of it."
-    album.add(f"{cycle.name}-executed", caption, lambda: run_pictures.executed(plan, done_s))
+    caption = "Time that the robot took and time that the plan expected."
+    album.add(f"{name}-executed", caption, lambda: run_pictures.executed_picture(plan, executed_s))
 
 
-if __name__ == "__main__":
-    draw = write_gate if sys.argv[2:] == ["gate"] else write_report
-    draw(Path(sys.argv[1]))
+def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
+    """Prepare a worker process to draw reports."""
+    return {}, _answer
+
+
+def _answer(request: Mapping[str, Any], _: Mapping[str, Any]) -> Message:
+    """Draw the report of a folder, or the picture of a failed removal check."""
+    folder = Path(request["folder"])
+    if request["draw"] == "gate":
+        write_removal_check(folder)
+    else:
+        write_report(folder)
+    return {}, {}

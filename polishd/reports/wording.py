@@ -1,6 +1,6 @@
-"""Words and numbers as run report and certificate show them; what people call passes and measurements.
+"""Text and numbers that the run report and the certificate share, and the names of passes and measurements.
 
-A pass that was interrupted is no pass like the others, and has no number.
+An interrupted pass has no number.
 """
 
 from __future__ import annotations
@@ -8,44 +8,39 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, NamedTuple
+from typing import Any
+
+from polishd.rendering.document import DASH, Verdict
 
 Rows = Sequence[Mapping[str, Any]]
-
-
-class Verdict(NamedTuple):
-    """How a run ended: what the style makes of it, and in words."""
-
-    kind: str
-    words: str
 
 
 VERDICTS: Mapping[str, Verdict] = {
     "in_tolerance": Verdict("good", "In tolerance"),
     "cycles_used": Verdict("bad", "Not in tolerance: all passes used"),
-    "as_programmed": Verdict("good", "Polished as programmed, to teach"),
+    "as_programmed": Verdict("good", "Polished as programmed, to estimate parameters"),
     "diverged": Verdict("bad", "Diverged: the surface got worse"),
-    "stalled": Verdict("bad", "Stalled: passes brought too little"),
+    "stalled": Verdict("bad", "Stalled: the passes removed too little error"),
     "stopped": Verdict("bad", "Stopped before the end"),
     "failed": Verdict("bad", "Ended by an error: see the notes"),
-    "planned": Verdict("plain", "Plan: nothing was moved"),
+    "planned": Verdict("plain", "Plan: nothing moved"),
     "": Verdict("bad", "Unfinished: there is no summary"),
 }
 
 
 def duration(rows: Rows, key: str) -> str:
-    """Summed seconds as hours and minutes, or minutes and seconds."""
+    """Return the sum of seconds as hours and minutes, or minutes and seconds."""
     values = [row[key] for row in rows if isinstance(row.get(key), int | float)]
     if not values:
         return ""
     return _long(sum(values))
 
 
-def spent(phase_times_s: Any) -> str:
-    """How long each phase took; empty where nobody says."""
+def phase_durations(phase_times_s: Any) -> str:
+    """Return the duration of each phase; empty if it is not recorded."""
     times = phase_times_s.items() if isinstance(phase_times_s, Mapping) else ()
-    told = [f"{name.replace('_', '-')} {_long(value)}" for name, value in times if isinstance(value, int | float)]
-    return ", ".join(told)
+    durations = [f"{name.replace('_', '-')} {_long(value)}" for name, value in times if isinstance(value, int | float)]
+    return ", ".join(durations)
 
 
 def _long(seconds: float) -> str:
@@ -53,15 +48,15 @@ def _long(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min {seconds:02d} s"
 
 
-def figure(value: Any, shape: str) -> str:
-    """A number as text, empty where there is none."""
+def figure(value: Any, form: str) -> str:
+    """Format a number; empty if there is none."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return ""
-    return format(value, shape)
+    return format(value, form)
 
 
 def plain(value: Any) -> str:
-    """A certificate's value as text."""
+    """Format a value of an optimality certificate."""
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
     if isinstance(value, list):
@@ -70,24 +65,24 @@ def plain(value: Any) -> str:
 
 
 def when(value: Any) -> str:
-    """A time as people read it: seconds since 1970, or ISO 8601 to the second."""
+    """Format a time: seconds since 1970, or ISO 8601 to the second."""
     if isinstance(value, int | float):
         return f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
     return text(value)[:19].replace("T", " ")
 
 
 def text(value: Any) -> str:
-    """Anything as one text, None as nothing."""
+    """Return the value as text; None is empty."""
     return "" if value is None else str(value)
 
 
 def interrupted(row: Mapping[str, Any]) -> bool:
-    """Whether the pass after a measurement did not come to its end."""
+    """True if the pass after a measurement was not executed to its end."""
     return row.get("how") not in (None, "done")
 
 
 def share(row: Mapping[str, Any]) -> str:
-    """How much of an interrupted pass was executed, and of what nobody knows it; empty for any other pass."""
+    """Return the executed share of an interrupted pass and its uncertain blocks; empty for any other pass."""
     if not interrupted(row):
         return ""
     blocks = ", ".join(f"{first} to {last}" for first, last in row.get("uncertain") or ())
@@ -100,57 +95,57 @@ def share(row: Mapping[str, Any]) -> str:
 
 
 def passes(rows: Rows) -> str:
-    """How many came to their end, and how many did not."""
-    torn = sum(map(interrupted, rows))
+    """Return the number of whole passes, and of interrupted ones."""
+    interrupted_n = sum(map(interrupted, rows))
     whole = len(rows) - 1 - sum(map(interrupted, rows[:-1]))
-    return f"{whole}, and {torn} interrupted" if torn else str(whole)
+    return f"{whole}, and {interrupted_n} interrupted" if interrupted_n else str(whole)
 
 
 def lines(rows: Rows) -> list[list[str]]:
-    """Of the tolerance each line: what, limit, what each measurement had, whether the last holds.
+    """Return a row for each line of the tolerance: name, limit, value of each measurement, result of the last.
 
-    None of a single line that is judged as it was measured: the page shows that anyway.
+    Empty for a single line that is judged as measured: the table of measurements shows it.
     """
     judged = [[one for one in row.get("judged") or () if isinstance(one, Mapping)] for row in rows]
     if not judged or (len(judged[-1]) < 2 and not any(figure(one.get("bound"), "g") for one in judged[-1])):
         return []
-    had = [{one.get("what"): one for one in measured} for measured in judged]
+    values = [{one.get("what"): one for one in measured} for measured in judged]
     return [
         [
             text(line.get("what")),
             f"{figure(line.get('limit'), 'g')} {text(line.get('unit'))}",
-            *(figure(found.get(line.get("what"), {}).get("value"), ".3g") or "–" for found in had),
-            ("yes" if line.get("holds") else "no") + _sure(line),
+            *(figure(found.get(line.get("what"), {}).get("value"), ".3g") or DASH for found in values),
+            ("yes" if line.get("holds") else "no") + _uncertainty(line),
         ]
         for line in judged[-1]
     ]
 
 
 def tolerance(rows: Rows) -> str:
-    """How many of the lines the last measurement keeps."""
+    """Return the number of lines that the last measurement is within."""
     judged = [one for one in (rows[-1].get("judged") or () if rows else ()) if isinstance(one, Mapping)]
     return f"{sum(bool(one.get('holds')) for one in judged)} of {len(judged)} lines hold" if judged else ""
 
 
 def accepted(summary: Mapping[str, Any], rows: Rows) -> str:
-    """By what the part is accepted, and what of the instrument was taken off its maps; empty of an earlier polishd."""
+    """Return the criterion of acceptance, and the system map that is subtracted; empty for a summary without them."""
     by = {
         "figure": "as measured",
         "bound": "by the 95 % bound of the true RMS, as its mount holds it",
         "bound_without_power": "by the 95 % bound of the true RMS, as its mount holds it, power removed",
     }.get(text(summary.get("accept")), "")
     system = text(rows[-1].get("system")) if rows else ""
-    return f"{by}; the instrument's system map {system[:12]} is off" if by and system else by
+    return f"{by}; the instrument's system map {system[:12]} is subtracted" if by and system else by
 
 
 def rms_limit(rows: Rows) -> Any:
-    """The limit of the line that is of the whole surface's RMS, which its picture shows; None: there is none."""
+    """Return the limit of the RMS of the whole surface; None if the tolerance has no such line."""
     judged = (rows[-1].get("judged") or ()) if rows else ()
     return next((one.get("limit") for one in judged if isinstance(one, Mapping) and one.get("what") == "RMS"), None)
 
 
-def _sure(line: Mapping[str, Any]) -> str:
-    """The bound that it was judged by, or else the instrument's uncertainty, where it is known."""
+def _uncertainty(line: Mapping[str, Any]) -> str:
+    """Return the bound that a line was judged by, or else the uncertainty of the instrument if it is known."""
     unit, removed = text(line.get("unit")), text(line.get("removed"))
     if bound := figure(line.get("bound"), ".3g"):
         without = f", {removed} removed" if removed else ""
@@ -160,7 +155,7 @@ def _sure(line: Mapping[str, Any]) -> str:
 
 
 def measurement(rows: Rows, index: int) -> str:
-    """``start``, or after which pass it was taken."""
+    """Return ``start``, or after which pass the map was taken."""
     if index == 0:
         return "start"
     if index <= len(rows) and interrupted(rows[index - 1]):
@@ -169,7 +164,7 @@ def measurement(rows: Rows, index: int) -> str:
 
 
 def pass_after(rows: Rows, index: int) -> str:
-    """The pass that followed a measurement."""
+    """Return the name of the pass after a measurement."""
     if index < len(rows) and interrupted(rows[index]):
         return f"Pass that was {share(rows[index])}"
     return f"Pass {index + 1 - sum(map(interrupted, rows[:index]))}"

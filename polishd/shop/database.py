@@ -1,4 +1,4 @@
-"""The shop's one database, and how it is used: whole transactions, by several threads and processes in turn."""
+"""The shop's database, with transactions for several threads and processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from polishd.util.files import make_folder
 DATABASE_NAME = "shop.sqlite"
 VERSION = 1
 WAIT_S = 30.0
-"""Server and command line take turns; whoever has to wait for longer says so."""
+"""Longest time that server and command line wait for each other."""
 
 SCHEMA = """
 CREATE TABLE part (
@@ -62,14 +62,15 @@ CREATE TABLE word (
     id INTEGER PRIMARY KEY, at REAL NOT NULL, who TEXT NOT NULL, what TEXT NOT NULL, job TEXT NOT NULL,
     cell TEXT NOT NULL, why TEXT NOT NULL);
 """
-"""``one_cell`` is the rule of the house: of a part there is one claim at a time that has not ended.
+"""``one_cell`` allows one open claim of a part at a time.
 
-``word`` is what the shop decided, and who wanted it; ``event`` is what the cells' journals say, by their own numbers.
+``word`` holds the shop's decisions and their authors; ``event`` holds the events of the cells' journals, with their
+numbers.
 """
 
 
 def open_database(path: Path) -> sqlite3.Connection:
-    """The shop's file, made where it is not there; ConfigError where it cannot be used."""
+    """Open the shop's file, and make it where it is missing; ConfigError where it cannot be used."""
     try:
         make_folder(path.parent, mode=0o700)
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=WAIT_S)
@@ -97,7 +98,7 @@ def open_database(path: Path) -> sqlite3.Connection:
 
 
 class Database:
-    """One connection to it, which threads use in turn; ``with`` closes it."""
+    """One connection for several threads; ``with`` closes it."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
@@ -105,7 +106,7 @@ class Database:
 
     @classmethod
     def open(cls, state_dir: Path) -> Self:
-        """That of a shop's folder; ConfigError where it cannot be used."""
+        """Open the database of a shop's folder; ConfigError where it cannot be used."""
         return cls(open_database(state_dir / DATABASE_NAME))
 
     def __enter__(self) -> Self:
@@ -120,9 +121,9 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[DatabaseTransaction]:
-        """All of it, durable at the end of this block, or nothing. LinkError where the disk, or its turn, fails.
+        """Commit the whole block durably, or nothing. LinkError where the disk or the lock fails.
 
-        ConfigError where a row does not go with the others.
+        ConfigError where a row contradicts the others.
         """
         with self._use:
             try:
@@ -142,7 +143,7 @@ class Database:
 
 
 class DatabaseTransaction:
-    """What is read and written as one."""
+    """Reads and writes of one transaction."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
@@ -158,21 +159,21 @@ class DatabaseTransaction:
         return next(iter(self.rows(sql, *values)), None)
 
     def run(self, sql: str, *values: Any) -> int:
-        """Write; how many rows that changed."""
+        """Write, and return the number of changed rows."""
         return self._connection.execute(sql, values).rowcount
 
     def insert(self, how: str, values: Mapping[str, Any]) -> None:
-        """One row; ``how``: ``INSERT INTO table``, or what stands for it."""
+        """Insert one row; ``how``: ``INSERT INTO table``, or a variant of it."""
         marks = ", ".join("?" * len(values))
         self.run(f"{how} ({', '.join(values)}) VALUES ({marks})", *values.values())
 
     def word(self, who: str, what: str, job: str, cell: str = "", why: str = "") -> None:
-        """The shop decided that, and this is who wanted it."""
+        """Record a decision of the shop and its author."""
         row = {"at": time.time(), "who": who, "what": what, "job": job, "cell": cell, "why": why}
         self.insert("INSERT INTO word", row)
 
 
-# What the cells' journals say, taken once: each event by its own number, each job, map and pass by its own place.
+# Copies of the cells' journals: each event once by its number, each job, map and pass by its key.
 
 JOB = ("job", "name", "part_id", "started", "ended", "outcome", "detail")
 PASS = ("job", "cycle", "program_sha256", "started", "ended", "how", "facts")
@@ -184,18 +185,18 @@ EVENT = ("seq", "job", "at", "cycle", "name", "data")
 
 @dataclass(frozen=True, slots=True)
 class CellReport:
-    """What a cell tells at once: of events those with numbers ``first`` to ``last``, and rows as they are now."""
+    """One report of a cell: the events ``first`` to ``last``, and the rows in their present state."""
 
     journal: str
-    """Which of the cell's journals: it may have begun another one."""
+    """Identity of the journal: the cell may have begun another one."""
     first: int
     last: int
     before: str
-    """Hash of the event before the first one, as the journal has it; empty: it is the journal's first."""
+    """Hash of the event before the first one in the journal; empty: the first is the journal's first."""
     tail: str
-    """The same of the last one."""
+    """Hash of the last event."""
     now: Mapping[str, Any]
-    """What the cell does, for people."""
+    """State of the cell, for people."""
     events: Sequence[Sequence[Any]] = ()
     """Without each pass's progress."""
     jobs: Sequence[Sequence[Any]] = ()
@@ -206,7 +207,7 @@ class CellReport:
     """State and reason of each claim in the cell's queue, by request."""
 
     def __post_init__(self) -> None:
-        """TypeError where a field is not what it says: reports come from outside."""
+        """TypeError where a field has another type: reports come from outside."""
         kinds = {"journal": str, "first": int, "last": int, "before": str, "tail": str, "now": dict, "claims": dict}
         for name, kind in kinds.items():
             if not isinstance(getattr(self, name), kind):
@@ -214,10 +215,10 @@ class CellReport:
 
 
 def take(sql: DatabaseTransaction, cell: str, report: CellReport) -> int:
-    """Take what is not known yet; the number of the last event that is known now.
+    """Store the new events, and return the number of the last known event.
 
-    One that begins beyond that is not taken: the cell begins again where the shop is. ConfigError where the journal is
-    not the one of which the shop has taken so much.
+    A report that begins beyond it is not stored: the cell sends again from there. ConfigError where the journal
+    contradicts the stored events.
     """
     now = {"name": cell, "heard": time.time(), "now": json.dumps(dict(report.now))}
     sql.insert("INSERT OR REPLACE INTO cell", now)
@@ -246,7 +247,7 @@ def take(sql: DatabaseTransaction, cell: str, report: CellReport) -> int:
 
 
 def offers(sql: DatabaseTransaction, cell: str) -> list[dict[str, Any]]:
-    """What other cells have learned of each recipe: the latest."""
+    """Latest rate of each recipe from the other cells."""
     rows = sql.rows(
         "SELECT recipe, cell, job, of_cycle, at_s, rate, sigma, max(at_s) FROM lesson WHERE cell != ? GROUP BY recipe",
         cell,

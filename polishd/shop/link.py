@@ -1,7 +1,7 @@
-"""``polishd shop link``: a cell's side of the shop, a process of its own beside the daemon.
+"""``polishd shop connect``: a cell's side of the shop, a separate process beside the daemon.
 
-Its outbox is the cell's journal: what the shop has not taken yet is read from there, by the events' own numbers. What
-it wants of the daemon it asks over the daemon's socket, as the command line does.
+Its outbox is the cell's journal: it reads the events that the shop does not have, by their numbers. It sends requests
+to the daemon over the daemon's socket, as the command line does.
 """
 
 from __future__ import annotations
@@ -35,45 +35,45 @@ from polishd.model.events import PassProgressed, ShopRateReceived
 from polishd.plugin_loader import Hooks
 from polishd.shop.database import CellReport
 from polishd.util.files import make_folder, write_atomic
-from polishd.util.secret_files import hide, read_secret
+from polishd.util.secret_files import read_secret, redact_secrets
 
-# Requests of a cell to its shop: HTTP by its token, over TLS, or on this computer.
+# Requests of a cell to its shop: HTTP with its token, over TLS or on this computer.
 
 log = logging.getLogger(__name__)
 
 STEP_S = 15.0
-"""Longest that the shop may leave a step unanswered."""
+"""Time limit of one step of a request."""
 MOST_BYTES = 32 << 20
 SERVER_ERRORS = 500
 WARN_S, AGAIN_S = 21 * 86400.0, 86400.0
-"""So long before the shop's certificate expires that is said, and after so long again."""
+"""Lead time of the warning before the shop's certificate expires, and time until its repetition."""
 NOT_YET_VALID, EXPIRED = 9, 10
 UNKNOWN_ISSUER, OTHER_NAME = (18, 19, 20, 21), (62, 64)
-"""OpenSSL's numbers of why a certificate is not believed (X509_V_ERR_...)."""
+"""OpenSSL's reasons to distrust a certificate (X509_V_ERR_...)."""
 
 
 class ShopClient:
-    """One request after the other; each on a connection of its own. No proxy, no redirection."""
+    """Send one request after the other, each on a new connection. No proxy, no redirection."""
 
     def __init__(self, section: ShopLinkSection, base_dir: Path) -> None:
-        """ConfigError where there is no token, or whom to trust cannot be read."""
+        """ConfigError where there is no token, or the trusted certificates cannot be read."""
         self._section, self._base_dir = section, base_dir
         self._ca_file = None if section.ca_file is None else base_dir / Path(section.ca_file).expanduser()
         self._context, self._trusted = self._trusting(), self._signature()
         self._refused = ""
-        """Hash of the token that the shop refused last."""
+        """Hash of the last refused token."""
         self._warned_s = float("-inf")
         read_secret(section.token, base_dir)
 
     def has_new_token(self) -> bool:
-        """Return whether there is a token now that the shop has not refused."""
+        """Return whether there is a token that the shop has not refused."""
         try:
             return _hash(read_secret(self._section.token, self._base_dir)) != self._refused
         except ConfigError:
             return False
 
     def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer; ConfigError where the shop refuses, LinkError where it is not there, or did not take it."""
+        """Send a request; ConfigError where the shop refuses, LinkError where it is away or did not accept it."""
         content = self.fetch(path, said)
         try:
             found = json.loads(content)
@@ -84,7 +84,7 @@ class ShopClient:
         return found
 
     def fetch(self, path: str, said: Mapping[str, Any]) -> bytes:
-        """The same, as it came. TokenRefused where the shop does not take the token."""
+        """Fetch bytes. TokenRefused where the shop does not accept the token."""
         token = read_secret(self._section.token, self._base_dir)
         if (trusted := self._signature()) != self._trusted:
             self._context, self._trusted = self._trusting(), trusted
@@ -93,7 +93,7 @@ class ShopClient:
         except ssl.SSLCertVerificationError as error:
             raise LinkError(f"{self._section.url}: {self._distrust(error)}") from None
         except (OSError, HTTPException, ValueError) as error:
-            raise LinkError(hide(f"{self._section.url}: {type(error).__name__}: {error}", token)) from None
+            raise LinkError(redact_secrets(f"{self._section.url}: {type(error).__name__}: {error}", token)) from None
         if status == 200:
             return content
         if status == 401:
@@ -122,7 +122,7 @@ class ShopClient:
         finally:
             connection.close()
 
-    # whom to trust
+    # trust
 
     def _trusting(self) -> ssl.SSLContext:
         try:
@@ -131,7 +131,7 @@ class ShopClient:
             raise ConfigError(f"{self._ca_file}: cannot be read: {error}; name a file of certificates (PEM)") from error
 
     def _signature(self) -> tuple[int, int, int] | None:
-        """Whether the file is the one that was read."""
+        """Whether the file is still the one that was read."""
         if self._ca_file is None:
             return None
         try:
@@ -155,7 +155,7 @@ class ShopClient:
             )  # fmt: skip
 
     def _distrust(self, error: ssl.SSLCertVerificationError) -> str:
-        """What is wrong with the shop's certificate, and what to do, by OpenSSL's own number."""
+        """Problem of the shop's certificate and advice, by OpenSSL's number."""
         ca_file = "the system's authorities" if self._ca_file is None else str(self._ca_file)
         todo = {
             EXPIRED: "Renew it at the shop: cert and key in [web] of SHOP.toml. If it is not expired, set this "
@@ -167,14 +167,11 @@ class ShopClient:
             ),
             **dict.fromkeys(OTHER_NAME, "It is another host's. Write in shop.url the name that is in the certificate"),
         }.get(error.verify_code, "Look at cert in [web] of SHOP.toml, and at shop.ca_file")
-        return (
-            f"certificate verify failed: {error.verify_message}. {todo}. The link tries again by itself; nothing was "
-            "sent"
-        )
+        return f"certificate verify failed: {error.verify_message}. {todo}. The link tries again; nothing was sent"
 
     def _refusal(self, said: str) -> str:
         kind, _, name = self._section.token.partition(":")
-        where = f"write it into {self._base_dir / Path(name).expanduser()}; the link takes it up by itself"
+        where = f"write it into {self._base_dir / Path(name).expanduser()}; the link reads it without a restart"
         if kind == "env":
             where = f"put it into {name}, and start the link again"
         return (
@@ -194,12 +191,12 @@ def _error(content: bytes) -> str:
         return " ".join(content[:200].decode("utf-8", "replace").split())
 
 
-# What a cell's journal has to tell a shop: read beside the daemon that writes it, from any number of events on.
+# Report of a cell's journal to a shop, read beside the daemon that writes it, from any event on.
 
 MOST_EVENTS = 500
-"""In one report."""
+"""Most events in one report."""
 LESSON_AGAIN_S = 86400.0
-"""What another cell learned of a recipe is offered again when it is newer by so much."""
+"""Least age difference for a repeated offer of another cell's rate."""
 
 _JOBS = "SELECT id, name, part_id, started, ended, outcome, detail FROM job WHERE id = ?"
 _PASSES = "SELECT job, cycle, program_sha256, started, ended, how, facts FROM pass WHERE job = ? ORDER BY cycle"
@@ -209,10 +206,10 @@ _MAPS = "SELECT job, cycle, taken, stats FROM map WHERE job = ? ORDER BY id"
 def read_report(
     state_dir: Path, upto: int, now: dict[str, Any], also: Sequence[str], asking: str
 ) -> tuple[CellReport, bool] | None:
-    """What comes after that event, and whether that is not all; None where the journal is still empty.
+    """Report the events after ``upto``, and whether more follow; None where the journal is still empty.
 
-    ``also``: claims of which the shop wants to know though they may have ended; ``asking``: the request of which nobody
-    knows yet whether it is a claim. ConfigError where the journal cannot be read.
+    ``also``: claims of interest to the shop that may have ended. ``asking``: the request that may or may not be a claim
+    yet. ConfigError where the journal cannot be read.
     """
     with read_only(state_dir) as journal:
         first = journal.execute("SELECT id, job, at, cycle, name, data FROM event ORDER BY id LIMIT 1").fetchone()
@@ -243,24 +240,24 @@ def read_report(
 
 
 def facts(report: CellReport) -> dict[str, Any]:
-    """As it is sent."""
+    """The report as it is sent."""
     return asdict(report)
 
 
 def has_claim(state_dir: Path, claim: str) -> bool:
-    """Whether the cell's queue has, or had, the part of that claim. ConfigError where the journal cannot be read."""
+    """Whether the cell's queue has, or had, the part of a claim. ConfigError where the journal cannot be read."""
     with read_only(state_dir) as journal:
         return journal.execute("SELECT 1 FROM queue WHERE claim = ?", (claim,)).fetchone() is not None
 
 
 def wanted_rates(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Those of which this cell has no lesson of its own, and none that was offered lately."""
+    """Offers for which this cell has neither its own rate nor a recent offer."""
     with read_only(state_dir) as journal:
         return [offer for offer in offers if not _known(journal, offer)]
 
 
 def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
-    own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # which may have NaN in it, that SQLite takes for no JSON
+    own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # facts may contain NaN, which SQLite refuses as JSON
     if journal.execute(own, (json.dumps({"recipe": offer["recipe"]})[1:-1],)).fetchone():
         return True
     sql = (
@@ -276,7 +273,7 @@ def _of(journal: sqlite3.Connection, sql: str, jobs: Iterable[int]) -> list[tupl
 
 
 def _lessons(names: dict[int, str], passes: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    """Of each recipe the last one; none where a person had to see to the tool, and none without its uncertainty."""
+    """The last rate of each recipe; none where a person had to service the tool, and none without uncertainty."""
     found: dict[str, tuple[Any, ...]] = {}
     for job, cycle, _, _, ended, how, text in passes:
         known = json.loads(text)
@@ -289,7 +286,7 @@ def _lessons(names: dict[int, str], passes: Sequence[tuple[Any, ...]]) -> list[t
 
 
 def _claims(journal: sqlite3.Connection, also: Sequence[str], asking: str) -> dict[str, dict[str, str]]:
-    """State and reason of those that are open here, and of those that the shop takes for open."""
+    """State and reason of the claims that are open here or in the shop."""
     rows = journal.execute("SELECT claim, begun, verdict, reason, ended FROM queue WHERE claim != ''").fetchall()
     said = {
         claim: {"state": verdict or ("under way" if begun else "waiting"), "reason": reason or ""}
@@ -305,16 +302,16 @@ def _row_hash(row: tuple[Any, ...]) -> str:
 
 
 LONGEST_PAUSE_S = 15.0
-"""While the shop is away it is asked ever less often, down to this."""
+"""Longest pause between requests while the shop is away."""
 REFUSED_S = 90.0
-"""Between two trials of a token that the shop refuses: longer than a shop locks a cell out, and than it is away for."""
+"""Pause between two trials of a refused token: longer than a lockout of the shop, and than its absence."""
 NOT_NOW = frozenset({"starting", "held", "finished"})
-"""States of a daemon that asks for nothing more."""
+"""States of a daemon that needs no more parts."""
 FOLDER = "shop"
 
 
 class ShopLink:
-    """Of one cell; ``turn`` is one report, and what follows from it."""
+    """Link of one cell; ``turn`` sends one report and applies the answer."""
 
     def __init__(self, config: CellConfig, hooks: Hooks, section: ShopLinkSection) -> None:
         """ConfigError where there is no token."""
@@ -323,14 +320,14 @@ class ShopLink:
         self._folder = config.state_dir / FOLDER
         self._upto = 0
         self._open: list[str] = []
-        """Claims that the shop takes for this cell's."""
+        """Claims of this cell in the shop."""
         self._judged: set[str] = set()
-        """What was judged already, but for its name and part."""
+        """Jobs that were checked, without name and part."""
         self._seen: set[tuple[Any, ...]] = set()
-        """Offers that were looked at."""
+        """Offers that were considered."""
 
     def run(self, stop: threading.Event) -> None:
-        """Until that is set. ConfigError where another link serves this cell."""
+        """Run until ``stop`` is set. ConfigError where another link serves this cell."""
         with locked(self._folder):
             pause_s, away = 0.0, ""
             while not stop.wait(pause_s):
@@ -351,9 +348,9 @@ class ShopLink:
                     away = str(error)
 
     def turn(self) -> bool:
-        """Report, heed what the shop says, and ask it for a part where one is wanted; whether more is to be told.
+        """Report, apply the shop's answer, and request a part where one is needed; True where more must be reported.
 
-        LinkError where the shop is away, ConfigError where it refuses: nothing is lost by either.
+        LinkError where the shop is away, ConfigError where it refuses; neither loses anything.
         """
         status = self._status()
         if not (self._config.state_dir / JOURNAL_NAME).exists():
@@ -369,9 +366,9 @@ class ShopLink:
         return more or behind or self._wants(status)
 
     def _until_new_token(self, stop: threading.Event) -> float:
-        """Ask nothing until there is another token, or ``REFUSED_S`` are over; the pause before the next turn.
+        """Wait for another token, ``REFUSED_S`` at most; return the pause before the next turn.
 
-        The shop counts wrong tokens: with each one that a link brings, its address has fewer left.
+        The shop counts the wrong tokens of each address and locks it out.
         """
         end_s = time.monotonic() + REFUSED_S
         while not self._wire.has_new_token() and time.monotonic() < end_s:
@@ -379,27 +376,27 @@ class ShopLink:
                 break
         return 0.0
 
-    # what the shop says
+    # answers of the shop
 
     def _heed(self, answer: Mapping[str, Any], status: Mapping[str, Any]) -> None:
         word = {key: list(answer[key]) for key in ("stands", "back", "lost")}
         self._open = [*word["stands"], *word["back"]]
         if "waiting" in status:
-            self._daemon("shop_word", word)
+            self._daemon("shop_assignments", word)
             self._offer([one for one in answer["offers"] if tuple(one.values()) not in self._seen])
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
-        """What others have learned is told to the daemon where it is of use; each is looked at once."""
+        """Send the rates of other cells to the daemon where it needs them; consider each offer once."""
         if offers and (wanted := wanted_rates(self._config.state_dir, offers)):
-            self._daemon("shop_offer", {"offers": wanted})
+            self._daemon("shop_rates", {"offers": wanted})
         self._seen |= {tuple(one.values()) for one in offers}
 
     # parts
 
     def _wants(self, status: Mapping[str, Any]) -> bool:
-        """Ask for a part where fewer wait than should; whether one came, of which the shop is to be told at once."""
+        """Request a part where too few wait; True where one came, which must be reported at once."""
         waiting = status.get("waiting")
-        if waiting is None or waiting >= self._section.ahead or status.get("state") in NOT_NOW:
+        if waiting is None or waiting >= self._section.max_assigned or status.get("state") in NOT_NOW:
             return False
         request = self._asking() or self._asked_by(uuid.uuid4().hex)
         if has_claim(self._config.state_dir, request):  # it was added just before the link ended
@@ -423,15 +420,15 @@ class ShopLink:
         return True
 
     def _add(self, request: str, path: Path, content: str) -> None:
-        """Into the cell's own queue, and journal. LinkError where nobody knows whether it is there."""
+        """Add the part to the cell's queue and journal. LinkError where the result is unknown."""
         job = {"path": str(path), "content": content}
-        answer = self._daemon("job_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
+        answer = self._daemon("queue_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
         if not answer.get("ok"):
             known = answer.get("exit_code") == ConfigError.exit_code
             raise (ConfigError if known else LinkError)(str(answer.get("error")))
 
     def _written(self, request: str, part: Mapping[str, Any]) -> Path:
-        """The job's file, with those that it names, in a folder of its own."""
+        """Write the job's file, and the files that it names, into a new folder."""
         folder = make_folder_of(self._folder / "jobs" / request)
         for name, digest in part["files"].items():
             write_atomic(folder / Path(name).name, self._wire.fetch("/api/cell/file", {"sha256": digest}))
@@ -439,7 +436,7 @@ class ShopLink:
         write_atomic(path, str(part["content"]).encode())
         return path.absolute()
 
-    # what was asked, and not answered yet: durable before it is asked
+    # the open request: durable before it is sent
 
     def _asking(self) -> str:
         with suppress(FileNotFoundError):
@@ -460,7 +457,7 @@ class ShopLink:
             return self._daemon("status")
         except NoDaemon:
             return {}
-        except LinkError as error:  # what the journal says can be told all the same
+        except LinkError as error:  # the journal can still be reported
             return {"state": "does not answer", "reason": str(error)}
 
     def _daemon(self, verb: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -468,13 +465,13 @@ class ShopLink:
 
 
 def make_folder_of(path: Path) -> Path:
-    """The same, made."""
+    """Make the folder and return its path."""
     make_folder(path, mode=0o700)
     return path
 
 
 def _now(status: Mapping[str, Any]) -> dict[str, Any]:
-    """What people want to know of a cell."""
+    """State of a cell for people."""
     if not status:
         return {"state": "no daemon"}
     return {key: status.get(key) for key in ("state", "reason", "job", "part", "waiting", "next_job", "cycle")}

@@ -1,7 +1,7 @@
-"""The shop's queue: parts, and which cell has which. Each function is one step of a transaction.
+"""The shop's queue: parts and their cells. Each function is one step of a transaction.
 
-A claim never ends by itself: the cell ends it (the part is done, was put aside, or is given back), or a person does,
-who says that the cell is gone.
+A claim does not expire: the cell ends it (the part is done, set aside, or given back), or a person does, when the cell
+is gone.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from polishd.model.errors import ConfigError
 from polishd.shop.database import DatabaseTransaction
 
 WAITING, UNDER_WAY, REMOVED, UNKNOWN = "waiting", "under way", "removed", "unknown"
-"""What a cell says of a claim, beside the verdict on its part; unknown: its queue never had it."""
+"""States of a claim in a cell's report, besides the verdict on its part; unknown: its queue never had it."""
 DONE = frozenset({"accepted", "rejected"})
 REFUSED = "refused"
 
 
 @dataclass(frozen=True, slots=True)
 class NewPart:
-    """A job that was judged, as far as that can be done without a cell."""
+    """A job, checked as far as is possible without a cell."""
 
     job: str
     """``job.id``."""
@@ -38,12 +38,12 @@ class NewPart:
     content: str
     """Its file's text; names of files in it have no folders."""
     files: Mapping[str, bytes] = field(default_factory=dict)
-    """By those names."""
+    """Contents by name."""
 
 
 @dataclass(slots=True)
 class AssignmentAnswer:
-    """What a cell is told of its claims."""
+    """Answer to a cell about its claims."""
 
     stands: list[str] = field(default_factory=list)
     back: list[str] = field(default_factory=list)
@@ -51,15 +51,13 @@ class AssignmentAnswer:
 
 
 def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Sequence[Mapping[str, str]]) -> None:
-    """Put them at the end, all or none; ConfigError where a job or its part is there already.
+    """Append all parts or none; ConfigError where a job or its part exists.
 
-    ``digests``: of each part, SHA-256 of its files by name.
+    ``digests``: SHA-256 of each part's files, by name.
     """
     for part, digest in zip(parts, digests, strict=True):
         if (known := sql.row("SELECT state FROM part WHERE job = ?", part.job)) is not None:
-            raise ConfigError(
-                f"job.id: {part.job!r} is {known['state']} in this shop already; give it a name of its own"
-            )
+            raise ConfigError(f"job.id: {part.job!r} is {known['state']} in this shop already; choose another name")
         open_ = "SELECT job, state FROM part WHERE part_id = ? AND state NOT IN ('done', 'removed')"
         if (other := sql.row(open_, part.part_id)) is not None:
             raise ConfigError(
@@ -74,15 +72,15 @@ def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Se
 
 
 def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
-    """A part for a cell; the same one whenever it asks by that request. ``{"part": None}`` where there is none for it.
+    """Give a cell a part, the same one for the same request. ``{"part": None}`` where there is none for it.
 
-    ``over``: that request has had its part, and it was given back or ended: ask by another one.
+    ``over``: the part of this request was given back or ended; use another request.
     """
     found = sql.row("SELECT cell, part, state, back, ended FROM claim WHERE request = ?", request)
     if found is not None and found["cell"] != cell:
         raise ConfigError("that request is another cell's")
     if found is not None and found["ended"] is None and found["back"] and found["state"] == "given":
-        _free(sql, request, "given back", cell)  # whoever asks again has not taken it
+        _free(sql, request, "given back", cell)  # a cell that asks again has not taken it
         found = {**found, "ended": time.time()}
     if found is not None:
         return {"part": None, "over": True} if found["ended"] else _given(sql, request, found["part"])
@@ -100,7 +98,7 @@ def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
 
 
 def refuse(sql: DatabaseTransaction, cell: str, request: str, why: str) -> None:
-    """The cell cannot work it, and has not put it into its queue: it is for another one."""
+    """Free a part that the cell cannot work and has not put into its queue."""
     found = _open(sql, cell, request)
     if found is not None and found["state"] == "given":
         _free(sql, request, REFUSED, cell, why)
@@ -109,7 +107,7 @@ def refuse(sql: DatabaseTransaction, cell: str, request: str, why: str) -> None:
 def report(
     sql: DatabaseTransaction, cell: str, journal: str, claims: Mapping[str, Mapping[str, str]]
 ) -> AssignmentAnswer:
-    """What the cell's own queue says of its claims; what holds for each."""
+    """Apply the cell's report on its claims, and return the valid state of each."""
     word = AssignmentAnswer()
     for request, said in claims.items():
         found = _open(sql, cell, request)
@@ -126,9 +124,9 @@ def report(
 
 
 def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool) -> str:
-    """Another cell shall have it; what became of that, in words. ConfigError where there is nothing to release.
+    """Release a part for another cell, and describe the result. ConfigError where there is nothing to release.
 
-    A cell that may have begun it is asked first. ``gone``: a person says that the cell is gone, and has nothing of it.
+    A cell that may have begun the part must give it back first. ``gone``: a person states that the cell is gone.
     """
     part = _part(sql, job)
     if part["state"] == "waiting" and sql.run("DELETE FROM not_for WHERE part = ?", part["id"]):
@@ -145,9 +143,9 @@ def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool
     if gone:
         sql.word(by, "cell is gone", job, cell, why)
         _free(sql, found["request"], "gone", by, why)
-        return f"{job} waits again; {cell} may not begin it any more, and is told so when it comes back"
+        return f"{job} waits again; {cell} must not begin it any more and gets this answer when it reconnects"
     if part["state"] == "begun":
-        todo = "put it aside there (polishd hold, polishd job remove), or say that the cell is gone: --cell-is-gone"
+        todo = "put it aside there (polishd hold, polishd queue remove), or say that the cell is gone: --cell-is-gone"
         raise ConfigError(f"{job!r}: {cell} has begun it; {todo}")
     sql.run("UPDATE claim SET back = ? WHERE request = ?", by, found["request"])
     sql.word(by, "wanted back", job, cell, why)
@@ -155,15 +153,15 @@ def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool
 
 
 def remove(sql: DatabaseTransaction, job: str, by: str, why: str) -> None:
-    """Take one out that waits, or that was put aside. ConfigError where a cell has it."""
+    """Remove a part that waits or was set aside. ConfigError where a cell has it."""
     if _part(sql, job)["state"] not in {"waiting", "aside"}:
-        raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was put aside, can be taken out")
+        raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was set aside, can be taken out")
     sql.run("UPDATE part SET state = 'removed', reason = ?, ended = ? WHERE job = ?", why, time.time(), job)
     sql.word(by, "removed", job, "", why)
 
 
 def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str, str], journal: str) -> None:
-    """Of a claim that is open."""
+    """Apply the report on an open claim."""
     request, cell, state, reason = found["request"], found["cell"], said["state"], said.get("reason", "")
     if state == UNKNOWN:
         if found["back"] and found["state"] == "given":
@@ -187,7 +185,7 @@ def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str
 
 
 def _came_back(sql: DatabaseTransaction, cell: str, request: str, state: str) -> None:
-    """A claim that is over is still in its queue: it is said once, for whoever looks after it."""
+    """Report once that an ended claim is still in the cell's queue."""
     sql_job = (
         "SELECT part.job FROM claim JOIN part ON part.id = claim.part WHERE request = ? AND cell = ? AND how = 'gone'"
     )
@@ -198,13 +196,13 @@ def _came_back(sql: DatabaseTransaction, cell: str, request: str, state: str) ->
 
 
 def _free(sql: DatabaseTransaction, request: str, how: str, who: str, why: str = "") -> None:
-    """The claim is over, and its part waits for another cell."""
+    """End the claim; its part waits for another cell."""
     sql.run("UPDATE claim SET ended = ?, how = ? WHERE request = ?", time.time(), how, request)
     found = sql.row("SELECT part, cell, job FROM claim JOIN part ON part.id = claim.part WHERE request = ?", request)
     if found is None:
         raise ConfigError("there is no such claim")
     sql.run("UPDATE part SET state = 'waiting' WHERE id = ?", found["part"])
-    if how != REFUSED:  # of several that had it only the last one is left out, but for those that cannot work it
+    if how != REFUSED:  # exclude the last cell only, and all cells that cannot work it
         sql.run("DELETE FROM not_for WHERE part = ? AND why NOT LIKE ?", found["part"], f"{REFUSED}%")
     row = {"part": found["part"], "cell": found["cell"], "why": f"{how}: {why}" if why else how}
     sql.insert("INSERT OR REPLACE INTO not_for", row)
@@ -233,15 +231,15 @@ def _part(sql: DatabaseTransaction, job: str) -> dict[str, Any]:
     return found
 
 
-# A job's file as the shop keeps it: whole with the files that it names, so that a cell needs nothing else.
+# A job's file in the shop, with all files that it names, so that a cell needs nothing else.
 
 MOST_BYTES = 8 << 20
-"""Of a job's files together: a report or an answer stays small enough to be read at once."""
+"""Largest total size of a job's files, so that a report or an answer can be read at once."""
 FLAT = re.compile(r"[\w][\w.-]{0,199}", re.ASCII)
 
 
 def read_part(path: Path) -> NewPart:
-    """The job of a file, with its files. ConfigError where it is none, or where one of them cannot be read."""
+    """Read a job's file and the files that it names. ConfigError where one is invalid or cannot be read."""
     file = JobFile.read(path)
     fragment, _ = file.fragment()
     document = tomlkit.parse(file.text)
@@ -256,7 +254,7 @@ def read_part(path: Path) -> NewPart:
 
 
 def part_of(content: str, files: Mapping[str, bytes]) -> NewPart:
-    """The same of a program that brings both. ConfigError, also where it names a file that is not among them."""
+    """Build a part from a job's text and its files. ConfigError also where it names another file."""
     file = JobFile(Path("/") / "job.toml", content)
     fragment, source = file.fragment()
     wanted = {one for _, named in file.named(fragment) for one in (named if isinstance(named, list) else [named])}
@@ -273,7 +271,7 @@ def digests(part: NewPart) -> dict[str, str]:
 
 
 def _taken(files: dict[str, bytes], path: Path, where: str) -> str:
-    """Read it; its name beside the others, where two folders have one of the same."""
+    """Read a file and return its name, unique among the others."""
     try:
         content = path.read_bytes()
     except OSError as error:

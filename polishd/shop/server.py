@@ -1,4 +1,4 @@
-"""The shop's API: cells report and ask by their tokens, people and programs add parts, look, and release them."""
+"""The shop's API: cells report and request parts; people and programs add, list and release parts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import binascii
 import json
 import time
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import asdict
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -29,16 +30,16 @@ from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import HANDLERS, RateLimiter, RequestGuard, answered, hosts_of, refusal
 from polishd.web.http.users import Role, SessionStore, UserFile, address_of, forged
 
-# What a shop knows, for people and programs.
+# Views of a shop's data, for people and programs.
 
 UNHEARD_S = 60.0
-"""A cell that has said nothing for so long is told to be away."""
+"""Time without a report after which a cell counts as away."""
 
 
 def status_view(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any]:
-    """Its cells, what each does and for how long it has said nothing, and how many parts are where.
+    """Cells with their states and ages, and the number of parts in each state.
 
-    ``names``: of cells that have a token; one that has never reported has None in the place of ``heard_s``.
+    ``names``: of cells with a token; a cell that has never reported has ``heard_s`` None.
     """
     now_s = time.time()
     cells = [
@@ -59,7 +60,7 @@ def status_view(sql: DatabaseTransaction, names: Iterable[str]) -> dict[str, Any
 
 
 def parts_view(sql: DatabaseTransaction) -> dict[str, Any]:
-    """All parts in the order in which they came, and whose each is; then what was decided, and who wanted it."""
+    """All parts in order of arrival, with their cells."""
     rows = sql.rows(
         "SELECT part.job, part.part_id, part.state, part.added, part.by, part.verdict, part.reason, part.ended, "
         "claim.cell, claim.given, claim.back FROM part LEFT JOIN claim ON claim.part = part.id "
@@ -74,12 +75,12 @@ def parts_view(sql: DatabaseTransaction) -> dict[str, Any]:
 
 
 def words(sql: DatabaseTransaction, most: int = 1000) -> list[dict[str, Any]]:
-    """What the shop decided, and who wanted it, the last ones."""
+    """The last decisions of the shop, and their authors."""
     return sql.rows("SELECT * FROM (SELECT * FROM word ORDER BY id DESC LIMIT ?) ORDER BY id", most)
 
 
 def history(sql: DatabaseTransaction) -> dict[str, Any]:
-    """All jobs of all cells, in the order in which they began."""
+    """All jobs of all cells, in order of their start."""
     maps: dict[tuple[str, ...], list[float]] = {}
     for row in sql.rows("SELECT cell, journal, job, stats FROM map ORDER BY cell, journal, job, cycle"):
         maps.setdefault((row["cell"], row["journal"], row["job"]), []).append(json.loads(row["stats"]).get("rms_nm"))
@@ -95,7 +96,7 @@ def history(sql: DatabaseTransaction) -> dict[str, Any]:
 
 
 def lessons(sql: DatabaseTransaction) -> dict[str, Any]:
-    """What each cell has learned last of each recipe."""
+    """Latest rates of each cell and recipe."""
     return {"lessons": sql.rows("SELECT * FROM lesson ORDER BY recipe, at_s")}
 
 
@@ -104,24 +105,24 @@ def _count(sql: DatabaseTransaction, query: str, *values: Any) -> int:
 
 
 BODY_BYTES = 16 << 20
-"""Of a report, or of a job with its files."""
+"""Largest report, or job with its files."""
 
 Work = Callable[[DatabaseTransaction, str, dict[str, Any]], Any]
-"""One whole transaction: (it, who asks, what was sent) -> what is answered."""
+"""One transaction: (transaction, user, request) -> answer."""
 
 
 def cells_of(shop: ShopFile) -> UserFile:
-    """Names of its cells, and hashes of their tokens."""
+    """The cells' names and token hashes."""
     return UserFile(shop.state_dir / "shop-cells.json")
 
 
 def people_of(shop: ShopFile) -> UserFile:
-    """The same of its people and programs."""
+    """Names and token hashes of people and programs."""
     return UserFile(shop.state_dir / "shop-users.json" if shop.web.users is None else shop.resolve(shop.web.users))
 
 
 def application(shop: ShopFile, database: Database, certificate: Certificate | None = None) -> RequestGuard:
-    """Of that shop; ``certificate``: the one by which it is served."""
+    """Application of a shop; ``certificate``: the one of its server."""
     cells, people, rate = SessionStore(cells_of(shop)), SessionStore(people_of(shop)), RateLimiter()
 
     def of_cell(path: str, work: Work) -> Route:
@@ -152,9 +153,9 @@ def application(shop: ShopFile, database: Database, certificate: Certificate | N
 
 
 def serve(shop: ShopFile) -> None:
-    """Until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer and nobody has a token."""
+    """Serve until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without any token."""
     if not shop.web.loopback and not (people_of(shop) or cells_of(shop)):
-        raise shop.error("web.address", "is beyond this computer, and nobody has a token; make one: polishd shop serve "
+        raise shop.error("web.address", "is beyond this computer, and there is no token; make one: polishd shop serve "
                          "SHOP.toml --add-cell NAME")  # fmt: skip
     certificate = Certificate.of(shop, shop.web)
     with Database.open(shop.state_dir) as database:
@@ -199,8 +200,7 @@ def _report(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
         word = shop_parts.report(sql, cell, report.journal, report.claims)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise ConfigError(f"that is no report of a cell: {type(error).__name__}; are both of one polishd?") from error
-    told = {"stands": word.stands, "back": word.back, "lost": word.lost}
-    return {"upto": upto, **told, "offers": feed.offers(sql, cell)}
+    return {"upto": upto, **asdict(word), "offers": feed.offers(sql, cell)}
 
 
 def _refuse(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
@@ -242,7 +242,7 @@ def _remove(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
 
 def _json(body: bytes) -> dict[str, Any]:
     found = json_object(body)
-    if b"\\u" in body:  # without such an escape there is nothing but Unicode in it
+    if b"\\u" in body:  # without such an escape the text is valid Unicode
         require_unicode(json.dumps(found, ensure_ascii=False), "the body")
     return found
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from polishd.config.simulator import SimConfig, load_simulator
 from polishd.model.errors import PolishdError
 from polishd.sim_backends.common.hidden_truth import stream
+from polishd.sim_backends.common.registry import find_device
 from polishd.sim_backends.common.runtime import (
     ROOT,
     Start,
@@ -28,6 +28,7 @@ from polishd.sim_backends.common.runtime import (
 # Starts the cell's processes, names them, and ends them. Restarts none: what died stays dead until it is booted.
 
 DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader", "force_sensor", "monitor")
+"""Sections of SIM.toml that are a process each, in the order in which they start."""
 READY_S = 30.0
 END_S = 5.0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -146,10 +147,6 @@ async def _line(child: asyncio.subprocess.Process) -> bytes:
     return await child.stdout.readline() if child.stdout is not None else b""
 
 
-CAN = ("slcan", "socketcand")
-"""Kinds of an actuator behind a drive."""
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     parse = argparse.ArgumentParser(prog="polishd sim", description="The simulated polishing cell.")
@@ -210,28 +207,14 @@ async def _run(start: Start, device: str | None) -> int:
 
         await plant(start)
         return 0
-    await run_device(device, start, _device(device, start.config))
+    await run_device(device, start, find_device(start.config, device).main)
     return 0
-
-
-def _device(name: str, config: SimConfig) -> Any:
-    """A device's coroutine, loaded late: a drive needs no scipy."""
-    from importlib import import_module
-
-    robot = {"link": "robot", "opcua": "plc_robot", "ads": "plc_robot", "modbus": "plc_robot"}
-    module, main = {
-        "robot": (f"{robot.get(config.robot.kind, config.robot.kind)}.device", "main"),
-        "interferometer": ("interferometer", "main"),
-        "spindle": ("cia402.device", "spindle") if config.spindle.drive == "cia402" else ("spindle", "main"),
-        "actuator": ("cia402.device", "actuator") if config.actuator.kind in CAN else ("actuator", "main"),
-    }.get(name, (name, "main"))
-    return getattr(import_module(f"polishd.sim_backends.{module}"), main)
 
 
 def _artefact(options: argparse.Namespace) -> int:
     from polishd.sim_backends.interferometer import write_artefact
 
-    config = load_simulator(options.config)
+    config = read_config(options.config)
     seed = config.plant.seed if options.seed is None else options.seed
     write_artefact(config, options.artefact, stream(seed, "artefact"))
     return 0

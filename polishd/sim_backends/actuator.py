@@ -7,12 +7,14 @@ import signal
 import time
 from collections.abc import Callable
 
+from polishd.config.simulator import SimActuatorSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
 from polishd.sim_backends.common.framing import AsciiSlave, CoilRegisters, RtuSlave, TcpSlave
 from polishd.sim_backends.common.hidden_truth import stream
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
-from polishd.sim_backends.common.voice_coil import CoilDynamics, VoiceCoil
+from polishd.sim_backends.common.voice_coil import COIL_FAULTS, CoilDynamics, VoiceCoil
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 from polishd.sim_backends.profile_device.device import Slave, by_profile
 from polishd.sim_backends.profile_device.machine import ForceDrive
@@ -32,7 +34,7 @@ async def main(runtime: SimRuntime) -> None:
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=time.monotonic(),
-        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
+        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.stick_share, config.resting_force_n),
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -87,10 +89,10 @@ def _sheet(runtime: SimRuntime) -> SimDeviceProfile:
 
 
 def _drive(runtime: SimRuntime, coil: VoiceCoil) -> ForceDrive:
-    orders = _sheet(runtime).raw["orders"]
+    orders = _sheet(runtime).raw["commands"]
     identity = {"vendor": VENDOR, "model": MODEL, "serial": SERIAL, "firmware": FIRMWARE}
     identity["boot"] = str(runtime.boot_count)
-    return ForceDrive(coil, identity, engages="engage" in orders, beats="beat" in orders)
+    return ForceDrive(coil, identity, engages="engage" in orders, beats="heartbeat" in orders)
 
 
 async def _tick(runtime: SimRuntime, coil: VoiceCoil) -> None:
@@ -103,3 +105,21 @@ async def _tick(runtime: SimRuntime, coil: VoiceCoil) -> None:
             coil.samples = []
             marked = now
         await asyncio.sleep(TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="actuator",
+        device="actuator",
+        section=SimActuatorSection,
+        links={
+            "modbus_rtu": {"": "modbus_rtu"},
+            "modbus_tcp": {"": "modbus_tcp"},
+            "serial": {"": "numbered lines"},
+            "profile": {"": "profile"},
+            "profile_tcp": {"": "profile_tcp"},
+        },
+        main=main,
+        faults=COIL_FAULTS,
+    )
+]

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from polishd.config.simulator import SimConfig
-from polishd.model.errors import BatchRequestError, FrameError, PolishdError
+from polishd.model.errors import BatchRequestError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.interferometer import add_instrument_errors, add_mount_errors
 from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.world import World
-from polishd.util import array_stream
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction, serve
 
 # One part under one tool, polished a whole pass at a time: the wire cell's world, fed with blocks.
 
@@ -139,54 +140,45 @@ def _executed(acted: list[FloatArray], blocks: int) -> dict[str, FloatArray]:
     return {"contact_s": np.asarray(contact, np.float64), "force_n": force / some, "rpm": rpm / some}
 
 
-Answer = tuple[dict[str, Any], dict[str, FloatArray]]
+def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
+    """Return what a worker states when it is ready, and its answers."""
+    return {}, BatchServer().answer
 
 
-def serve(requests: BinaryIO, answers: BinaryIO) -> int:
-    """Answer all of them; the process's exit code."""
-    current: BatchPlant | None = None
-    while True:
-        try:
-            request = array_stream.read(requests)
-        except FrameError as error:
-            array_stream.write(answers, {"error": str(error)})
-            return 1
-        if request is None:
-            return 0
-        message, arrays = request
-        try:
-            if message.get("do") == "new":
-                current = of(_section(message, "config"), _whole(message, "seed"))
-                answer: Answer = {"done": "new"}, {}
-            else:
-                answer = _answer(current, message, arrays)
-            array_stream.write(answers, *answer)
-        except ValidationError as error:
-            array_stream.write(
-                answers, {"error": "; ".join(f"{_key(one['loc'])}: {one['msg']}" for one in error.errors())}
-            )
-        except PolishdError as error:
-            array_stream.write(answers, {"error": str(error)})
+class BatchServer:
+    """Answers of the plant that was requested last."""
 
+    def __init__(self) -> None:
+        """Without a plant."""
+        self._plant: BatchPlant | None = None
 
-def _answer(current: BatchPlant | None, message: dict[str, Any], arrays: dict[str, FloatArray]) -> Answer:
-    verb = message.get("do")
-    if verb not in {"polish", "measure", "truth"}:
-        raise BatchRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
-    if current is None:
-        raise BatchRequestError(f"do: {verb} before there is a plant; send new first")
-    if verb == "polish":
-        executed = current.polish(arrays)
-        return {"done": verb, "now_s": current.now_s}, executed
-    if verb == "truth":
-        told, figure = current.truth()
-        return {"done": verb, **told}, figure
-    wait_s, turn = _number(message, "wait_s"), _number(message, "rotation_deg")
-    if wait_s < 0.0:
-        raise BatchRequestError(f"wait_s: {wait_s:g} is negative")
-    shift = (_whole(message, "shift_columns") or 0, _whole(message, "shift_rows") or 0)
-    height = current.measure(wait_s, turn, shift)
-    return {"done": verb, "now_s": current.now_s, "pitch_mm": current.world.part.grid.pitch_mm}, {"height_nm": height}
+    def answer(self, message: dict[str, Any], arrays: dict[str, FloatArray]) -> Message:
+        """Return the answer to one request. BatchRequestError where it cannot be served; nothing was done then."""
+        verb = message.get("do")
+        if verb not in {"new", "polish", "measure", "truth"}:
+            raise BatchRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
+        if verb == "new":
+            try:
+                self._plant = of(_section(message, "config"), _whole(message, "seed"))
+            except ValidationError as error:
+                wrong = [f"{'.'.join(['config', *map(str, one['loc'])])}: {one['msg']}" for one in error.errors()]
+                raise BatchRequestError("; ".join(wrong)) from error
+            return {"done": verb}, {}
+        if self._plant is None:
+            raise BatchRequestError(f"do: {verb} before there is a plant; send new first")
+        if verb == "polish":
+            executed = self._plant.polish(arrays)
+            return {"done": verb, "now_s": self._plant.now_s}, executed
+        if verb == "truth":
+            truth, figure = self._plant.truth()
+            return {"done": verb, **truth}, figure
+        wait_s, turn = _number(message, "wait_s"), _number(message, "rotation_deg")
+        if wait_s < 0.0:
+            raise BatchRequestError(f"wait_s: {wait_s:g} is negative")
+        shift = (_whole(message, "shift_columns") or 0, _whole(message, "shift_rows") or 0)
+        height = self._plant.measure(wait_s, turn, shift)
+        state = {"now_s": self._plant.now_s, "pitch_mm": self._plant.world.part.grid.pitch_mm}
+        return {"done": verb, **state}, {"height_nm": height}
 
 
 def _section(message: dict[str, Any], name: str) -> dict[str, Any]:
@@ -210,9 +202,5 @@ def _whole(message: dict[str, Any], name: str) -> int | None:
     return value
 
 
-def _key(place: tuple[int | str, ...]) -> str:
-    return ".".join(["config", *map(str, place)])
-
-
 if __name__ == "__main__":
-    sys.exit(serve(sys.stdin.buffer, sys.stdout.buffer))
+    sys.exit(serve(BatchServer().answer, sys.stdin.buffer, sys.stdout.buffer))

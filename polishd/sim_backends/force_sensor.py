@@ -13,6 +13,7 @@ from polishd.config.simulator import FaultSection, SimForceSensorSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.numbered_lines import Answer, serve
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 
 # The load cell and its amplifier. Pure of I/O; wall times are handed in.
@@ -154,3 +155,15 @@ async def main(runtime: SimRuntime) -> None:
     runtime.link.on_message = on_message
     runtime.script.suffer = cell.suffer
     await serve(runtime, config, cell, answering(cell, runtime.boot_count), TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="force_sensor",
+        device="force_sensor",
+        section=SimForceSensorSection,
+        links={"tcp": {"": "numbered lines"}, "serial": {"": "numbered lines"}},
+        main=main,
+        faults=("freeze", "drift", "saturate", "halt", "spike", "lie"),
+    )
+]

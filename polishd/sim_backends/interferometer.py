@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from polishd.config.simulator import InstrumentErrors, MapFaults, SimConfig
+from polishd.config.simulator import InstrumentErrors, MapFaults, SimConfig, SimInterferometerSection
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends.common import metropro
 from polishd.sim_backends.common.hidden_truth import stream
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime, replace_file
 
 # What an interferometer makes of true heights: what its reference, its imaging and its mount add. Pure of I/O.
@@ -247,3 +248,10 @@ async def main(runtime: SimRuntime) -> None:
     runtime.link.on_message = on_message
     runtime.ready(str(folder))
     await instrument.run()
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="interferometer", device="interferometer", section=SimInterferometerSection, links={"": {}}, main=main
+    )
+]

@@ -11,6 +11,7 @@ from urllib.parse import quote, unquote
 
 from polishd.config.simulator import LoaderFaults, SimLoaderSection
 from polishd.sim_backends.common.numbered_lines import Answer, serve
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 
 # The loader's behaviour, whatever it is asked in. Pure of I/O; wall times are handed in.
@@ -123,13 +124,13 @@ class LoaderArm:
             self.fault = kind
             self.report("loader_fault", self.now_s, fault=kind, part=order)
             return
-        brought = ANOTHER if order in {*self.faults.wrong, *self.faults.mistaken} else order
-        self.seat, self.says = brought, order if order in self.faults.mistaken else ""
+        brought = ANOTHER if order in {*self.faults.wrong, *self.faults.wrong_part_unnoticed} else order
+        self.seat, self.says = brought, order if order in self.faults.wrong_part_unnoticed else ""
         self.seated(self.seat)
         self.report("loader_clear", self.now_s, seat=self.seat)
 
     def _mischief(self, order: str) -> int:
-        kind = DROPPED if order in self.faults.drops else JAMMED if order in self.faults.jams else 0
+        kind = DROPPED if order in self.faults.dropped else JAMMED if order in self.faults.jammed else 0
         if order in self._struck:
             return 0
         self._struck |= {order} if kind else set()
@@ -186,3 +187,14 @@ async def main(runtime: SimRuntime) -> None:
     runtime.on_again.append(lambda: setattr(arm, "faults", (runtime.start.config.loader or config).faults))
     runtime.button(signal.SIGUSR1, arm.reset)
     await serve(runtime, config, arm, answering(arm, runtime.boot_count), TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="loader",
+        device="loader",
+        section=SimLoaderSection,
+        links={"tcp": {"": "numbered lines"}, "serial": {"": "numbered lines"}},
+        main=main,
+    )
+]

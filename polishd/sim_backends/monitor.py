@@ -13,6 +13,7 @@ from polishd.config.simulator import SEVEN, SimMonitorSection, SimSignal
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.numbered_lines import Answer, serve
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 
 # The inputs' behaviour. Pure of I/O; wall times are handed in.
@@ -36,7 +37,7 @@ class Inputs:
     def press(self) -> None:
         """Somebody makes all happen now."""
         for name, simulated in self.signals.items():
-            if simulated.then is not None and name not in self._changed_s:
+            if simulated.changes_to is not None and name not in self._changed_s:
                 self._change(name)
 
     def step(self, now_s: float) -> None:
@@ -51,8 +52,8 @@ class Inputs:
         """As the wire has it: a number, ``ON`` or ``OFF``, or ``?`` where its transducer is broken."""
         signal = self.signals[name]
         changed_s = self._changed_s.get(name)
-        lasts = changed_s is not None and (signal.for_s == 0.0 or self.now_s - changed_s < signal.for_s)
-        value = signal.then if lasts else signal.value
+        lasts = changed_s is not None and (signal.duration_s == 0.0 or self.now_s - changed_s < signal.duration_s)
+        value = signal.changes_to if lasts else signal.value
         if value is None or value == "?":
             return "?"
         if isinstance(value, bool):
@@ -61,7 +62,7 @@ class Inputs:
 
     def _change(self, name: str) -> None:
         self._changed_s[name] = self.now_s
-        self.report("signal_changes", self.now_s, signal=name, to=self.signals[name].then)
+        self.report("signal_changes", self.now_s, signal=name, to=self.signals[name].changes_to)
 
 
 # The monitor's process (docs/protocols/monitor.md).
@@ -101,3 +102,14 @@ async def main(runtime: SimRuntime) -> None:
     runtime.link.on_message = on_message
     runtime.button(signal.SIGUSR1, inputs.press)
     await serve(runtime, config, inputs, answering(inputs, runtime.boot_count), TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="monitor",
+        device="monitor",
+        section=SimMonitorSection,
+        links={"tcp": {"": "numbered lines"}, "serial": {"": "numbered lines"}},
+        main=main,
+    )
+]

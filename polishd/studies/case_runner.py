@@ -117,7 +117,7 @@ def run_of(row: dict[str, Any]) -> ClosedLoopResult:
 def _computed(study: Study) -> Iterator[dict[str, Any]]:
     """Figures alone: maps and profiles are computed again where they are wanted."""
     if isinstance(study, CorrectionsStudy):
-        solve = study.solve.model_copy(update={"within_s": UNHURRIED_S})
+        solve = study.solve.model_copy(update={"cpu_limit_s": UNHURRIED_S})
         unhurried = study.model_copy(update={"solve": solve})
         yield from (facts_of(row) for row in compare_corrections(unhurried, read, _silent).rows)
     elif isinstance(study, PassesStudy):

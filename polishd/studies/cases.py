@@ -80,7 +80,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 # The cases of a study: every point of its sweep with each scenario, loop and seed, all of them checked.
 
-UNHURRIED = {"dwell.within_s": 3600.0, "dwell.cross_check": ""}
+UNHURRIED = {"dwell.cpu_limit_s": 3600.0, "dwell.cross_check": ""}
 """What loops of a study have otherwise than any cell: iterations end a solve, not the clock, or a busy machine would
 give other figures; and no second opinion, unless a loop asks for one."""
 
@@ -183,7 +183,7 @@ def _at(making: CaseFactory, study: Study, number: int, point: Point, first: int
         making.check_plant(study, scenario)
     for seed in range(study.first_seed, study.first_seed + study.seeds):
         for scenario in scenarios:
-            for loop in study.loops:
+            for loop in study.controllers:
                 yield Case(first, number, point, scenario, loop, seed, making.of(study, scenario, loop, seed))
                 first += 1
 
@@ -194,8 +194,8 @@ def _of_loop(error: ConfigError, study: LoopStudy, loop: str) -> ConfigError:
     for line in str(error).splitlines():
         _, found, rest = line.partition(" (override): ")
         key, _, problem = rest.partition(": ")
-        root = ("loops", loop) if key in study.loops[loop] else ("cell_with",)
-        own = found and (key in study.loops[loop] or key in study.cell_with)
+        root = ("controllers", loop) if key in study.controllers[loop] else ("cell_with",)
+        own = found and (key in study.controllers[loop] or key in study.cell_with)
         lines.append(study.source.error((*root, key), problem) if own else line)
     return ConfigError("\n".join(lines))
 

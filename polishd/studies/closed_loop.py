@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,14 +22,13 @@ from polishd.model.process import MeasuredTif
 from polishd.model.program import Plan, Program
 from polishd.model.states import Outcome
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.model.tolerance import holds
+from polishd.model.tolerance import part_holds
 from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.acceptance import forecast_of
 from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.decisions import (
     Accept,
     AnotherPass,
-    Decision,
     Diverge,
     PassesUsed,
     Stalled,
@@ -47,9 +46,8 @@ from polishd.process.identification import residual_diagnosis
 from polishd.process.identification.experiment_design import WANTED
 from polishd.process.identification.findings import extend_series, findings
 from polishd.process.metrology.absolute_poses import PartPose
-from polishd.process.metrology.absolute_test import separate
-from polishd.process.metrology.instrument import as_profiled
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap, separate_instrument
+from polishd.process.metrology.instrument import apply_profile
 from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.measured_tif import tif_from_maps, volume_mm3_min
@@ -68,7 +66,7 @@ def with_absolute_test(recipe: Recipe, plant: PlantProcess, poses: Poses) -> Rec
     lay = [PartPose(*pose) for pose in poses]
     maps = [_measured(recipe, plant, pose) for pose in lay]
     pitch_mm = maps[0].grid.pitch_mm
-    found = separate([one.height_nm for one in maps], lay, pitch_mm)
+    found = separate_instrument([one.height_nm for one in maps], lay, pitch_mm)
     instrument = maps[0].with_height(found.instrument_nm)
     return replace(recipe, system=SystemMap(instrument, AbsoluteTestResult.of(found)))
 
@@ -77,7 +75,7 @@ def with_certified_map(recipe: Recipe) -> Recipe:
     """By which the true part is judged: without an instrument, and without what the certificate says it leaves out."""
     without = recipe.accept == "bound_without_power"
     part = recipe.part.model_copy(update={"alignment": "power"}) if without else recipe.part
-    job = recipe.job.model_copy(update={"accept": "figure"})
+    job = recipe.job.model_copy(update={"accept_by": "figure"})
     return replace(recipe, part=part, job=job, instrument=None, system=None)
 
 
@@ -87,7 +85,7 @@ def _measured(recipe: Recipe, plant: PlantProcess, pose: PartPose) -> SurfaceMap
     if any(abs(one - round(one)) > WHOLE for one in shift):
         raise ComputeError(f"the pose {pose}: a simulated part is shifted by whole samples of {pitch_mm:g} mm")
     height, _ = plant.measure(angle_deg=pose.angle_deg, shift_px=(round(shift[0]), round(shift[1])))
-    return as_profiled(SurfaceMap(height, pitch_mm), recipe.instrument)
+    return apply_profile(SurfaceMap(height, pitch_mm), recipe.instrument)
 
 
 # A spot on a witness part: what a shop measures of its tool before it polishes the first part.
@@ -123,9 +121,9 @@ def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measur
     middle = int(np.argmin(np.hypot(*steps.in_part_frame(recipe, program).end_mm[:, :2].T)))
     point = _at_rest(program, middle)
     seconds = np.array([DEPTH_NM / float(_modelled_nm_s(recipe, point).max())])
-    before = as_profiled(measure(), recipe.instrument)
+    before = apply_profile(measure(), recipe.instrument)
     plant.polish(point, seconds, recipe.process.force_n, recipe.process.rpm)
-    after = as_profiled(measure(), recipe.instrument)
+    after = apply_profile(measure(), recipe.instrument)
     azimuth_deg = float(np.degrees(lean_azimuth_rad(steps.executed_surface(recipe, point))[0]))
     whole = _with_data(before, after)
     seen = (before.height_nm[whole], after.height_nm[whole])
@@ -161,7 +159,7 @@ TOOL = "tool"
 """... or a finding of the tool."""
 ERROR = "error"
 TOUCH_S = 1200.0
-"""Most contact of a first touch, as of `polishd calibrate cell`."""
+"""Most contact of a first touch, as of `polishd calibrate first-touch`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,7 +355,8 @@ class _Job:
                     series = extend_series(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
                     account.name(one.kind for one in found)
-            match decision_of(recipe, surface, account.rms_nm, found, self.passes):
+            passes_left = self.passes - (len(account.rms_nm) - 1)
+            match decide(recipe, account.rms_nm[:-1], surface, found, passes_left):
                 case ToolWorn(why):
                     return _Ended(TOOL, why)
                 case Accept() | Diverge() | Stalled() | PassesUsed() as decision:
@@ -412,7 +411,7 @@ class _Job:
             seen += moves
             if not residual_diagnosis.is_settling(moves, last):
                 break
-        return surface, residual_diagnosis.persistent(seen), steps.harmful_changes(self.recipe, moves)
+        return surface, residual_diagnosis.largest_of_each_cause(seen), steps.harmful_changes(self.recipe, moves)
 
     def _measured(self, before: MeasureResult | None, wait_s: float = 0.0) -> MeasureResult:
         """The part as the instrument gives it so long after now, and on the account what it truly is."""
@@ -424,7 +423,7 @@ class _Job:
         truly = steps.condition(with_certified_map(recipe), true, surface.masks)
         account.rms_nm.append(surface.figure_nm)
         account.true_rms_nm.append(truly.figure_nm)
-        account.true_fits = holds(truly.judged)
+        account.true_fits = part_holds(truly.judged)
         return surface
 
     def _map(self, height_nm: FloatArray, pitch_mm: float, number: int) -> SurfaceMap:
@@ -479,16 +478,6 @@ def _remembering(recipe: Recipe) -> Recipe:
         return last[0][1]
 
     return replace(recipe, model=replace(model, effect=effect))
-
-
-def decision_of(
-    recipe: Recipe, surface: MeasureResult, rms_nm: Sequence[float], found: Sequence[Finding], passes: int
-) -> Decision:
-    """Decide what follows a measurement, as the daemon's job does.
-
-    ``rms_nm``: of all measurements, this one the last; ``passes``: that the job may make.
-    """
-    return decide(recipe, rms_nm[:-1], surface, found, passes + 1 - len(rms_nm))
 
 
 def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:

@@ -77,7 +77,7 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
     """Solve each correction once, and let both plants remove with its dwell. ConfigError for what cannot be."""
     tell("compliance along the path")
     scene, start = make_scene(study), start_surface(study, read)
-    target = removal_wanted(start, study.solve.unreached)
+    target = removal_wanted(start, study.solve.unreachable)
     notes = [*scene.notes, f"mean removal asked for: {target[start.metric_mask].mean():.2f} nm"]
     spots = believed_spots(scene, study.process.depth_exponent)
     dwell, wall = {}, {}
@@ -87,7 +87,7 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
         effect = solver_model(scene, correction, spot)
         with study.blame("solve"):
             solution = newton_cg.solve(
-                dwell_problem(study, effect, start, target), study.solve.within_s, study.solve.kkt_tolerance
+                dwell_problem(study, effect, start, target), study.solve.cpu_limit_s, study.solve.kkt_tolerance
             )
         dwell[correction] = solution.time_s if spot.divide_by is None else solution.time_s / spot.divide_by
         wall[correction] = time.perf_counter() - begin
@@ -126,9 +126,9 @@ def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
     return scene.effect(spot)
 
 
-def removal_wanted(start: ConditionedMap, unreached: float) -> FloatArray:
+def removal_wanted(start: ConditionedMap, unreachable: float) -> FloatArray:
     """(ny, nx) nm: the surface, raised so far that nothing needs to be added; 0 outside the aperture."""
-    piston = choose_piston_nm(start.height_nm, start.solve_mask, np.zeros(start.grid.shape), unreached)
+    piston = choose_piston_nm(start.height_nm, start.solve_mask, np.zeros(start.grid.shape), unreachable)
     return np.where(start.solve_mask, start.height_nm + piston, 0.0)
 
 

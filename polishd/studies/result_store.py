@@ -10,7 +10,7 @@ from typing import Any
 from polishd.model.errors import ConfigError
 from polishd.studies.cases import Case, versions
 from polishd.studies.engine import FinishedCase
-from polishd.util.files import require_writable, unwritable, whole_file, write_atomic
+from polishd.util.files import require_writable, unwritable_message, whole_file, write_atomic
 
 JOURNAL = "cases.jsonl"
 TABLE = "cases.parquet"
@@ -55,7 +55,7 @@ class ResultStore:
                 with path.open("a", encoding="utf-8") as file:
                     file.write(json.dumps({"of": done.case.of, "rows": rows}) + "\n")
             except OSError as error:
-                raise unwritable(path, error) from error
+                raise unwritable_message(path, error) from error
         return rows
 
     def merge(self, cases: Iterable[Case], study: str) -> None:
@@ -69,7 +69,7 @@ class ResultStore:
             _write(self._folder / TABLE, rows, study)
             (self._folder / JOURNAL).unlink(missing_ok=True)
         except OSError as error:
-            raise unwritable(self._folder / TABLE, error) from error
+            raise unwritable_message(self._folder / TABLE, error) from error
 
     def table(self, case: Case) -> Rows:
         """Rows as the table has them: number and parameters are the study's of now."""

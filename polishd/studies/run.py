@@ -51,8 +51,8 @@ def run_cases(swept: SweepStudy, options: StudyOptions) -> StudyRows:
     cases = of_study[: options.limit]
     first = swept.at(swept.points[0])
     if isinstance(first, LoopStudy):
-        for name in first.loops:  # its program and its plugins, too
-            with first.blame(f"loops.{name}"):
+        for name in first.controllers:  # its program and its plugins, too
+            with first.blame(f"controllers.{name}"):
                 closed_loop(first, name)
     make_folder(options.out)  # what is refused leaves none
     kept = ResultStore(options.out)

@@ -13,9 +13,9 @@ from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrology.conditioning import MARGIN_MM, MIN_SAMPLES, ConditionedMap, condition, process_grid
 from polishd.process.metrology.resampling import Registration
-from polishd.process.metrology.statistics import fitted
-from polishd.process.metrology.tolerance import less_nominal
-from polishd.process.removal.contact import hertz_depth_mm, on_curved
+from polishd.process.metrology.statistics import fit_terms
+from polishd.process.metrology.tolerance import subtract_nominal
+from polishd.process.removal.contact import contact_on_curved_part, hertz_depth_mm
 from polishd.process.removal.dynamic_tif import CorrectedSpot, tif_at_point
 from polishd.process.removal.effect import SparseEffect
 from polishd.process.removal.path_tif import SpotPath, levelled_axes
@@ -43,9 +43,9 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
         return drawn_surface(study, wanted.rms_nm, wanted.period_mm)
     with study.blame("surface.file"):
         surface = read(study.resolve(wanted.file or ""))
-        if part.nominal is not None:
-            with study.blame("part.nominal"):
-                surface = less_nominal(surface, read(study.resolve(part.nominal)), Registration())
+        if part.form is not None:
+            with study.blame("part.form"):
+                surface = subtract_nominal(surface, read(study.resolve(part.form)), Registration())
         return condition(
             surface,
             outline=study.outline(),
@@ -65,7 +65,7 @@ def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float
         samples = f"{np.count_nonzero(metric)} samples of process.grid_mm = {grid.pitch_mm:g}"
         raise study.error("part", f"the clear aperture has {samples}; at least {MIN_SAMPLES} are needed")
     height = random_waves(grid, period_mm, study.surface.seed)
-    height -= fitted(height, metric, part.alignment)
+    height -= fit_terms(height, metric, part.alignment)
     height *= rms_nm / height[metric].std()
     return ConditionedMap(grid, np.where(solve, height, np.nan), solve, metric)
 
@@ -125,7 +125,7 @@ def make_scene(study: PartStudy) -> Scene:
         found = path_compliance(program, process, robot, placement, options=options, optic=optic)
     with study.blame("process"):
         depth = hertz_depth_mm(process)
-        curved = on_curved(process, optic, points)
+        curved = contact_on_curved_part(process, optic, points)
     with study.blame("kinematics"):
         gamma = depth_ratio(found.compliance_mm_per_n, process, depth if curved is None else depth * curved.deeper)
     words = f"gamma {gamma.min():.4f} to {gamma.max():.4f}, mean {gamma.mean():.4f}, at {len(gamma)} dwell points"

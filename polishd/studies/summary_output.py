@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from polishd.rendering.map_plots import color_bar
 from polishd.rendering.plots import BLUE, DIVERGING, NO_DATA, ORANGE, figure, ruled
 from polishd.rendering.terminal import figure_table
 from polishd.studies.case_runner import LoopRows
@@ -145,7 +146,7 @@ def _heat(summary: Summary) -> Figure:
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value):
             ax.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=7)
-    page.colorbar(image, ax=[ax], shrink=0.8)
+    color_bar([image], "")
     return page
 
 

@@ -1,50 +1,48 @@
-"""Killable processes that work cases: one a thread of whoever runs tasks, here or on a worker of a cluster."""
+"""Worker processes that compute the cases of a study: one for each thread that runs tasks, here or on a cluster.
+
+Both ends are in this file: ``StudyWorkerPool`` here, ``start_worker`` in the worker. A case that hangs or kills its
+worker affects no other case.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import select
-import signal
-import subprocess
-import sys
-import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import IO, Any, cast
+from pathlib import Path
+from typing import Any
 
-from polishd.model.errors import ConfigError
-from polishd.studies.cases import Case
-from polishd.util.secret_files import environment_without_secrets
+from polishd.model.errors import ComputeError, ConfigError, PolishdError, WorkerError
+from polishd.plugins.rnc_robot.gcode import jit
+from polishd.studies.case_runner import CaseRunner
+from polishd.studies.cases import Case, versions
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
+from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
-COMMAND = (sys.executable, "-m", "polishd.studies.worker_process")
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""Of each: as many processes as cores, and sums in one order, wherever it runs."""
-READY_S = 300.0
-"""In which it has begun: a file server may be slow."""
-SAID = 500
-"""Of what it printed as it died, so many characters are told."""
+TARGET = "polishd.studies.workers:start_worker"
+ENVIRONMENT = {"PYTHONHASHSEED": "0"}
+"""With one thread each: as many workers as cores, and sums in one order, on any computer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Some cases of a study, as they go over the wire."""
+    """Some cases of a study, as they are sent to where they run."""
 
     study: str
     run: str
     """Another for each run of the study: files are read again."""
     versions: Mapping[str, str]
     within_s: float
-    """Wall time of a case, after which its process is killed."""
+    """Wall time of a case, after which its worker is killed."""
     cases: tuple[Case, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """What came of a case: its rows, or why there are none."""
+    """The rows of a case, or why there are none."""
 
     number: int
     rows: tuple[dict[str, Any], ...] = ()
@@ -53,130 +51,99 @@ class CaseResult:
     cpu_s: float = 0.0
 
 
-class StudyWorker:
-    """One process, which works one case after the other."""
-
-    def __init__(self, versions: Mapping[str, str]) -> None:
-        """Start it. ConfigError where it does not begin, or has other versions."""
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
-        self._process = subprocess.Popen(
-            COMMAND,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._said,
-            env=environment_without_secrets({**ONE_THREAD, "PYTHONHASHSEED": "0"}),
-            start_new_session=True,  # its plant is killed with it, and Ctrl-C is its owner's
-        )
-        self._rest = b""
-        told = self._line(time.monotonic() + READY_S)
-        if told is None:
-            words = self.end()
-            raise ConfigError(f"a worker of the study does not start: {words}; try {' '.join(COMMAND[1:])}")
-        other = {name: (told["ready"].get(name), wanted) for name, wanted in versions.items()}
-        wrong = [f"{name} {here or 'missing'} for {wanted}" for name, (here, wanted) in other.items() if here != wanted]
-        if wrong:
-            self.end()
-            raise ConfigError(f"a worker has other versions: {', '.join(wrong)}; install the same on all machines")
-
-    def ask(self, task: Task, case: Case) -> CaseResult:
-        """One case; whatever comes of it is an answer. After one with an error of the process, it is dead.
-
-        Raises ConfigError where it refuses the task.
-        """
-        began = time.monotonic()
-        request = json.dumps({"study": task.study, "run": task.run, "case": asdict(case)}) + "\n"
-        with contextlib.suppress(BrokenPipeError):  # it is dead: there will be no answer
-            cast(IO[bytes], self._process.stdin).write(request.encode())
-            cast(IO[bytes], self._process.stdin).flush()
-        told = self._line(began + task.within_s)
-        wall_s = time.monotonic() - began
-        if told is None:
-            hung = wall_s >= task.within_s
-            words = self.end()
-            why = f"did not end within {task.within_s:g} s and was killed" if hung else f"killed its worker: {words}"
-            return CaseResult(case.number, error=why, wall_s=wall_s)
-        if "refused" in told:
-            raise ConfigError(told["refused"])
-        failed = told.get("failed", "")
-        return CaseResult(case.number, tuple(told.get("rows", ())), failed, told["wall_s"], told["cpu_s"])
-
-    @property
-    def alive(self) -> bool:
-        """Whether it takes another case."""
-        return self._process.returncode is None and self._process.poll() is None
-
-    def kill(self) -> None:
-        """Kill it and what it started."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-
-    def end(self) -> str:
-        """The same, and take away what is left of it; in words how it ended, and what it said last."""
-        closed = self._said.closed
-        self.kill()
-        code = self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            with contextlib.suppress(BrokenPipeError):
-                cast(IO[bytes], pipe).close()
-        if closed:
-            return ""
-        self._said.seek(0)
-        last = self._said.read()[-SAID:].decode(errors="replace").strip().splitlines()
-        self._said.close()
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        return f"{how}, {last[-1]}" if last else how
-
-    def _line(self, until: float) -> dict[str, Any] | None:
-        """Its next answer; None where it died, or says nothing until then."""
-        out = cast(IO[bytes], self._process.stdout).fileno()
-        while b"\n" not in self._rest:
-            ready, _, _ = select.select([out], [], [], max(until - time.monotonic(), 0.0))
-            piece = os.read(out, 1 << 16) if ready else b""
-            if not piece:
-                return None
-            self._rest += piece
-        line, _, self._rest = self._rest.partition(b"\n")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
-
-
 class StudyWorkerPool:
-    """Of each thread that runs tasks, its child."""
+    """The worker of each thread that runs tasks."""
 
     def __init__(self) -> None:
         self._mine = threading.local()
-        self._all: set[StudyWorker] = set()
+        self._all: set[WorkerProcess] = set()
         self._lock = threading.Lock()
         self._closed = False
 
     def run(self, task: Task) -> list[CaseResult]:
-        """All cases of a task, in order, in this thread's child. ConfigError where they are refused."""
-        return [self._child(task.versions).ask(task, case) for case in task.cases]
+        """Run all cases of a task, in order, in this thread's worker. ConfigError where the worker refuses them."""
+        return [_run_case(self._worker(task.versions), task, case) for case in task.cases]
 
     def kill(self) -> None:
-        """Kill all of them, and make no more; a thread that waits for one is answered at once."""
+        """Kill all workers, and start no more. The tasks that run end at once."""
         with self._lock:
             self._closed = True
-            for child in self._all:
-                child.kill()
+            for worker in self._all:
+                worker.kill()
 
     def close(self) -> None:
-        """After ``kill``, and when no thread runs any more: take what is left of them away."""
+        """Release all workers: after ``kill``, when no thread runs a task."""
         while self._all:
             self._all.pop().end()
 
-    def _child(self, versions: Mapping[str, str]) -> StudyWorker:
-        child: StudyWorker | None = getattr(self._mine, "child", None)
-        if child is not None and child.alive:
-            return child
-        made = None if self._closed else StudyWorker(versions)
+    def _worker(self, versions: Mapping[str, str]) -> WorkerProcess:
+        last: WorkerProcess | None = getattr(self._mine, "worker", None)
+        if last is not None and last.alive:
+            return last
         with self._lock:
-            if made is None or self._closed:
-                if made is not None:
-                    made.end()
-                raise ConfigError("the study was ended; begin it again, and it goes on")
-            if child is not None:
-                self._all.discard(child)
-            self._all.add(made)
-        self._mine.child = made
-        return made
+            if self._closed:
+                raise ConfigError("the study was ended. Start it again; it continues where it was.")
+            if last is not None:
+                self._all.discard(last)
+                last.end()
+            worker = WorkerProcess(TARGET, "the study worker", threads=1, environment=ENVIRONMENT)
+            self._all.add(worker)  # before its start is awaited, so that it can be killed meanwhile
+        self._mine.worker = worker
+        try:
+            stated = worker.start()["versions"]
+        except WorkerError as error:
+            raise ConfigError(str(error)) from error
+        other = {name: (stated.get(name), wanted) for name, wanted in versions.items()}
+        wrong = [f"{name} {here or 'missing'} for {wanted}" for name, (here, wanted) in other.items() if here != wanted]
+        if wrong:
+            worker.end()
+            raise ConfigError(f"a worker has other versions: {', '.join(wrong)}; install the same on all machines")
+        return worker
+
+
+def _run_case(worker: WorkerProcess, task: Task, case: Case) -> CaseResult:
+    """Return the result of one case, also where it ends its worker. ConfigError where the worker refuses it."""
+    began_s = time.monotonic()
+    request = {"study": task.study, "run": task.run, "case": asdict(case)}
+    try:
+        answer, _ = worker.request(request, limit=WorkerLimit(wall_s=task.within_s))
+    except WorkerError as error:
+        return CaseResult(case.number, error=str(error), wall_s=time.monotonic() - began_s)
+    except ComputeError as error:
+        raise ConfigError(str(error)) from error
+    return CaseResult(case.number, tuple(answer["rows"]), answer["failed"], answer["wall_s"], answer["cpu_s"])
+
+
+def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
+    """Prepare this process to compute cases."""
+    jit.compile_always()
+    return {"versions": dict(versions())}, _StudyCases().answer
+
+
+class _StudyCases:
+    """The worker's end: the study of the last request, with what it keeps from case to case."""
+
+    def __init__(self) -> None:
+        self._runner: CaseRunner | None = None
+        self._run = ""
+
+    def answer(self, request: Mapping[str, Any], _: Mapping[str, Any]) -> Message:
+        """Return the rows of a case, or why it failed. ConfigError where files or versions have changed."""
+        if self._runner is None or self._run != request["run"]:
+            if self._runner is not None:
+                self._runner.close()
+            self._runner, self._run = CaseRunner(Path(request["study"])), request["run"]
+        case = Case(**request["case"])
+        self._runner.require_same(case)
+        wall_s, cpu_s = time.monotonic(), time.process_time()
+        rows: list[dict[str, Any]] = []
+        failed = ""
+        try:
+            rows = self._runner.rows(case)
+        except PolishdError as error:
+            failed = f"{type(error).__name__}: {error}"
+        except Exception as error:  # noqa: BLE001  any exception is the case's result
+            failed = "".join(traceback.format_exception_only(error)).strip()
+            traceback.print_exc()
+        used = {"wall_s": time.monotonic() - wall_s, "cpu_s": time.process_time() - cpu_s}
+        return {"rows": rows, "failed": failed, **used}, {}

@@ -18,14 +18,16 @@ from typing import Any
 import pytest
 
 from polishd.config.cell import PORTS, CellConfig, load_config
+from polishd.config.toml_loader import join_words
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell.cell import OPEN_S
 from polishd.daemon.cell.recorder import place, recording_to
 from polishd.daemon.runtime.exit_record import locked
+from polishd.hookspecs import DeviceType
 from polishd.interfaces import Device
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, DeviceClaimed, DeviceFault, PolishdError
-from polishd.plugin_loader import Hooks, plugins_of
+from polishd.plugin_loader import Hooks, load_own, plugins_of
 from polishd.testing.device_rig import Rig, TestScope
 from polishd.util.address_claims import KeptClaims
 from polishd.util.threads import run_loop
@@ -53,25 +55,21 @@ kind = "modbus_rtu"
 [spindle]
 kind = "slcan"
 """
-"""The cell's part, with polishd's own devices. The tip of the tool is on the part, so that there is something to press
-on."""
-PATIENT: Mapping[str, Mapping[str, Any]] = {
-    "robot": {"type": "robot_link", "watchdog_s": 60.0},
-    "actuator": {"type": "voice_coil_modbus", "silence_s": 1.0, "watchdog_ms": 2000},
-    "spindle": {"type": "spindle_can", "silence_s": 1.5},
-    "loader": {"type": "loader_line"},
-}
-"""By port: the section of a simulated one, less its address. The computer that simulates may be busy."""
-PLUGINS = {"robot": "rnc_robot", "actuator": "voice_coil", "spindle": "spindle", "loader": "loader"}
+"""The cell's part, with the substitute of each port. The robot holds the tool's tip on the part, so that the actuator
+has something to press on."""
+ALWAYS = ("robot", "actuator", "spindle")
+"""Sections that are in it."""
 
 
 def require_simulated(config: CellConfig, names: Sequence[str]) -> None:
-    """ConfigError where one of these devices is not in the cell, or has no stand-in."""
+    """ConfigError where one of these devices is not in the cell, or no simulated device can take its place."""
+    own = load_own()
     for name in names:
         if name not in config.devices:
             raise ConfigError(f"--simulate {name}: the cell has {', '.join(config.devices)}")
-        if port_of(name) not in PATIENT:
-            raise ConfigError(f"--simulate {name}: only {', '.join(PATIENT)} are simulated")
+        if _substitute(own, port_of(name)) is None:
+            simulated = join_words(port for port in PORTS if _substitute(own, port))
+            raise ConfigError(f"--simulate {name}: only {simulated} are simulated")
     ports = [port_of(name) for name in names]
     if len(set(ports)) < len(ports):
         raise ConfigError(f"--simulate {','.join(names)}: one device of a port is simulated, not several")
@@ -83,14 +81,23 @@ def stand_ins(config: CellConfig, names: Sequence[str], folder: Path) -> Iterato
     if not names:
         yield {}
         return
-    sim, ports = folder / "sim.toml", [port_of(name) for name in names]
-    loader = '[loader]\nkind = "tcp"\n' if "loader" in ports else ""
-    sim.write_text(SIM.format(cell=json.dumps(str(config.path))) + loader)
+    own, sim, ports = load_own(), folder / "sim.toml", [port_of(name) for name in names]
+    lines = "".join(f'[{port}]\nkind = "tcp"\n' for port in ports if port not in ALWAYS)
+    sim.write_text(SIM.format(cell=json.dumps(str(config.path))) + lines)
     only = [word for port in ports for word in ("--only", port)]
     with _running([str(sim), "--state", str(folder / "sim"), *only]) as endpoints:
-        devices = {name: {**PATIENT[port_of(name)], "address": endpoints[port_of(name)]} for name in names}
-        plugins = dict.fromkeys([*config.plugins.load, *(PLUGINS[port] for port in ports)])
-        yield {**devices, "plugins.load": list(plugins)}
+        laid_over, plugins = dict[str, Any](), list(config.plugins.load)
+        for name, port in zip(names, ports, strict=True):
+            if kind := _substitute(own, port):
+                laid_over[name] = {"type": kind.name, **(kind.substitute or {}), "address": endpoints[port]}
+                plugins.append(own.plugin_of("polishd_device_types", kind.name))
+        yield {**laid_over, "plugins.load": list(dict.fromkeys(plugins))}
+
+
+def _substitute(own: Hooks, port: str) -> DeviceType | None:
+    """The port's substitute, where it is reached at an address."""
+    kind = own.substitute(port)
+    return kind if kind is not None and "address" in kind.options.model_fields else None
 
 
 @contextmanager

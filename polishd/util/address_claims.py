@@ -37,7 +37,7 @@ TRIES = 20
 
 
 def tcp_keys(host: str, resolved: Iterable[str], port: int, part: str = "") -> set[str]:
-    """Normalized names of a TCP endpoint, one for each IP address; ``part`` tells endpoints behind one port apart."""
+    """Normalized names of a TCP endpoint, one for each IP address; ``part`` distinguishes endpoints behind one port."""
     hosts = {_normalized(one) for one in resolved} or {host.lower().rstrip(".")}
     return {f"tcp:{one}:{port}" + (f"/{part}" if part else "") for one in hosts}
 
@@ -210,9 +210,9 @@ def _lock_file(path: Path) -> int:
                 _write_holder(handle)
                 return handle
         except BlockingIOError:
-            told = os.pread(handle, 4096, 0)
+            holder = os.pread(handle, 4096, 0)
             os.close(handle)
-            raise BlockingIOError(errno.EWOULDBLOCK, told.decode("utf-8", "replace")) from None
+            raise BlockingIOError(errno.EWOULDBLOCK, holder.decode("utf-8", "replace")) from None
         except BaseException:
             os.close(handle)
             raise
@@ -259,7 +259,7 @@ def _unlock(files: Iterable[tuple[int, Path]]) -> None:
 
 
 def _own_command() -> str:
-    """Program and verb: what comes from the first option on is nobody's business."""
+    """Return program and verb, without options, which may hold secrets."""
     program = Path(sys.argv[0] if sys.argv else "")
     name = program.parent.name if program.suffix == ".py" else program.name
     words = [name or "python"]

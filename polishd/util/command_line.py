@@ -1,16 +1,19 @@
-"""What several verbs of the command line take, said once; and commands whose options are the fields of a record."""
+"""Shared options of the command line, and commands whose options are the fields of a record."""
 
 from __future__ import annotations
 
 import inspect
 import os
 import pwd
+import re
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
+import typer
+import typer.core
 from typer import Argument, Option
 
 Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration.")]
@@ -18,8 +21,8 @@ Json = Annotated[bool, Option("--json", help="One JSON object on stdout, for pro
 Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, too.")]
 
 
-def spread(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the fields of its parameter that is a dataclass as options: typer sees each field by itself.
+def spread_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Expand a command's dataclass parameter into options, one for each field.
 
     So an option's name, unit, default and help stand in one place, and what the command does is handed one record.
     """
@@ -42,10 +45,10 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
     return with_record
 
 
-# Who sits at the terminal: for the journal, which names whoever gives an order.
+# The user at the terminal, whom the journal names with each command.
 
 
-def account(number: int) -> str:
+def account_name(number: int) -> str:
     """The name of an account; its number where it has none here."""
     try:
         return pwd.getpwuid(number).pw_name
@@ -53,6 +56,47 @@ def account(number: int) -> str:
         return str(number)
 
 
-def at_the_terminal() -> str:
+def terminal_user() -> str:
     """The present account, and that it spoke at a terminal."""
-    return f"{account(os.getuid())} (command line)"
+    return f"{account_name(os.getuid())} (command line)"
+
+
+# The group of all commands: help without markup, and the new names of commands that were renamed.
+
+_MARKUP = re.compile(r"(?<!\\)\[(?=[a-z#/@])")
+"""What rich would take for the beginning of a tag."""
+RENAMED_COMMANDS = {
+    "job": "queue",
+    "beliefs": "estimates",
+    "record": "recording",
+    "calibrate cell": "calibrate first-touch",
+    "device find": "device scan",
+    "shop lessons": "shop estimates",
+    "shop link": "shop connect",
+    "report key": "report keygen",
+}
+"""Commands of before release 1.0."""
+
+
+class CommandGroup(typer.core.TyperGroup):
+    """A group of commands. It takes no markup from a help text, so that ``polishd[testing]`` is shown whole."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """See TyperGroup. UsageError with the new name for a command that was renamed."""
+        found = super().get_command(ctx, cmd_name)
+        name = " ".join([*ctx.command_path.split()[1:], cmd_name])
+        if found is None and name in RENAMED_COMMANDS:
+            ctx.fail(f"'polishd {name}' was renamed: use 'polishd {RENAMED_COMMANDS[name]}'.")
+        if found is not None:
+            _escape_help(found)
+        return found
+
+
+def _escape_help(command: Any) -> None:
+    """Escape markup in the help of a command, of its options, and of the commands below it; once each."""
+    for one in (command, *command.params):
+        text = getattr(one, "help", None)
+        if isinstance(text, str):
+            one.help = _MARKUP.sub(r"\\[", text)
+    for below in getattr(command, "commands", {}).values():
+        _escape_help(below)

@@ -66,17 +66,17 @@ def require_writable(folder: Path) -> None:
             probe.write(b"\0" * PROBE_BYTES)
             probe.flush()
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise unwritable_message(folder, error) from error
 
 
 def require_new(out: Path) -> None:
-    """ConfigError unless it can become a folder of its own: it is not there, or empty."""
+    """Raise ConfigError unless the folder does not exist or is empty."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
 
 
-def unwritable(path: Path, error: OSError) -> ConfigError:
-    """What to say of a file or folder of ``--out`` that cannot be written."""
+def unwritable_message(path: Path, error: OSError) -> ConfigError:
+    """Return the message for a file or folder of ``--out`` that cannot be written."""
     todo = "make room, or name another with --out" if error.errno == errno.ENOSPC else "name another with --out"
     return ConfigError(f"{path}: cannot be written: {error.strerror}; {todo}")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 
-def compiled(function: Callable[..., Any], sources: Iterable[Path], **options: Any) -> Callable[..., Any]:
+def compile_cached(function: Callable[..., Any], sources: Iterable[Path], **options: Any) -> Callable[..., Any]:
     """The function by numba, kept with others of the same sources, which are the files of all that it calls."""
     import numba
 
@@ -22,14 +22,14 @@ def compiled(function: Callable[..., Any], sources: Iterable[Path], **options: A
     folder = _folder(numba.__version__, tuple(sources))
     before, settings.CACHE_DIR = settings.CACHE_DIR, folder or ""
     try:
-        njit: Any = numba.njit(cache=folder is not None, nogil=True, **uncounted(), **options)
+        njit: Any = numba.njit(cache=folder is not None, nogil=True, **no_refcount_option(), **options)
         made: Callable[..., Any] = njit(function)
     finally:
         settings.CACHE_DIR = before
     return made
 
 
-def uncounted() -> dict[str, Any]:
+def no_refcount_option() -> dict[str, Any]:
     """The option by which compiled code counts no references; nothing where this numba has none.
 
     Nothing that is compiled here allocates, and counting a dozen arrays at every call takes forty times the time (a
@@ -42,7 +42,7 @@ def uncounted() -> dict[str, Any]:
 
 
 def _folder(version: str, sources: tuple[Path, ...]) -> str | None:
-    """Where compiled code of these sources is kept; None where there is no home: then each process compiles."""
+    """Return the cache folder of compiled code; None without a home: each process then compiles."""
     digest = hashlib.sha256(version.encode())
     for source in sorted(sources):
         digest.update(source.read_bytes())
@@ -52,6 +52,6 @@ def _folder(version: str, sources: tuple[Path, ...]) -> str | None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except (OSError, RuntimeError):  # nobody's home
+    except (OSError, RuntimeError):  # the account has no home
         return None
     return str(folder)

@@ -1,4 +1,4 @@
-"""Secrets: a config says where one is kept, and never what it is; what is read is used at once, and told to nobody."""
+"""Secrets: a config names the location of a secret, never its value, which is used at once and never logged."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def environment_without_secrets(more: Mapping[str, str] = MappingProxyType({})) 
     return kept | dict(more)
 
 
-def hide(text: str, *secrets: str) -> str:
+def redact_secrets(text: str, *secrets: str) -> str:
     """The text without the secrets, for a log."""
     for secret in filter(None, secrets):
         text = text.replace(secret, HIDDEN)

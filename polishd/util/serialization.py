@@ -1,4 +1,4 @@
-"""Values as text: what json cannot hold by itself as something that it can, and values as TOML."""
+"""Values as text: conversion to JSON types, and values as TOML."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from polishd.model.errors import ConfigError
 
 def plain(value: object) -> object:
     """For ``json.dumps(..., default=plain)``: numbers stay numbers, records become objects, the rest its text."""
-    import numpy as np  # only where something is no JSON by itself: who asks for a status waits for no numpy
+    import numpy as np  # late, because `polishd status` need not load numpy
 
     if isinstance(value, np.generic):
         return value.item()
@@ -39,7 +39,7 @@ def toml(value: Any) -> str:
 
 
 def finite(value: Any) -> Any:
-    """The same, with null in the place of each."""
+    """Return the values with null in place of each non-finite number."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

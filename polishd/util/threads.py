@@ -17,18 +17,18 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 END_S = 5.0
-"""What a thread that works may take to its end."""
+"""Time for a working thread to finish."""
 NAME = "beside the loop"
 
 
 class LoopThreads(ThreadPoolExecutor):
-    """What ``asyncio.to_thread`` runs in. Shut down, it waits ``END_S`` for its threads, and leaves the others."""
+    """Threads of ``asyncio.to_thread``. Shutdown waits ``END_S`` for them and abandons the others."""
 
     def __init__(self) -> None:
-        """All threads begin now, and none later.
+        """Start all threads now, and none later.
 
-        Where memory is out a thread that begins may end before it says that it has begun, and whoever starts it, which
-        would be the loop in contact, waits for that word for ever.
+        Without memory a new thread may end before it reports its start. The thread that starts it, which would be the
+        loop in contact, then waits for ever.
         """
         super().__init__(thread_name_prefix=NAME)
         begun = threading.Barrier(self._max_workers)
@@ -50,7 +50,7 @@ def run_loop(main: Coroutine[Any, Any, T]) -> T:
         return runner.run(main)
 
 
-def leave_hung(code: int) -> None:
+def exit_if_hung(code: int) -> None:
     """End the process at once where a thread of such a loop hangs: all is written, and nothing waits for it."""
     if not _alive():
         return

@@ -1,7 +1,7 @@
-"""Where a cell's recorder listens in: each link tells it what passes, as bytes or frames, before anybody reads them.
+"""Recording of a cell's links: each link passes its bytes or frames to the recorder before they are parsed.
 
-Whose link it is nobody hands down: the cell says which device it talks to (``record_sent``), and what that opens
-meanwhile is that device's.
+The device of a link is not an argument: the cell states the device that it talks to (``record_sent``), and links that
+open meanwhile belong to that device.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ Way = Literal["open", "out", "in", "end"]
 
 @dataclass(frozen=True, slots=True)
 class WireMessage:
-    """What passed on a link."""
+    """A message on a link."""
 
     at_s: float
     """``time.monotonic``; in a file: since the recording began."""
     role: str
-    """The device's name in the cell; empty where nobody said."""
+    """The device's name in the cell; empty where unknown."""
     link: str
     """Its address."""
     way: Way
     """``out``: polishd wrote it. ``in``: it came. ``open``, ``end``: of the link itself."""
     data: bytes = b""
     identifier: int | None = None
-    """Of a CAN frame."""
+    """Identifier of a CAN frame."""
     why: str = ""
-    """How a link ended."""
+    """Reason for the end of a link."""
     values: Mapping[str, object] | None = None
     """By name, in place of bytes: of a link that a library hides."""
     clock_s: float | None = None
-    """Of values that came: when, on the clock of whoever has them."""
+    """Time of received values on the sender's clock."""
     changed_s: Mapping[str, float] | None = None
     """On that clock, when some came to their values."""
 
@@ -52,8 +52,8 @@ Recorder = Callable[[WireMessage], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Tap:
-    """That of one link."""
+class LinkTap:
+    """Recording tap of one link."""
 
     recorder: Recorder
     role: str
@@ -70,7 +70,7 @@ class Tap:
         clock_s: float | None = None,
         changed_s: Mapping[str, float] | None = None,
     ) -> None:
-        """That passes, now."""
+        """Record a message that passes now."""
         now_s = time.monotonic()
         passed = WireMessage(now_s, self.role, self.link, way, data, identifier, why, values, clock_s, changed_s)
         self.recorder(passed)
@@ -80,11 +80,11 @@ _recorder: ContextVar[Recorder | None] = ContextVar("recorder", default=None)
 _role: ContextVar[str] = ContextVar("role", default="")
 
 
-def tap(link: str) -> Tap | None:
-    """Of a link that was opened just now; None where nobody records."""
+def tap(link: str) -> LinkTap | None:
+    """Return the tap of a link that was just opened; None without a recorder."""
     if (recorder := _recorder.get()) is None:
         return None
-    found = Tap(recorder, _role.get(), link)
+    found = LinkTap(recorder, _role.get(), link)
     found("open")
     return found
 
@@ -117,7 +117,7 @@ _BROKEN = (EOFError, zlib.error, gzip.BadGzipFile, UnicodeDecodeError)
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a file holds."""
+    """Content of a recording file."""
 
     path: Path
     header: Mapping[str, Any]
@@ -125,14 +125,14 @@ class Recording:
     lines: tuple[int, ...]
     """The line of each, from 1."""
     notes: tuple[str, ...]
-    """What is missing in it, for people."""
+    """Notes on missing content."""
 
     def of(self, role: str) -> list[tuple[int, WireMessage]]:
         """Line and record of all that passed on that device's links; ConfigError where nothing did."""
         found = [(line, one) for line, one in zip(self.lines, self.passed, strict=True) if one.role == role]
         if not found:
-            roles = ", ".join(sorted({one.role for one in self.passed})) or "nobody"
-            raise ConfigError(f"{self.path}: nothing of {role!r} is recorded; it has {roles}")
+            roles = ", ".join(sorted({one.role for one in self.passed})) or "no device"
+            raise ConfigError(f"{self.path}: no message of {role!r} is recorded; the file holds {roles}")
         return found
 
 
@@ -142,12 +142,12 @@ def header_line(version: str, cell: str, began: str, devices: Mapping[str, Mappi
 
 
 def note_line(t_s: float, key: str, number: int) -> bytes:
-    """What is missing: ``lost`` or ``full``."""
+    """Note on missing messages: ``lost`` or ``full``."""
     return _line({"t_s": round(t_s, 6), key: number})
 
 
 def passed_line(one: WireMessage, began_s: float) -> bytes:
-    """What passed."""
+    """Line of a message."""
     line: dict[str, Any] = {"t_s": round(one.at_s - began_s, 6), "role": one.role, "link": one.link, "way": one.way}
     line |= {} if one.identifier is None else {"id": one.identifier}
     if one.values is not None:
@@ -160,7 +160,7 @@ def passed_line(one: WireMessage, began_s: float) -> bytes:
 
 
 def read_recording(path: Path) -> Recording:
-    """ConfigError names file and line. What a power cut left of a file is read up to there, and said in the notes."""
+    """ConfigError names file and line. A file truncated by a power cut is read as far as it is valid, with a note."""
     notes: list[str] = []
     passed: list[WireMessage] = []
     lines: list[int] = []
@@ -227,8 +227,8 @@ def _passed(path: Path, at: int, row: Mapping[str, Any]) -> WireMessage:
         identifier = None if row.get("id") is None else int(row["id"])
         clock_s = None if row.get("clock_s") is None else float(row["clock_s"])
         changed_s = {str(name): float(at_s) for name, at_s in dict(row.get("changed_s", {})).items()} or None
-        why, told = row.get("why", ""), (values, clock_s, changed_s)
-        return WireMessage(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *told)
+        why, received = row.get("why", ""), (values, clock_s, changed_s)
+        return WireMessage(float(row["t_s"]), str(row["role"]), str(row["link"]), way, data, identifier, why, *received)
     except KeyError as error:
         raise _bad(path, at, f"has no {error.args[0]!r}") from error
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""What the routes do: each handler is given the request and its session, and answers with what becomes JSON."""
+"""Handlers of the routes: each gets the request and its session, and returns a value for JSON."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
 from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import Json, RateLimiter, Shares, refusal
+from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.web.run_data import RunData
 from polishd.web.watcher import Watcher
 
-# Orders on their way to the daemon: each in a thread of its own, so that none waits for anything else that hangs.
+# Orders on their way to the daemon, each in a separate thread, so that none waits for another that hangs.
 
-TOLD_S = 5.0
-"""After so long whoever ordered is told that it is not obeyed yet; the order stands."""
+OBEYED_S = 5.0
+"""Time after which the answer is that the order is not obeyed yet; the order remains valid."""
 
 
 class CommandForwarder:
-    """Those of one cell."""
+    """Orders to one cell."""
 
     def __init__(self, state_dir: Path) -> None:
         self._state_dir = state_dir
@@ -39,14 +39,14 @@ class CommandForwarder:
     async def give(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> dict[str, Any] | None:
         """The daemon's answer; None: it has not obeyed yet. PolishdError where there is no daemon.
 
-        ``joined``: where the same order of the same person is under way already, its answer: who presses twice needs no
-        second thread. Another person's is one of its own, with its own ``by`` in the journal.
+        ``joined``: return the answer of an identical order of the same person that is under way: a second press needs
+        no second thread. An order of another person is separate, with its own ``by`` in the journal.
         """
         under_way = self._under_way.get(_key(verb, args)) if joined else None
         if under_way is None:
             under_way = self._sent(verb, args)
         try:
-            async with asyncio.timeout(TOLD_S):
+            async with asyncio.timeout(OBEYED_S):
                 return await asyncio.shield(under_way)
         except TimeoutError:
             return None
@@ -54,7 +54,9 @@ class CommandForwarder:
     def _sent(self, verb: str, args: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
         loop, key = asyncio.get_running_loop(), _key(verb, args)
         answered: asyncio.Future[dict[str, Any]] = loop.create_future()
-        answered.add_done_callback(lambda one: one.cancelled() or one.exception())  # heard, should nobody wait any more
+        answered.add_done_callback(
+            lambda one: one.cancelled() or one.exception()
+        )  # retrieved, also when no request waits any more
 
         def settle(answer: dict[str, Any] | None, error: PolishdError | None) -> None:
             if self._under_way.get(key) is answered:
@@ -81,31 +83,31 @@ class CommandForwarder:
 
 
 def _key(verb: str, args: Mapping[str, Any]) -> tuple[str, str]:
-    """What is ordered, and by whom."""
+    """Key of an order: verb, arguments and author."""
     return verb, str(args.get("by", ""))
 
 
 MOST_REASON = 500
 MOST_WATCHERS = 200
 MOST_OF_USER = 10
-"""Event streams of one user: each page has one."""
+"""Largest number of event streams of one user, one for each page."""
 MOST_NUMBER = 1 << 53
 MAPS = ("measured", "predicted", "removal")
 
 
 class Api:
-    """Of one cell."""
+    """Handlers of one cell."""
 
     def __init__(self, config: CellConfig, sessions: SessionStore, certificate: Certificate | None = None) -> None:
         self._config, self.sessions, self._certificate = config, sessions, certificate
         self._disk, self._orders = RunData(config.state_dir), CommandForwarder(config.state_dir)
         self.watcher = Watcher(config.state_dir)
-        self._streams = Shares(MOST_OF_USER, MOST_WATCHERS)
+        self._streams = ClientShares(MOST_OF_USER, MOST_WATCHERS)
 
-    # who asks
+    # session
 
     async def sign_in(self, request: Request, rate: RateLimiter) -> Response:
-        """A cookie for a token."""
+        """Sign in: a cookie for a token."""
         if foreign_origin(request):
             return refusal(403, "it comes from another site's page")
         address, token = address_of(request), _text(await _json(request), "token", whatever=True)
@@ -117,85 +119,85 @@ class Api:
         if user is None:
             return refusal(401, "the token is wrong: check it, or have a new one made with polishd web --add-user")
         cookie, session = self.sessions.begin(user)
-        answer = Json(_who(session))
+        answer = JsonAnswer(_who(session))
         secure = request.url.scheme == "https"
         answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", secure=secure, path="/")
         return answer
 
     async def who(self, _request: Request, session: HttpSession) -> Any:
-        """Name, role, and what the page sends along."""
+        """Name, role, and CSRF token of the page."""
         return _who(session)
 
     async def sign_out(self, request: Request, _session: HttpSession) -> Any:
-        """The cookie is worth nothing any more."""
+        """Sign out: the cookie becomes invalid."""
         self.sessions.end(request)
         return {}
 
-    # what is so
+    # reading
 
     async def state(self, _request: Request, _session: HttpSession) -> Any:
-        """From memory."""
+        """State of the cell, from memory."""
         return {"cell": self._config.cell.name, **self.watcher.state()}
 
     async def health(self, _request: Request, _session: HttpSession) -> Any:
-        """The same, less; and how the TLS certificate of this server is, null where it has none."""
+        """Health of the cell, and of this server's TLS certificate (null where there is none)."""
         state = self.watcher.state()
         live = state["live"] or {}
         known = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
         return {**known, "certificate": None if self._certificate is None else self._certificate.facts()}
 
     async def queue(self, _request: Request, _session: HttpSession) -> Any:
-        """As the daemon has it."""
-        return await self._asked("job_list")
+        """Jobs of the daemon's queue."""
+        return await self._asked("queue_list")
 
     async def jobs(self, _request: Request, _session: HttpSession) -> Any:
-        """All."""
+        """All jobs."""
         return {"jobs": await asyncio.to_thread(self._disk.jobs)}
 
     async def cycles(self, request: Request, _session: HttpSession) -> Any:
-        """Of one job."""
+        """Cycles of one job."""
         return {"cycles": await asyncio.to_thread(self._disk.cycles, _number(request, "job"))}
 
     async def map(self, request: Request, _session: HttpSession) -> Any:
-        """As an array."""
+        """A map as an array."""
         kind = request.path_params["kind"]
         if kind not in MAPS:
             raise ConfigError("there is no such map: measured, predicted or removal")
         return await asyncio.to_thread(self._disk.map, *_cycle(request), kind)
 
     async def psd(self, request: Request, _session: HttpSession) -> Any:
-        """Of a measured map."""
+        """Spectrum of a measured map."""
         return await asyncio.to_thread(self._disk.psd, *_cycle(request))
 
     async def plan(self, request: Request, _session: HttpSession) -> Any:
-        """Points, dwell, compliance, gamma."""
+        """Points, dwell, compliance and gamma of a plan."""
         return await asyncio.to_thread(self._disk.plan, *_cycle(request))
 
     async def certificate(self, request: Request, _session: HttpSession) -> Any:
-        """Of a plan's dwell."""
+        """Certificate of a plan's dwell."""
         return await asyncio.to_thread(self._disk.certificate, *_cycle(request))
 
     async def history(self, _request: Request, _session: HttpSession) -> Any:
-        """Of all parts."""
+        """History of all parts."""
         return {"jobs": await asyncio.to_thread(self._disk.history)}
 
     async def journal(self, request: Request, _session: HttpSession) -> Any:
-        """What happened, and who ordered it."""
+        """Events and orders."""
         before = request.query_params.get("before")
         if before is not None and not (before.isascii() and before.isdecimal() and int(before[:17]) <= MOST_NUMBER):
             raise ConfigError("before is the number of an event")
         return {"events": await asyncio.to_thread(self._disk.events, None if before is None else int(before))}
 
     async def alarms(self, _request: Request, _session: HttpSession) -> Any:
-        """That nobody has acknowledged."""
+        """Alarms that are not acknowledged."""
         return {"alarms": await asyncio.to_thread(self._disk.alarms)}
 
     async def config(self, _request: Request, _session: HttpSession) -> Any:
-        """All values in force; what is secret stands in no config."""
+        """All values in force; a config contains no secrets."""
         return self._config.effective()
 
     async def events(self, _request: Request, session: HttpSession) -> Any:
-        """For as long as the page is there."""
+        """Events, as long as the page is connected."""
         if (why := self._streams.refusal(session.user.name)) is not None:
             return refusal(*why)
 
@@ -206,45 +208,45 @@ class Api:
 
         return _Stream(messages(), self._streams.one(session.user.name))
 
-    # what is wanted
+    # orders
 
     async def safe_order(self, request: Request, session: HttpSession) -> Any:
         """Hold or stop."""
         verb = request.url.path.rpartition("/")[2]
         try:
             reason = _reason(await _json(request))
-        except ConfigError:  # whatever else was said: it is to stand still
+        except ConfigError:  # any other content: the cell must stand still
             reason = ""
         return await self._ordered(verb, {"reason": reason, "by": _by(session)}, joined=True)
 
     async def resume(self, request: Request, session: HttpSession) -> Any:
-        """Go on."""
+        """Resume."""
         reason = _reason(await _json(request))
         return await self._ordered("resume", {"reason": reason, "by": _by(session)})
 
     async def approve(self, request: Request, session: HttpSession) -> Any:
-        """That plan, and no other."""
+        """Approve that plan, and no other."""
         program = _text(await _json(request), "program_sha256")
         return await self._ordered("approve", {"program_sha256": program, "by": _by(session)})
 
     async def acknowledge(self, request: Request, session: HttpSession) -> Any:
-        """Those alarms."""
+        """Acknowledge those alarms."""
         said = (await _json(request)).get("alarms")
         if not isinstance(said, list) or not all(map(_whole, said)):
             raise ConfigError("alarms must be given: a list of their numbers")
         return await self._ordered("acknowledge", {"alarms": [int(one) for one in said], "by": _by(session)})
 
     async def move(self, request: Request, session: HttpSession) -> Any:
-        """A job that waits."""
+        """Move a waiting job."""
         said = await _json(request)
         args = {"job": _text(said, "job"), "where": _text(said, "where"), "other": _text(said, "other", "")}
-        return await self._ordered("job_move", {**args, "by": _by(session)})
+        return await self._ordered("queue_move", {**args, "by": _by(session)})
 
     async def remove(self, request: Request, session: HttpSession) -> Any:
-        """A job that waits, or over which the cell is held."""
+        """Remove a waiting job, or the job over which the cell is held."""
         said = await _json(request)
         args = {"job": _text(said, "job"), "reason": _reason(said)}
-        return await self._ordered("job_remove", {**args, "by": _by(session)})
+        return await self._ordered("queue_remove", {**args, "by": _by(session)})
 
     async def _ordered(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> Any:
         try:
@@ -252,7 +254,7 @@ class Api:
         except PolishdError as error:
             return _failed(error)
         if answer is None:
-            return Json({"ok": True, "obeyed": False}, 202)
+            return JsonAnswer({"ok": True, "obeyed": False}, 202)
         return answer if answer.get("ok") else refusal(409, str(answer.get("error")))
 
     async def _asked(self, verb: str) -> Any:
@@ -263,7 +265,7 @@ class Api:
 
 
 class _Stream(StreamingResponse):
-    """Server-sent events; its share of the user's streams is held from the answer's head to its end."""
+    """Server-sent events; the stream counts against the user's streams from the answer's head to its end."""
 
     def __init__(self, messages: AsyncIterator[str], share: AbstractContextManager[None]) -> None:
         super().__init__(messages, media_type="text/event-stream")
@@ -293,7 +295,7 @@ def _cycle(request: Request) -> tuple[int, int]:
 
 
 def _number(request: Request, name: str) -> int:
-    """As the journal can hold it."""
+    """A text as the journal can store it."""
     found = int(request.path_params[name])
     if found > MOST_NUMBER:
         raise ConfigError("there is none of that job and cycle")
@@ -305,14 +307,14 @@ async def _json(request: Request) -> dict[str, Any]:
 
 
 def _whole(said: Any) -> bool:
-    """A number of the journal; to JSON 3.0 is one, too."""
+    """A number of the journal; JSON counts 3.0 as one, too."""
     return type(said) in {int, float} and 0 <= said <= MOST_NUMBER and said == int(said)
 
 
 def _text(said: Mapping[str, Any], key: str, default: str | None = None, *, whatever: bool = False) -> str:
-    """Return that text. ConfigError where it is missing and there is no default, is no text, or no Unicode.
+    """Return the text of a key. ConfigError where it is missing without default, is no text, or no Unicode.
 
-    ``whatever``: text that is no Unicode is taken, too.
+    ``whatever``: accept invalid Unicode, too.
     """
     if not isinstance(found := said.get(key, default), str):
         raise ConfigError(f"{key} must be given: a text" if key not in said else f"{key} must be a text")

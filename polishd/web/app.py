@@ -1,4 +1,4 @@
-"""The application of a cell: its routes behind the guard, and the page's files; and the server that serves it."""
+"""The application of a cell: its routes behind the guard, the page's files, and the server."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from polishd.model.errors import PolishdError
 from polishd.web.api import MAPS, MOST_NUMBER, Api
 from polishd.web.http import server as door
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import HANDLERS, Json, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, answered, hosts_of, refusal
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.watcher import polling_daemon
 
-# The one table of routes: what each does, and which role it needs.
+# The table of routes: handler and required role.
 
 Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
 
@@ -34,7 +34,7 @@ AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
 
 @dataclass(frozen=True, slots=True)
 class ApiRoute:
-    """One of them."""
+    """One route."""
 
     method: str
     path: str
@@ -42,9 +42,9 @@ class ApiRoute:
     what: str
     does: Handler
     fields: tuple[tuple[str, str], ...] = ()
-    """Of its body: name, and JSON type; ``?`` ends the name of one that may be left away."""
+    """Fields of its body: name and JSON type; ``?`` ends the name of an optional one."""
     exempt: bool = False
-    """From rate limits and lockout: it makes the cell stand still."""
+    """Exempt from rate limits and lockout: it makes the cell stand still."""
 
 
 WATCH, OPERATE, ENGINEER = Role
@@ -53,12 +53,10 @@ _REASON = (("reason?", "string"),)
 ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("GET", "/api/session", WATCH, "who is signed in, and the csrf token of the page", Api.who),
     ApiRoute("DELETE", "/api/session", WATCH, "sign out", Api.sign_out),
-    ApiRoute(
-        "GET", "/api/state", WATCH, "what the cell does, what its devices told last, and how old that is", Api.state
-    ),
+    ApiRoute("GET", "/api/state", WATCH, "state of the cell, last readings of its devices, and their ages", Api.state),
     ApiRoute("GET", "/api/health", WATCH, "link ages, disk, memory and loop", Api.health),
     ApiRoute("GET", "/api/events", WATCH, "what happens, as a stream (SSE): `state`, `happened`", Api.events),
-    ApiRoute("GET", "/api/alarms", WATCH, "alarms that nobody has acknowledged, the first one first", Api.alarms),
+    ApiRoute("GET", "/api/alarms", WATCH, "alarms that are not acknowledged, the oldest first", Api.alarms),
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
     ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
@@ -107,7 +105,7 @@ ROUTES: tuple[ApiRoute, ...] = (
         (("job", "string"), ("reason?", "string")),
     ),
 )
-"""Beside them: ``POST /api/session`` signs in; ``GET /api/openapi.json`` and the page's files are for everybody."""
+"""Beside them: ``POST /api/session`` signs in; ``GET /api/openapi.json`` and the page's files are public."""
 
 
 # The OpenAPI document, from the table of routes.
@@ -117,7 +115,7 @@ NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
 TYPES = {"string": {"type": "string"}, "array": {"type": "array", "items": NUMBER}}
 REFUSALS = {
     "400": "the request is wrong, and says how",
-    "401": "nobody is signed in",
+    "401": "not signed in",
     "403": "the role does not suffice, or the request is forged",
     "404": "there is none",
     "405": "that cannot be done there",
@@ -133,7 +131,7 @@ REFUSALS = {
 
 
 def document() -> dict[str, Any]:
-    """Of version 3.1."""
+    """The document, in OpenAPI 3.1."""
     paths: dict[str, dict[str, Any]] = {}
     for route in ROUTES:
         paths.setdefault(open_path(route.path), {})[route.method.lower()] = _operation(route)
@@ -155,7 +153,7 @@ def document() -> dict[str, Any]:
 
 
 def open_path(path: str) -> str:
-    """As OpenAPI writes it."""
+    """A route in OpenAPI syntax."""
     return re.sub(r":int}", "}", path)
 
 
@@ -176,7 +174,7 @@ def _operation(route: ApiRoute) -> dict[str, Any]:
         properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]
         schema = {"type": "object", "properties": properties, **({"required": required} if required else {})}
-        # to stand still is never wrong: whatever the body is, the order is taken
+        # standing still is always safe: the order is taken with any body
         found["requestBody"] = _body({} if route.exempt else schema, required=bool(required))
     return found
 
@@ -200,11 +198,11 @@ FILES = {
     "/draw.js": ("draw.js", "text/javascript"),
     "/strings.js": ("strings.js", "text/javascript"),
 }
-"""All that is served beside the API, by its path: nothing else can be asked for."""
+"""All files beside the API, by path: no other file is served."""
 
 
 def application(config: CellConfig, certificate: Certificate | None = None) -> ASGIApp:
-    """Of that cell; its users are read as they are at each request. ``certificate``: the one by which it is served."""
+    """Application of a cell; its users are read at each request. ``certificate``: of this server."""
     sessions = SessionStore(UserFile(users_path(config)))
     api, rate = Api(config, sessions, certificate), RateLimiter()
 
@@ -218,7 +216,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
         return await answered(api.sign_in(request, rate))
 
     async def described(_request: Request) -> Response:
-        return Json(document())
+        return JsonAnswer(document())
 
     routes = [Path(route.path, _endpoint(api, rate, route), methods=[route.method]) for route in ROUTES]
     routes += [
@@ -232,7 +230,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
 
 
 def serve(config: CellConfig) -> None:
-    """Until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without users."""
+    """Serve until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without users."""
     web = config.web
     if not web.loopback and not UserFile(users_path(config)):
         raise config.error("web.address", "is beyond this computer, and there are no users; add one: polishd web "
@@ -262,7 +260,7 @@ def _endpoint(api: Api, rate: RateLimiter, route: ApiRoute) -> Callable[[Request
 
 
 def _metrics(config: CellConfig) -> Iterator[ApiRoute]:
-    """One, where they are wanted. ConfigError where their library is missing."""
+    """Metrics, where they are configured. ConfigError where their library is missing."""
     if not config.web.metrics:
         return
     try:

@@ -1,7 +1,7 @@
-"""``GET /metrics``: the cell's figures for Prometheus, from what the watcher heard and the journal says.
+"""``GET /metrics``: the cell's figures for Prometheus, from the watcher and the journal.
 
-A scrape asks the daemon nothing: the watcher has asked already, for everybody (0026). Units are Prometheus' base units,
-so heights are in metres: 2 nm is 2e-09. What is not known now has no line, never its last value.
+A scrape sends no request to the daemon: the watcher reads it once for all clients (0026). Units are Prometheus' base
+units, so heights are in meters: 2 nm is 2e-09. An unknown value has no line, never its last value.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from polishd.config.cell import CellConfig
 from polishd.daemon.journal.history import naming_damage
 from polishd.model.errors import PolishdError
 from polishd.model.states import CyclePhase, Outcome
-from polishd.model.tolerance import judged_of
+from polishd.model.tolerance import line_results
 from polishd.web.api import Api
 from polishd.web.http.users import HttpSession
 from polishd.web.run_data import RunData
@@ -32,53 +32,53 @@ from polishd.web.run_data import RunData
 log = logging.getLogger(__name__)
 
 FRESH_S = 1.0
-"""For so long an answer serves all who scrape."""
+"""Time for which an answer serves all scrapes."""
 OLD_S = 2.0
-"""A reading of that age is no longer live: its age is told, and it is not."""
+"""Age from which a reading is not live: the metrics have its age, not its value."""
 M_PER_NM, BYTES_PER_MB, HZ_PER_RPM = 1e-9, 1e6, 1 / 60
 STATES = ("starting", "idle", "changing", "polishing", "held", "finished")
-"""Of a daemon; a test holds them to its table."""
+"""States of a daemon; a test compares them with its table."""
 OUTCOMES = (*(outcome.value for outcome in Outcome), "put_aside")
-"""Told from the first scrape on, at 0: a rate of what appears at 1 would miss it."""
+"""Exported from the first scrape on, at 0: a rate would miss a counter that appears at 1."""
 READINGS = (
     ("force", "force_n", "polishd_force_newtons", "Force that the actuator measures.", 1.0),
-    ("force", "setpoint_n", "polishd_force_setpoint_newtons", "Force that the actuator was told to keep.", 1.0),
+    ("force", "setpoint_n", "polishd_force_setpoint_newtons", "Force setpoint of the actuator.", 1.0),
     ("sensed", "force_n", "polishd_sensed_force_newtons", "Force of the independent sensor.", 1.0),
     ("speed", "rpm", "polishd_spindle_speed_hertz", "Spindle, revolutions per second.", HZ_PER_RPM),
     ("robot", "buffer_s", "polishd_robot_buffer_seconds", "Motion that the robot has ahead.", 1.0),
 )
-"""Of what the devices told: whose, its field, our name, our help, and ours per theirs."""
+"""Readings of the devices: device, field, metric, help, and factor to the metric's unit."""
 AGES = (
-    ("force", "polishd_force_age_seconds", "How long ago the actuator told its force."),
-    ("sensed", "polishd_sensed_force_age_seconds", "How long ago the independent sensor told its force."),
-    ("speed", "polishd_spindle_speed_age_seconds", "How long ago the spindle told its speed."),
-    ("robot", "polishd_robot_age_seconds", "How long ago the robot told where it is."),
+    ("force", "polishd_force_age_seconds", "Age of the actuator's force reading."),
+    ("sensed", "polishd_sensed_force_age_seconds", "Age of the independent sensor's force reading."),
+    ("speed", "polishd_spindle_speed_age_seconds", "Age of the spindle's speed reading."),
+    ("robot", "polishd_robot_age_seconds", "Age of the robot's position reading."),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # the registry keeps it by its identity
 class MetricsSnapshot(Collector):
-    """What is known in one moment, as families of metrics."""
+    """Metric families of one moment."""
 
     cell: str
     state: Mapping[str, Any]
-    """Of the watcher."""
+    """State of the watcher."""
     tally: Mapping[str, Any] | None
-    """Of the journal; None: it cannot be read."""
+    """Counts of the journal; None: it cannot be read."""
     alarms: Iterable[Mapping[str, Any]] = ()
 
     def collect(self) -> Iterator[Metric]:
-        """Each family once."""
+        """Yield each family once."""
         up = self.state["daemon"] == "up"
         yield _of("polishd_build_info", "Version of polishd, and the cell's name.",
                   {(__version__, self.cell): 1}, ("version", "cell"))  # fmt: skip
         yield _one("polishd_daemon_up", "1: the daemon answers; 0: none runs, or it is silent.", up)
         live = self.state["live"] if up else None
-        if live is not None and "state" in live:  # a refusal has none
+        if live is not None and "state" in live:  # a refusal has no such field
             passed_s = self.state["age_s"] or 0.0
             yield _one("polishd_daemon_answer_age_seconds", "How long ago the daemon answered.", passed_s)
             yield from _doing(live)
-            yield from _readings(live.get("told") or {}, passed_s)
+            yield from _readings(live.get("readings") or {}, passed_s)
             yield from _devices(live, passed_s)
             yield from _health(live.get("health") or {})
         yield _one("polishd_journal_readable", "1: the journal was read, or there is none yet.", self.tally is not None)
@@ -87,7 +87,7 @@ class MetricsSnapshot(Collector):
 
 
 class Metrics:
-    """Of one cell; one look at its journal a second serves all who scrape."""
+    """Metrics of one cell; one read of its journal a second serves all scrapes."""
 
     def __init__(self, config: CellConfig) -> None:
         self._cell, self._disk, self._state_dir = config.cell.name, RunData(config.state_dir), config.state_dir
@@ -95,7 +95,7 @@ class Metrics:
         self._text, self._made_s = b"", float("-inf")
 
     async def answer(self, api: Api, _request: Request, _session: HttpSession) -> Response:
-        """In the text format, version 0.0.4, which every Prometheus reads."""
+        """The metrics in the text format, version 0.0.4, which every Prometheus reads."""
         async with self._turn:
             if time.monotonic() - self._made_s >= FRESH_S:
                 self._text = await asyncio.to_thread(self._look, api.watcher.state())
@@ -131,14 +131,14 @@ def _doing(live: Mapping[str, Any]) -> Iterator[Metric]:
     )
 
 
-def _readings(told: Mapping[str, Any], passed_s: float) -> Iterator[Metric]:
+def _readings(readings: Mapping[str, Any], passed_s: float) -> Iterator[Metric]:
     for whose, field, name, what, per in READINGS:
-        reading = told.get(whose)
+        reading = readings.get(whose)
         if reading is not None and reading.get(field) is not None and reading["age_s"] + passed_s <= OLD_S:
             yield _one(name, what, reading[field] * per)
     for whose, name, what in AGES:
-        if told.get(whose) is not None:
-            yield _one(name, what, told[whose]["age_s"] + passed_s)
+        if readings.get(whose) is not None:
+            yield _one(name, what, readings[whose]["age_s"] + passed_s)
 
 
 def _devices(live: Mapping[str, Any], passed_s: float) -> Iterator[Metric]:
@@ -175,11 +175,11 @@ def _journal(tally: Mapping[str, Any], alarms: Iterable[Mapping[str, Any]]) -> I
     yield _counted("polishd_passes", "Passes that ended, by how.", passes, "how")
     severities = [one["severity"] for one in alarms]
     counts = {name: severities.count(name) for name in ("alarm", "warning")}
-    yield _of("polishd_alarms", "Alarms that nobody has acknowledged.", counts, ("severity",))
+    yield _of("polishd_alarms", "Alarms that are not acknowledged.", counts, ("severity",))
     if (measured := tally["measured"]) is None:
         return
     yield _one("polishd_surface_rms_meters", "RMS of the last map of the last job.", measured["rms_nm"] * M_PER_NM)
-    lines = judged_of(measured)
+    lines = line_results(measured)
     heights = {one.what: one for one in lines if one.unit == "nm"}
     counted = {what: one.counted * M_PER_NM for what, one in heights.items()}
     limits = {what: one.limit * M_PER_NM for what, one in heights.items()}

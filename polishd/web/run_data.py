@@ -1,4 +1,4 @@
-"""What a cell has on disk, read beside its daemon: jobs, maps, plans, alarms. Nothing waits for whoever writes it."""
+"""A cell's data on disk, read beside its daemon: jobs, maps, plans, alarms. A read never waits for a writer."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ from polishd.process.metrology.spectra import radial_psd
 from polishd.util.serialization import plain
 
 MOST_SAMPLES = 128
-"""Of a map along either side, as it is sent."""
+"""Most samples of a map along either side."""
 MOST_POINTS = 4000
-"""Of a path."""
+"""Most points of a path."""
 MOST_ROWS = 500
-"""Of events at once."""
+"""Most events in an answer."""
 ALARMS: Mapping[str, tuple[str, str, str]] = {
-    "held": ("warning", "error", "mend what it names, then resume"),
-    "failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
-    "found": ("warning", "what", "look at the tool and the last pass"),
-    "signal_wrong": ("warning", "what", "see to that signal"),
+    "cell_held": ("warning", "error", "mend what it names, then resume"),
+    "daemon_failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
+    "finding_reported": ("warning", "what", "look at the tool and the last pass"),
+    "signal_out_of_range": ("warning", "what", "see to that signal"),
     "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
-    "gate_stopped": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
-    "part_wanted": ("warning", "part_id", "put that part in, then resume"),
-    "plan_waits": ("warning", "program_sha256", "look at the plan, then approve it"),
+    "removal_check_failed": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
+    "part_requested": ("warning", "part_id", "put that part in, then resume"),
+    "plan_awaiting_approval": ("warning", "program_sha256", "look at the plan, then approve it"),
     "notification_failed": ("warning", "error", "mend that notifier"),
 }
-"""By event: how severe, which of its fields says what, and what to do where the event itself does not say."""
+"""By event: severity, key of the detail, and default advice."""
 
 
 class RunData:
-    """Of one cell."""
+    """Data of one cell."""
 
     def __init__(self, state_dir: Path) -> None:
         self._state_dir = state_dir
         self._store = ArrayStore(state_dir / ARRAYS_NAME)
 
     def jobs(self) -> list[dict[str, Any]]:
-        """All, the newest last."""
+        """All jobs, the newest last."""
         rows = self._rows("SELECT id, name, part_id, started, ended, outcome FROM job ORDER BY id")
         return [dict(zip(("number", "job", "part", "began_s", "ended_s", "outcome"), row, strict=True)) for row in rows]
 
     def cycles(self, job: int) -> list[dict[str, Any]]:
-        """Of a job: each measurement, and the pass after it."""
+        """Measurements of a job, each with the pass after it."""
         sql = "SELECT cycle, facts, started, ended, how FROM pass WHERE job = ?"
         with naming_damage(self._state_dir):
             maps = {
@@ -69,13 +69,13 @@ class RunData:
             ]
 
     def certificate(self, job: int, cycle: int) -> dict[str, Any]:
-        """Of the plan of that cycle."""
+        """Dwell certificate of the cycle's plan."""
         with naming_damage(self._state_dir):
             facts = self._one("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
             return dict(json.loads(facts[0])["certificate"])
 
     def map(self, job: int, cycle: int, kind: str) -> dict[str, Any]:
-        """A map as an array: ``measured``, ``predicted`` (what the plan leaves) or ``removal`` (what it takes)."""
+        """A map as an array: ``measured``, ``predicted`` (expected result) or ``removal`` (expected removal)."""
         name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
         surface = self._store.get(name)
         if kind == "measured":
@@ -87,7 +87,7 @@ class RunData:
         return _picture(np.where(mask, height, np.nan), float(surface["pitch_mm"]))
 
     def psd(self, job: int, cycle: int) -> dict[str, Any]:
-        """Of the measured map in its clear aperture, as everywhere: 1/mm and nm^2 mm^2."""
+        """Spectrum of the measured map in its clear aperture: 1/mm and nm^2 mm^2."""
         name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
         surface = self._store.get(name)
         found = radial_psd(surface["height_nm"], surface["metric_mask"], float(surface["pitch_mm"]))
@@ -95,7 +95,7 @@ class RunData:
         return {"frequency_per_mm": _rounded(found.frequency_per_mm, 5), "power_nm2_mm2": density}
 
     def plan(self, job: int, cycle: int) -> dict[str, Any]:
-        """Of that cycle: its points in the part's frame, their dwell, and compliance and gamma along the path."""
+        """Plan of a cycle: points in the part's frame, dwell, compliance and gamma along the path."""
         plan = self._plan(job, cycle)
         step = max(1, -(-plan["block"].size // MOST_POINTS))
         chosen = slice(None, None, step)
@@ -110,37 +110,37 @@ class RunData:
         }
 
     def events(self, before: int | None = None) -> list[dict[str, Any]]:
-        """Of all jobs, the newest first: what happened, and who ordered what."""
+        """Events and orders of all jobs, the newest first."""
         return read_events(self._state_dir, MOST_ROWS, before)[::-1]
 
     def alarms(self) -> list[dict[str, Any]]:
-        """Those that nobody has acknowledged, the first one first: it is often why the others came.
+        """Unacknowledged alarms of any age, the oldest first: it is often the cause of the others.
 
-        However long ago it was; at most ``MOST_ROWS`` of them, and the others once these were seen.
+        At most ``MOST_ROWS``; the others follow once these are acknowledged.
         """
         found: list[dict[str, Any]] = []
         before, full = None, True
         while full:
-            older = read_events(self._state_dir, MOST_ROWS, before, (*ALARMS, "acknowledged"))
+            older = read_events(self._state_dir, MOST_ROWS, before, (*ALARMS, "alarm_acknowledged"))
             full = len(older) == MOST_ROWS
             found = [*older, *found]
             before = found[0]["number"] if found else None
         with naming_damage(self._state_dir):
-            seen = {number for one in found if one["name"] == "acknowledged" for number in one["data"]["alarms"]}
+            seen = {number for one in found if one["name"] == "alarm_acknowledged" for number in one["data"]["alarms"]}
             open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
             return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
 
     def history(self) -> list[dict[str, Any]]:
-        """What became of each part."""
+        """Result of each part."""
         if not (self._state_dir / JOURNAL_NAME).exists():
             return []
         found: list[dict[str, Any]] = json.loads(json.dumps(read_history(self._state_dir), default=plain))
         return found
 
     def tally(self) -> dict[str, Any]:
-        """How many parts ended how (``parts``) and passes (``passes``), and what the last map of the last job shows.
+        """Number of parts (``parts``) and passes (``passes``) by their end, and the last map of the last job.
 
-        That is ``measured``, as the journal has it; None: that job has no map yet.
+        The map is ``measured``, from the journal; None: the job has no map yet.
         """
         parts = self._rows("SELECT outcome, count(*) FROM job WHERE outcome IS NOT NULL GROUP BY outcome")
         passes = self._rows("SELECT how, count(*) FROM pass WHERE how IS NOT NULL GROUP BY how")
@@ -181,7 +181,7 @@ def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _picture(height_nm: NDArray[np.float64], pitch_mm: float) -> dict[str, Any]:
-    """Row 0 is the top; null: no data. Thinned, never smoothed: a spike stays one, or is not shown."""
+    """Rows from the top; null: no data. Thinned, not smoothed: a spike stays a spike, or is not shown."""
     step = max(1, -(-max(height_nm.shape) // MOST_SAMPLES))
     thin = height_nm[::step, ::step]
     valid = thin[np.isfinite(thin)]

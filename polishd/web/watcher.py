@@ -1,6 +1,6 @@
-"""One watcher of the daemon for all who watch: it asks twice a second, hears events, and tells everybody.
+"""One watcher of the daemon for all pages: it polls twice a second, receives events, and publishes both.
 
-So a hundred pages cost the daemon as much as one. It lives in threads of its own, which nothing else can fill.
+A hundred pages cost the daemon as much as one. The watcher has separate threads, which no other work can fill.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from polishd.util.serialization import finite
 log = logging.getLogger(__name__)
 
 LOOK_S = 0.5
-"""Between two questions."""
+"""Interval between two requests."""
 ANSWER_S = 1.0
-"""A daemon that has not answered for so long is called silent."""
+"""Time without an answer after which the daemon counts as silent."""
 MOST_BEHIND = 200
-"""Messages that a page may be behind before it is let go; it comes again."""
+"""Messages that a page may be behind; then it is disconnected, and connects again."""
 
 
 class Watcher:
-    """Of one cell; see ``watching``."""
+    """Watcher of one cell; see ``polling_daemon``."""
 
     def __init__(self, state_dir: Path) -> None:
         self._state_dir = state_dir
@@ -43,17 +43,17 @@ class Watcher:
         self.daemon = "none"
         """``up``, ``silent`` or ``none``."""
         self.number = 0
-        """Of events so far: what is kept of the journal is read anew when it grows."""
+        """Number of events so far: data of the journal are read again when it grows."""
 
     def state(self) -> dict[str, Any]:
-        """What is known, and how old it is."""
+        """State of the daemon and its age."""
         age_s = None if self._heard_s is None else round(time.monotonic() - self._heard_s, 3)
         known = {"daemon": self.daemon, "age_s": age_s, "number": self.number, "live": self._live or None}
         return known if self.daemon != "none" else {**known, "ending": last_ending(self._state_dir)}
 
     @contextmanager
     def page(self) -> Iterator[AsyncIterator[str]]:
-        """Messages as they are sent to a page: ``event: state`` twice a second, ``event: happened`` as it happens."""
+        """Messages for a page: ``event: state`` twice a second, ``event: happened`` for each event."""
         waiting: asyncio.Queue[str | None] = asyncio.Queue()
         waiting.put_nowait(_message("state", self.state()))
         self._pages.add(waiting)
@@ -64,7 +64,7 @@ class Watcher:
 
     @property
     def pages(self) -> int:
-        """How many watch."""
+        """Number of connected pages."""
         return len(self._pages)
 
     def _start(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -82,14 +82,14 @@ class Watcher:
         if self._loop is not None and not self._ended.is_set():
             try:
                 self._loop.call_soon_threadsafe(function, *arguments)
-            except RuntimeError:  # it was closed in this moment
+            except RuntimeError:  # closed in this moment
                 self._ended.set()
 
     def _ask_on(self) -> None:
         while not self._ended.is_set():
             daemon, answer = self._asked()
             if daemon == "silent":
-                daemon, answer = self._asked()  # it may have been killed while it was asked: then there is none now
+                daemon, answer = self._asked()  # the daemon may have been killed during the request
             self._in_loop(self._told, daemon, answer)
             self._look.wait(LOOK_S)
             self._look.clear()
@@ -101,7 +101,7 @@ class Watcher:
             return "none", None
         except PolishdError:
             return "silent", None
-        except Exception:  # whatever the daemon sent: this thread goes on
+        except Exception:  # the thread must survive any answer of the daemon
             log.exception("asking the daemon failed; the watcher asks again")
             return "silent", None
 
@@ -114,9 +114,9 @@ class Watcher:
                     self._in_loop(self._happened, event)
             except (PolishdError, OSError) as error:
                 log.debug("no events: %s", error)
-            except Exception:  # whatever the daemon sent: this thread goes on
+            except Exception:  # the thread must survive any event of the daemon
                 log.exception("listening to the daemon failed; the watcher listens again")
-            self._look.set()  # it has ended: that is told at once
+            self._look.set()  # report the end at once
             self._ended.wait(LOOK_S)
 
     def _told(self, daemon: str, answer: dict[str, Any] | None) -> None:
@@ -128,7 +128,7 @@ class Watcher:
     def _happened(self, event: dict[str, Any]) -> None:
         self.number += 1
         self._send(_message("happened", event))
-        if event.get("name") != "progress":
+        if event.get("name") != "pass_progressed":
             self._look.set()
 
     def _send(self, message: str) -> None:
@@ -142,7 +142,7 @@ class Watcher:
 
 @asynccontextmanager
 async def polling_daemon(state_dir: Path) -> AsyncIterator[Watcher]:
-    """A watcher that watches inside this block."""
+    """A watcher that runs inside this block."""
     watcher = Watcher(state_dir)
     watcher._start(asyncio.get_running_loop())
     try:

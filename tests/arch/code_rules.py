@@ -200,6 +200,51 @@ def _reached(start: str, imports: Mapping[str, set[str]]) -> set[str]:
     return found
 
 
+DECLARATIONS = {"DeviceType": "port", "SimDevice": "device"}
+"""Calls that declare a device, with the argument that names its section."""
+LISTS_OF_DEVICES = (
+    "commissioning/rehearsal/devices.py",  # options that a cell's devices have otherwise in a rehearsal
+    "config/simulator_cell.py",  # turns sections of a cell into those of SIM.toml, by type
+    "config/simulator.py",  # sections that several simulated devices share, by `kind` and `drive`
+    "plugin_loader.py",  # plugin names of before, which are refused with the new ones
+)
+"""Files that a new device never touches, although they list devices."""
+
+
+def no_lists_of_devices(root: Path) -> list[str]:
+    """No collection names devices of other files: a driver and a simulated device declare themselves."""
+    tree = sources(root)
+    declared = {source.name: set(_declared_devices(source)) for source in tree}
+    known = set().union(*declared.values())
+    return [
+        source.at(node, f"lists the devices {', '.join(sorted(found))}; let each declare what is needed of it")
+        for source in tree
+        if not source.within(*LISTS_OF_DEVICES)
+        for node in source.nodes
+        if len(found := (_listed(node) & known) - declared[source.name]) > 1
+    ]
+
+
+def _declared_devices(source: Source) -> Iterator[str]:
+    """Names of devices that a file declares. A simulated device with the name of its section is no device's name."""
+    for call, callee in source.calls():
+        if callee in DECLARATIONS:
+            named = {word.arg: word.value for word in call.keywords}
+            name = named.get("name") or call.args[0]
+            section = named.get(DECLARATIONS[callee]) or call.args[1]
+            if isinstance(name, ast.Constant) and ast.dump(name) != ast.dump(section):
+                yield str(name.value)
+
+
+def _listed(node: ast.AST) -> set[str]:
+    entries: list[ast.expr] = []
+    if isinstance(node, ast.Dict):
+        entries = [*filter(None, node.keys), *node.values]
+    elif isinstance(node, ast.List | ast.Tuple | ast.Set):
+        entries = node.elts
+    return {entry.value for entry in entries if isinstance(entry, ast.Constant) and isinstance(entry.value, str)}
+
+
 RULES = (
     docstrings,
     exceptions_at_home,
@@ -209,4 +254,5 @@ RULES = (
     no_stray_tasks,
     no_sleeping,
     no_import_cycles,
+    no_lists_of_devices,
 )

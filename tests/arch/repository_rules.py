@@ -48,13 +48,13 @@ def no_machine_named(root: Path) -> list[str]:
     here = f"{root}/"
     return [
         f"{path.relative_to(root).as_posix()}:{number}: names a machine's path or a registry: {line.strip()[:80]}"
-        for path in _tracked(root)
+        for path in tracked_files(root)
         for number, line in enumerate(_text(path).splitlines(), 1)
         if here in line or MACHINE_PATH.search(line) or REGISTRY_HOST.search(line)
     ]
 
 
-def _tracked(root: Path) -> Iterator[Path]:
+def tracked_files(root: Path) -> Iterator[Path]:
     """What git has, or would take: a new file counts before it is added."""
     listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     names = subprocess.run(listing, cwd=root, capture_output=True, text=True, check=True).stdout.split("\0")

@@ -106,6 +106,7 @@ def test_every_rule_is_tried() -> None:
     alone = {
         code.confined_libraries,
         code.no_import_cycles,
+        code.no_lists_of_devices,
         repository.no_machine_named,
         repository.hooks_are_documented,
         repository.hooks_are_tested,
@@ -138,6 +139,35 @@ def test_modules_that_import_each_other_are_found(tmp_path: Path) -> None:
     )
     ring = "polishd/a.py and polishd/b.py and polishd/c.py import each other"
     assert code.no_import_cycles(tmp_path) == [ring]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('SPEED = {"arm": 1.0, "gantry": 4.0}\n', True),
+        ('KIND = Literal["arm", "sim_arm"]\n', True),
+        ('KINDS = ["robot", "arm"]\n', False),
+        ('KINDS = ["robot", "loader"]\n', False),
+    ],
+)
+def test_a_list_of_devices_is_found(tmp_path: Path, text: str, found: bool) -> None:
+    """Device types and simulated devices count, and sections do not; nor does what declares them."""
+    grow(
+        tmp_path,
+        {
+            "polishd/drivers/a.py": """
+                NAMES = ["arm", "gantry"]
+                DeviceType("arm", "robot")
+                DeviceType("gantry", port="robot")
+            """,
+            "polishd/sim_backends/a.py": """
+                SimDevice(name="sim_arm", device="robot")
+                SimDevice(name="loader", device="loader")
+            """,
+            "polishd/b.py": text,
+        },
+    )
+    assert [line.partition(":")[0] for line in code.no_lists_of_devices(tmp_path)] == ["polishd/b.py"] * found
 
 
 def test_errors_may_be_defined_at_home(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ class Site:
         for path in Path("/proc").glob("[0-9]*/cmdline"):
             try:
                 parent = int((path.parent / "stat").read_text().rpartition(")")[2].split()[1])
-                if parent == self.pid and b"compute_worker" in path.read_bytes():
+                if parent == self.pid and b"runtime.compute" in path.read_bytes():
                     found.append(int(path.parent.name))
             except (OSError, IndexError):
                 continue  # it ended meanwhile

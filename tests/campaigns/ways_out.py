@@ -167,7 +167,7 @@ def measure(way: Way, lift_s: float, folder: Path) -> Cost:
             "job": {},
         }
         if slow:
-            cell["robot"]["watchdog_s"], cell["job"]["lookahead_s"] = lift_s + 4.0, lift_s + 4.0
+            cell["robot"]["watchdog_s"], cell["job"]["stream_ahead_s"] = lift_s + 4.0, lift_s + 4.0
         files.cell.write_text(with_values(files.cell.read_text(), cell))
         sim = {"actuator": {"lift_s": lift_s}, "robot": {"port": target}}
         files.sim.write_text(with_keys(files.sim.read_text(), sim))

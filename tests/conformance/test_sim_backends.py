@@ -27,14 +27,12 @@ import pytest
 from polishd.api import DeviceRefused, ExecutedBlock, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.profile_device import build
 from polishd.drivers.robot_link.driver import RobotLink
-from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.rtde import UrRegisters
@@ -49,6 +47,7 @@ from tests.conformance.rigs.actuators import PATIENT
 from tests.conformance.rigs.looking import PATIENT_MONITOR, PATIENT_SENSOR
 from tests.conformance.rigs.robots import PATIENT_ROBOT
 from tests.conformance.rigs.spindles import PATIENT_SPINDLE
+from tests.fakes.cia402 import cia402_spindle
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.kinds import kind
 from tests.patience import SOON_S, within
@@ -215,7 +214,7 @@ def connect(cells: Cells, place: Place) -> Any:
     address = parse_address(running.endpoints[place.device], running.state)
     match address:
         case Tcp() | SerialLine() if place.device == "force_sensor":
-            return ForceSensorLine(address, PATIENT_SENSOR)
+            return build.force_sensor(shipped("force_sensor_line"), address, PATIENT_SENSOR)
         case Tcp() | SerialLine() if place.device == "monitor":
             return MonitorLine(address, PATIENT_MONITOR)
         case Tcp() if place.device == "robot":
@@ -225,7 +224,7 @@ def connect(cells: Cells, place: Place) -> Any:
         case Tcp() if place.cell == "profiles":
             return build.spindle(shipped("delta_ms300"), address, PATIENT_SPINDLE)
         case SlcanAddress() | SocketcandAddress():
-            return SpindleCan(address, SpindleTimes(silence_s=1.5))
+            return cia402_spindle(address, SpindleTimes(silence_s=1.5))
         case SerialLine() if place.cell == "ascii":
             return voice_coil_serial(address, PATIENT)
         case SerialLine() | Tcp():

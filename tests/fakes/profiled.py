@@ -45,8 +45,8 @@ class IdealDrive:
 
     def __init__(self, sheet: SimDeviceProfile) -> None:
         self.coil = Coil()
-        self._engages = "engage" in sheet.raw["orders"]
-        self._beats = "beat" in sheet.raw["orders"]
+        self._engages = "engage" in sheet.raw["commands"]
+        self._beats = "heartbeat" in sheet.raw["commands"]
 
     def values(self) -> Mapping[str, float | str]:
         coil = self.coil
@@ -71,7 +71,7 @@ class IdealDrive:
             return "" if coil.engage() else "fault"
         if name == "watchdog":
             coil.watchdog_ms = round(asked)
-        elif name == "beat":
+        elif name == "heartbeat":
             coil.feed()
         else:
             coil.retract()

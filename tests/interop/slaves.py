@@ -92,7 +92,7 @@ async def is_a_voice_coil_to_us(slave: Slave, address: Tcp | SerialLine) -> None
         await wire.order("force", 12.34)
         await wire.order("engage")
         await wire.order("watchdog", 500.0)
-        await wire.order("beat")
+        await wire.order("heartbeat")
         assert slave.got("holding", 0, 4) == [1, 1234, 500, 1]
     finally:
         await wire.disconnect()

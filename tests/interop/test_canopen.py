@@ -36,7 +36,6 @@ port = 0
 watchdog_s = 30.0
 [spindle]
 kind = "socketcand"
-drive = "cia402"
 """
 
 

@@ -33,7 +33,7 @@ MB_BYTE_TIMEOUT_MS=1000
 COIL = (
     ("says", "04_read_input_registers", 0, 6),
     ("asked", "16_write_multiple_registers", 1, 2),
-    ("beat", "06_write_single_register", 3, 1),
+    ("heartbeat", "06_write_single_register", 3, 1),
     ("command", "06_write_single_register", 0, 1),
 )
 PLC = (
@@ -41,7 +41,7 @@ PLC = (
     ("stands", "01_read_coils", 0, 4),
     ("sees", "02_read_discrete_inputs", 0, 2),
     ("orders", "15_write_multiple_coils", 0, 4),
-    ("beat", "06_write_single_register", 0, 1),
+    ("heartbeat", "06_write_single_register", 0, 1),
 )
 GS2_HAS = (*range(0x2104, 0x210D), 0x091D, 0x0100, 0x0101, 0x0102, 0x0605)
 """Registers that gs2_vfd reads or writes, and no driver of ours."""

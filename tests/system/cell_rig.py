@@ -31,7 +31,7 @@ PATIENT: Sections = {
     "robot": {"silence_s": 6.0, "watchdog_s": 20.0, "no_progress_s": 5.0},
     "actuator": {"silence_s": 3.0, "watchdog_ms": 5000},
     "spindle": {"silence_s": 6.0, "watchdog_s": 6.0},
-    "job": {"lookahead_s": 12.0},
+    "job": {"stream_ahead_s": 12.0},
 }
 """On a busy machine every process is silent for a while: only one that hangs is so for as long as this."""
 

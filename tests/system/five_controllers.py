@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_program, simulated_cell
-from tests.system import handover_rig, linuxcnc_rig, universal_robots_rig
+from tests.system import linuxcnc_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import (
     PATIENT,
     Daemon,
@@ -61,11 +61,11 @@ class Controller:
 FIVE = (
     Controller("robot link", "link", "feed", 0.007),
     Controller("LinuxCNC", "linuxcnc", "feed", None, corner_deg=180.0, speed=1.0),
-    Controller("handover, OPC UA", "opcua", "feed", 0.03),
-    Controller("handover, ADS", "ads", "feed", 0.03),
+    Controller("PLC robot, OPC UA", "opcua", "feed", 0.03),
+    Controller("PLC robot, ADS", "ads", "feed", 0.03),
     Controller("Universal Robots", "universal_robots", "dwell", 0.02, speed=4.0, rough=True),
 )
-SLOW_PLC = Controller("handover, OPC UA, slow", "opcua", "feed", 0.29, rough=True)
+SLOW_PLC = Controller("PLC robot, OPC UA, slow", "opcua", "feed", 0.29, rough=True)
 """Its points cost more than most dwells are long: what the floor removes is most of what is removed."""
 
 
@@ -102,14 +102,14 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
     program = PROGRAMS[controller.encoding]
     if controller.kind == "linuxcnc":
         linuxcnc_rig.take(files)
-        again = {"between": {"settle.wait_s": 1.0, "settle.maps": 3}}  # where a map is doubted: real seconds
+        again = {"part_handling": {"settle.wait_s": 1.0, "settle.max_maps": 3}}  # where a map is doubted: real seconds
         files.cell.write_text(with_keys(files.cell.read_text(), {**PATIENT, **again}))
         files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
     elif controller.kind == "universal_robots":
         universal_robots_rig.take(files, cycle_hz=500)
         program = universal_robots_rig.script
     elif controller.kind != "link":
-        handover_rig.hand_over(files, controller.kind)
+        plc_robot_rig.hand_over(files, controller.kind)
     if controller.beyond_s is not None:
         lines = 2 if controller.encoding == "dwell" else 1  # a point's
         hidden = {"overhead_s": controller.beyond_s / lines, "overhead_spread": 0.0}

@@ -26,7 +26,7 @@ from tests.system.sim_rig import ROOT, alive, wait_for
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""
-ON_RING = {"places_mm": [[0.0, 5.0], [-4.3, -2.5], [4.3, -2.5]]}
+ON_RING = {"points_mm": [[0.0, 5.0], [-4.3, -2.5], [4.3, -2.5]]}
 """The part's own rim is narrower than the tool's contact."""
 DWELL_PITCH_MM = 1.75
 Turns = Literal["tool", "table"]
@@ -134,8 +134,9 @@ def take(files: DemoFiles, turns: Turns = "tool") -> None:
     if turns == "table":
         quick["program"] = {"dialects": ["table.toml"], "format": "table"}
     files.cell.write_text(with_keys(cell, quick))
-    coil = {"land_s": 0.1, "lift_s": 0.06, "cling": 0.0}
-    sim = with_keys(files.sim.read_text(), {"plant": {"speed": 1.0}, "actuator": coil, "robot": {"turns": turns}})
+    coil = {"land_s": 0.1, "lift_s": 0.06, "stick_share": 0.0}
+    robot_keys = {"rotary_axes_carry": turns}
+    sim = with_keys(files.sim.read_text(), {"plant": {"speed": 1.0}, "actuator": coil, "robot": robot_keys})
     files.sim.write_text(sim)
 
 

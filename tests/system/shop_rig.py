@@ -109,7 +109,7 @@ class ShopCell:
     def __init__(self, name: str, files: DemoFiles) -> None:
         self.name, self.files = name, files
         self.daemon = Process(files.daemon_log, "run", files.cell, "--queue")
-        self.link = Process(files.out / "link.log", "shop", "link", files.cell)
+        self.link = Process(files.out / "link.log", "shop", "connect", files.cell)
 
     def status(self) -> dict[str, Any]:
         """What the daemon says; empty where none answers."""
@@ -127,7 +127,7 @@ class ShopCell:
         """A person gives a job up over which the cell is held."""
         with contextlib.suppress(PolishdError):
             args = {"job": job, "reason": "it does not go on", "by": "the campaign"}
-            client.request(self.files.state_dir, "job_remove", 60.0, args)
+            client.request(self.files.state_dir, "queue_remove", 60.0, args)
 
     def rows(self, sql: str) -> list[tuple[Any, ...]]:
         """Of its journal."""
@@ -140,7 +140,7 @@ def write_shop_cell(out: Path, name: str, shop: Shop) -> DemoFiles:
     """The small cell's files, with a loader, and a token of the shop."""
     files = write_small(out)
     port = free_port()
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     cell += f'\n[shop]\nurl = "{shop.url}"\ntoken = "file:shop.token"\nevery_s = {EVERY_S}\n'
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 20.0}, "cell": {"name": name}}))

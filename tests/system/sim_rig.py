@@ -281,13 +281,14 @@ class CoilClient:
 
 
 class SlcanClient:
-    """The spindle on slcan, raw."""
+    """The spindle's CiA 402 drive on slcan, raw: SDO transfers whose answers ``seen`` has."""
 
     def __init__(self, path: Path) -> None:
         self.line = serial.Serial(str(path), 115200, timeout=0.02)
         self.line.write(b"C\rS6\rO\r")
         self.seen: dict[str, str] = {}
         self.rest = b""
+        self._rpm = 0.0
 
     def send(self, frame: str) -> None:
         """``identifier#data``."""
@@ -302,14 +303,30 @@ class SlcanClient:
             if line.startswith(b"t"):
                 self.seen[line[1:4].decode()] = line[5:].decode()
 
-    def spin(self, rpm: int) -> None:
-        """One command."""
-        self.send("205#" + struct.pack("<BBhI", int(rpm != 0), 1, rpm, 0).hex())
+    def write(self, index: int, value: int, size: int, sub: int = 0) -> None:
+        """Write an object of 1, 2 or 4 bytes."""
+        data = value.to_bytes(size, "little", signed=value < 0).ljust(4, b"\0")
+        self.send("605#" + (struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + data).hex())
 
-    def state(self) -> int:
-        """State of the last status frame, -1 before the first."""
+    def spin(self, rpm: int) -> None:
+        """A heartbeat; then profile velocity and a speed, or a quick stop."""
+        self.send("745#05")
+        if rpm == 0:
+            return self.write(0x6040, 0x02, 2)
+        self.write(0x6060, 3, 1)
+        for word in (0x06, 0x07, 0x0F):
+            if word == 0x0F or abs(self.rpm()) < 1.0:
+                self.write(0x6040, word, 2)
+        return self.write(0x60FF, 10 * rpm, 4)
+
+    def rpm(self) -> float:
+        """Its speed; 0 before the first answer."""
+        self.send("605#406c600000000000")
         self.pump()
-        return int(self.seen.get("185", "ff")[:2], 16) if "185" in self.seen else -1
+        answer = self.seen.get("585", "")
+        if answer.lower().startswith("436c60"):
+            self._rpm = struct.unpack("<i", bytes.fromhex(answer[8:16]))[0] / 10.0
+        return self._rpm
 
     def close(self) -> None:
         """Close the line."""

@@ -180,7 +180,7 @@ async def test_a_robot_of_50_blocks_a_second_does_not_starve_when_the_link_stall
             # No report for a second is no progress for a second: a cell with such a link would set robot.no_progress_s.
             patient = ProgressLimits(late_s=3.0)
             async with streaming(
-                plan, robot, Wall(), lookahead_s=LOOKAHEAD_S, least_s=LOOKAHEAD_S / 4, limits=patient
+                plan, robot, Wall(), stream_ahead_s=LOOKAHEAD_S, least_s=LOOKAHEAD_S / 4, limits=patient
             ) as stream:
                 await stream.approach()
                 async for one in stream.polish():

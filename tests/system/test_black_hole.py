@@ -11,7 +11,7 @@ from typing import Literal
 import pytest
 
 from tests.system.cell_rig import Daemon, summary, write_small
-from tests.system.handover_rig import Kind, hand_over, running
+from tests.system.plc_robot_rig import Kind, hand_over, running
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

@@ -67,4 +67,4 @@ def test_a_pass_that_was_cut_off_is_told_with_what_was_done(tmp_path: Path) -> N
     assert held["kind"] == "hold"
     assert "resume was ordered" in held["done"]
     assert cut["kind"] == "pass interrupted"
-    assert "none of its blocks was run again" in cut["done"]
+    assert "no block of it was repeated" in cut["done"]

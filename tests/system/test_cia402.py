@@ -39,7 +39,6 @@ watchdog_s = 30.0
 kind = "slcan"
 [spindle]
 kind = "socketcand"
-drive = "cia402"
 """
 PRESSED = [b"G21 G90", b"G0 X0 Y0 Z0 A15 C0", b"M2"]
 
@@ -169,7 +168,7 @@ async def test_a_drive_that_dies_in_contact_lifts_and_is_a_lost_link(running: Ce
 def test_a_part_is_polished_by_drives_off_the_shelf(tmp_path: Path) -> None:
     """As shipped but for the two device sections."""
     files = write_small(tmp_path / "cell", **ONE_PASS)
-    text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
+    text = files.cell.read_text().replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     files.cell.write_text(text)

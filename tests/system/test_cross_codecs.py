@@ -29,7 +29,6 @@ from pymodbus.pdu.register_message import (
 )
 
 from polishd.api import ExecutedBlock, MapError, SurfaceMap
-from polishd.drivers import spindle_can as spindle_codec
 from polishd.drivers.profile_device import codec
 from polishd.drivers.profile_device.drives import reading_of
 from polishd.drivers.robot_link import protocol
@@ -44,7 +43,6 @@ from polishd.sim_backends.common import metropro as writer
 from polishd.sim_backends.common.can import SlcanHost, SocketcandHost, slcan_frame, slcan_line
 from polishd.sim_backends.common.framing import AsciiSlave, CoilRegisters, RtuSlave, body, crc16, line, rtu
 from polishd.sim_backends.common.voice_coil import VoiceCoil
-from polishd.sim_backends.spindle import Drive
 from tests.fakes.devices_by_profile import shipped
 from tests.vectors import vectors
 
@@ -336,68 +334,7 @@ def test_every_set_point_arrives_as_text_too(hundredths: int) -> None:
     assert actuator.setpoint_n == pytest.approx(hundredths / 100.0, abs=1e-12)
 
 
-# the spindle on CAN
-
-
-def can_frame(text: str) -> tuple[int, bytes]:
-    identifier, data = text.split("#")
-    return int(identifier, 16), bytes.fromhex(data)
-
-
-def drive(node: int = 5, **objects: int) -> Drive:
-    known = {(0x1018, sub): value for sub, value in enumerate((1, 2, 3, objects.get("serial", 12345)), start=1)}
-    return Drive(node, 3000, {**known, (0x2000, 0): 7}, lambda *_a, **_k: None, 0.0)
-
-
-def test_can_vectors() -> None:
-    page = {name: can_frame(value) for name, value in vectors("spindle_can").items()}
-    assert spindle_codec.encode_command(5, run=True, counter=9, rpm=1000) == page["run_1000_counter_9"]
-    assert spindle_codec.encode_command(5, run=False, counter=10, rpm=0) == page["stop_counter_10"]
-    assert spindle_codec.encode_upload(5, spindle_codec.SERIAL_NUMBER) == page["identity_request"]
-    machine = drive()
-    assert machine.on_frame(*page["identity_request"]) == [page["identity_answer"]]
-    machine.on_frame(*page["run_1000_counter_9"])
-    machine.step(0.2)
-    machine.step(0.4)
-    machine.step(0.49)
-    machine.rpm = 1000.0
-    assert machine.status() == page["status_at_speed"]
-    status = spindle_codec.decode(5, spindle_codec.CanFrame(*page["status_at_speed"]))
-    assert status == spindle_codec.DriveStatus(spindle_codec.DriveState.AT_SPEED, 9, 1000.0, 0)
-    assert spindle_codec.decode(5, spindle_codec.CanFrame(*page["heartbeat"])) == spindle_codec.Heartbeat(boot=False)
-
-
-@given(node=st.integers(1, 127), counter=U8, rpm=st.integers(-3000, 3000))
-def test_commands_reach_the_drive(node: int, counter: int, rpm: int) -> None:
-    machine = drive(node)
-    machine.on_frame(*spindle_codec.encode_command(node, run=rpm != 0, counter=counter, rpm=rpm))
-    assert machine.target_rpm == rpm
-    status = spindle_codec.decode(node, spindle_codec.CanFrame(*machine.status()))
-    assert isinstance(status, spindle_codec.DriveStatus)
-    assert status.counter == counter
-    assert spindle_codec.decode(node % 127 + 1, spindle_codec.CanFrame(*machine.status())) is None
-
-
-@given(tenths=st.integers(-32767_0, 32767_0), fault=st.integers(0, 7))
-def test_speeds_and_faults_reach_the_driver(tenths: int, fault: int) -> None:
-    machine = drive()
-    machine.rpm = machine.target_rpm = tenths / 10.0
-    machine.fault = fault
-    status = spindle_codec.decode(5, spindle_codec.CanFrame(*machine.status()))
-    assert isinstance(status, spindle_codec.DriveStatus)
-    assert status.rpm == pytest.approx(tenths / 10.0, abs=1e-9)
-    assert (int(status.state), status.fault) == (machine.state, fault)
-
-
-@given(serial=U32, index=U16, sub=U8)
-def test_objects_of_the_drive(serial: int, index: int, sub: int) -> None:
-    machine = drive(serial=serial)
-    for what in (spindle_codec.SERIAL_NUMBER, spindle_codec.DriveObject(index, sub)):
-        (answer,) = machine.on_frame(*spindle_codec.encode_upload(5, what))
-        read = spindle_codec.decode(5, spindle_codec.CanFrame(*answer))
-        known = machine.objects.get((what.index, what.sub))
-        expected = 0x06020000 if known is None else known
-        assert read == spindle_codec.SdoAnswer(what, expected, aborted=known is None)
+# CAN adapters
 
 
 FRAMES = st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8))

@@ -25,8 +25,8 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 RATE = -0.2
 PLANTS = 40
-MACHINE = {"learns": "machine"}
-AGAIN = {"settle.wait_s": 1.0, "settle.maps": 3}  # where a map is doubted: real seconds
+MACHINE = {"estimates": "machine"}
+AGAIN = {"settle.wait_s": 1.0, "settle.max_maps": 3}  # where a map is doubted: real seconds
 PLANT = {
     "hidden_truth": {"rate": [RATE, RATE], "stiffness": 0.0, "drift": 0.0},
     "effects": {"eq_44": [1.0, 1.0]},  # else what is not lost as depth is a rate, too
@@ -43,14 +43,14 @@ def polishd(*arguments: str, cwd: Path) -> str:
 @pytest.mark.timeout(900)
 def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
-    plain = with_keys(files.cell.read_text(), {"process": MACHINE, "between": AGAIN})
+    plain = with_keys(files.cell.read_text(), {"process": MACHINE, "part_handling": AGAIN})
     files.cell.write_text(plain)
     files.sim.write_text(with_keys(files.sim.read_text(), PLANT))
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
     part = load_config(files.cell).part.id
 
     told = json.loads(
-        polishd("calibrate", "cell", "cell.toml", "--out", "touch", "--part", part, "--json", cwd=tmp_path)
+        polishd("calibrate", "first-touch", "cell.toml", "--out", "touch", "--part", part, "--json", cwd=tmp_path)
     )
     errors = {row["name"]: (row["before"], row["after"]) for row in told["parameters"]}
     assert told["contact_min"] < 5.0
@@ -64,7 +64,7 @@ def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     assert touch["outcome"] == "as_programmed"
     assert len(touch["cycles"]) == 2, "one pass, between two maps"
     assert touch["cycles"][1]["rms_nm"] > touch["cycles"][0]["rms_nm"], "a touch corrects nothing"
-    (belief,) = json.loads(polishd("beliefs", "cell.toml", "--json", cwd=tmp_path))["beliefs"]
+    (belief,) = json.loads(polishd("estimates", "cell.toml", "--json", cwd=tmp_path))["beliefs"]
     assert belief["job"] == f"first-touch-{part}"
 
     files.cell.write_text(plain)

@@ -28,12 +28,13 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 SENSOR = """
 [force_sensor]
-type = "force_sensor_line"
+type = "force_sensor_profile"
+profile = "force_sensor_line"
 address = "serial:sim/force_sensor"
 silence_s = {silence_s}
 delay_s = {delay_s}
-band_n = 1.5
-grace_s = 1.5
+max_difference_n = 1.5
+alarm_delay_s = 1.5
 """
 PATIENT: Mapping[str, float] = {"silence_s": 3.0, "delay_s": 1.0}
 PROMPT: Mapping[str, float] = {"silence_s": 0.5, "delay_s": 1.0}
@@ -47,12 +48,12 @@ silence_s = 5.0
 unit = "l/min"
 before = {{ min = 1.0 }}
 in_contact = {{ min = 0.8 }}
-leads_to = "{leads_to}"
+action = "{action}"
 
 [signals.guard_closed]
 before = {{ state = true, wait_s = 1.0 }}
-in_contact = {{ state = true, grace_s = 0.0 }}
-leads_to = "estop"
+in_contact = {{ state = true, alarm_delay_s = 0.0 }}
+action = "estop"
 """
 
 
@@ -62,8 +63,7 @@ def watched_cell(
 ) -> Iterator[DemoFiles]:
     """A running simulator for the small part, with more in both files."""
     files = write_small(out, **{**ONE_PASS, **job})
-    text = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"')
-    text = with_values(text + cell, {"limits": {"force_grace_s": 1.3}})
+    text = with_values(files.cell.read_text() + cell, {"limits": {"force_alarm_delay_s": 1.3}})
     files.cell.write_text(text)
     files.sim.write_text(with_faults(files.sim.read_text() + sim, *faults))
     options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", str(speed)]
@@ -84,12 +84,12 @@ def press(files: DemoFiles, device: str, number: signal.Signals) -> None:
 
 def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None:
     sim = '[force_sensor]\nkind = "serial"\n[monitor]\nkind = "serial"\n'
-    cell = SENSOR.format(**PATIENT) + MONITOR.format(leads_to="lift")
+    cell = SENSOR.format(**PATIENT) + MONITOR.format(action="lift")
     with watched_cell(tmp_path / "cell", cell, sim) as files:
         checked = json.loads(polishd("check", str(files.cell), "--json").stdout)
         assert "force_sensor's: at most 1.5 N apart" in checked["force"]
         assert "guard_closed of monitor: before contact on" in checked["signals"]
-        assert {"force_sensor.silence_s", "force_sensor.grace_s"} < {row["key"] for row in checked["time limits"]}
+        assert {"force_sensor.silence_s", "force_sensor.alarm_delay_s"} < {row["key"] for row in checked["time limits"]}
         probed = json.loads(polishd("probe", str(files.cell), "--json").stdout)
         assert probed["force_sensor"]["model"] == "simulated F1"
         assert probed["signals"]["guard_closed"] == "on"
@@ -157,8 +157,8 @@ def test_a_sensor_that_falls_silent_ends_contact(tmp_path: Path, how: str) -> No
 
 
 def test_a_flow_that_stops_in_contact_ends_the_pass(tmp_path: Path) -> None:
-    sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 1.5\nthen = 0.0\nafter_s = 1.0\n'
-    with watched_cell(tmp_path / "cell", MONITOR.format(leads_to="lift"), sim) as files:
+    sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 1.5\nchanges_to = 0.0\nafter_s = 1.0\n'
+    with watched_cell(tmp_path / "cell", MONITOR.format(action="lift"), sim) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == SAFETY, daemon.output.read_text()
         require_off_the_part(files)
@@ -169,8 +169,8 @@ def test_a_flow_that_stops_in_contact_ends_the_pass(tmp_path: Path) -> None:
 
 def test_a_guard_that_opens_stops_motion_at_once_and_holds_the_cell(tmp_path: Path) -> None:
     """For as long as it is open the cell stays held, however often somebody resumes."""
-    sim = '[monitor]\nkind = "serial"\n[monitor.signals.guard_closed]\nvalue = true\nthen = false\n'
-    with watched_cell(tmp_path / "cell", MONITOR.format(leads_to="hold"), sim) as files, Daemon(files) as daemon:
+    sim = '[monitor]\nkind = "serial"\n[monitor.signals.guard_closed]\nvalue = true\nchanges_to = false\n'
+    with watched_cell(tmp_path / "cell", MONITOR.format(action="hold"), sim) as files, Daemon(files) as daemon:
         daemon.wait_in_contact(50)
         press(files, "monitor", signal.SIGUSR1)
         status = daemon.wait_for_state("held")
@@ -187,8 +187,8 @@ def test_a_guard_that_opens_stops_motion_at_once_and_holds_the_cell(tmp_path: Pa
 
 
 def test_nothing_moves_before_the_slurry_flows(tmp_path: Path) -> None:
-    sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 0.2\nthen = 1.5\n'
-    with watched_cell(tmp_path / "cell", MONITOR.format(leads_to="lift"), sim) as files, Daemon(files) as daemon:
+    sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 0.2\nchanges_to = 1.5\n'
+    with watched_cell(tmp_path / "cell", MONITOR.format(action="lift"), sim) as files, Daemon(files) as daemon:
         wait_for(lambda: "slurry_flow is 0.2 l/min" in str(daemon.status().get("signals")), "the signal to be told")
         wait_for(lambda: events(files, "map_dropped"), "a map")
         assert events(files, "engage", "motion_started") == []

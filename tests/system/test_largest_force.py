@@ -48,7 +48,7 @@ def stopped(files: DemoFiles) -> tuple[str, float]:
 
 @pytest.mark.parametrize("kind", ACTUATORS)
 def test_a_spike_leaves_contact_at_its_first_reading(tmp_path: Path, kind: str) -> None:
-    spike = {"device": "actuator", "what": "spike", "contact_s": 0.7, "force_n": 36.0, "for_s": 0.2}
+    spike = {"device": "actuator", "what": "spike", "contact_s": 0.7, "force_n": 36.0, "duration_s": 0.2}
     with running(ACTUATORS[kind](tmp_path / "cell"), spike) as files:
         reason, seconds = stopped(files)
     assert "the actuator reads 4" in reason

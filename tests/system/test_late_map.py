@@ -27,7 +27,7 @@ def taken_maps(files: DemoFiles) -> list[str]:
 def test_the_last_parts_map_that_comes_late_is_not_taken_for_this_part(tmp_path: Path) -> None:
     """It was asked for, and measured, while that part was in; it comes when this part's map is waited for."""
     files = write_small(tmp_path / "cell", **ONE_PASS)
-    unnamed = {"accept_unnamed": True, "clock_tolerance_s": 1.0}
+    unnamed = {"accept_without_part_id": True, "clock_tolerance_s": 1.0}
     files.cell.write_text(with_keys(files.cell.read_text(), {"metrology": unnamed}))
     files.sim.write_text(with_keys(files.sim.read_text(), {"interferometer": {"write_s": 2.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "40"]

@@ -42,7 +42,7 @@ def test_the_seat_is_proved_at_three_places_with_linuxcnc_too(tmp_path: Path) ->
         touched = account(files)["stands"][:3]
     assert summary(files)["outcome"] == "cycles_used"
     places = [(stand["x_mm"], stand["y_mm"]) for stand in touched]
-    assert np.array(places) == pytest.approx(np.array(ON_RING["places_mm"]), abs=0.01)
+    assert np.array(places) == pytest.approx(np.array(ON_RING["points_mm"]), abs=0.01)
     assert all(stand["most_n"] <= 1.0 and stand["most_rpm"] == 0.0 for stand in touched), touched
 
 

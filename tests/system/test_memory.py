@@ -133,7 +133,7 @@ def test_a_worker_that_the_kernel_ends_for_its_memory_is_replaced(files: DemoFil
         daemon.wait_in_contact(60)
         children = Path(f"/proc/{daemon.process.pid}/task/{daemon.process.pid}/children").read_text().split()
         (worker,) = [
-            pid for pid in map(int, children) if b"compute_worker" in Path(f"/proc/{pid}/cmdline").read_bytes()
+            pid for pid in map(int, children) if b"runtime.compute" in Path(f"/proc/{pid}/cmdline").read_bytes()
         ]
         os.kill(worker, signal.SIGKILL)
         assert daemon.wait() in {0, 1}, daemon.output.read_text()

@@ -25,9 +25,9 @@ def tell(files: DemoFiles, mail_port: int, url: str) -> None:
     (files.out / "secret").write_text(SECRET)
     (files.out / "secret").chmod(0o600)
     text = files.cell.read_text()
-    assert '"plan_guard"' in text
+    assert '"plan_checks"' in text
     files.cell.write_text(
-        text.replace('"plan_guard"', '"plan_guard", "notifications"')
+        text.replace('"plan_checks"', '"plan_checks", "notifications"')
         + f"""
 [notify.mail]
 type = "email"

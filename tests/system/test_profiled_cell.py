@@ -48,7 +48,7 @@ def with_section(text: str, name: str, section: str) -> str:
 def profiled_files(out: Path) -> DemoFiles:
     """The files of such a cell."""
     files = write_small(out, **ONE_PASS)
-    cell = files.cell.read_text().replace('"spindle", ', '"spindle", "device_profiles", ')
+    cell = files.cell.read_text()
     cell = with_section(with_section(cell, "actuator", ACTUATOR), "spindle", SPINDLE)
     files.cell.write_text(cell)
     return files

@@ -33,7 +33,7 @@ def write_queue_cell(out: Path, **faults: list[str]) -> DemoFiles:
     """The small cell's files, with a loader."""
     files = write_small(out)
     port = free_port()
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 8.0}}))
     told = "".join(f"{name} = {json.dumps(parts)}\n" for name, parts in faults.items())
@@ -49,24 +49,24 @@ def polishd(*words: object) -> subprocess.CompletedProcess[str]:
 
 
 def add(files: DemoFiles, *jobs: tuple[str, str]) -> None:
-    """``polishd job add``."""
+    """``polishd queue add``."""
     paths = [files.out / f"{name}.toml" for name, _ in jobs]
     for path, (name, part) in zip(paths, jobs, strict=True):
         path.write_text(job_text(name, part))
-    said = polishd("job", "add", files.cell, *paths)
+    said = polishd("queue", "add", files.cell, *paths)
     assert said.returncode == 0, said.stderr
 
 
 def queue(files: DemoFiles) -> dict[str, dict[str, Any]]:
-    """``polishd job list``, by name."""
-    said = polishd("job", "list", files.cell, "--json")
+    """``polishd queue list``, by name."""
+    said = polishd("queue", "list", files.cell, "--json")
     assert said.returncode == 0, said.stderr
     return {job["name"]: job for job in json.loads(said.stdout)["jobs"]}
 
 
 def states(files: DemoFiles) -> dict[str, str]:
     """Of the jobs, as the daemon tells them."""
-    return {job["name"]: job["state"] for job in client.request(files.state_dir, "job_list")["jobs"]}
+    return {job["name"]: job["state"] for job in client.request(files.state_dir, "queue_list")["jobs"]}
 
 
 def journal(files: DemoFiles, sql: str) -> list[tuple[Any, ...]]:
@@ -108,20 +108,20 @@ def require_second_part_began_with_what_the_first_taught(files: DemoFiles) -> No
         [row for row in journal(files, f"{sql} job, cycle") if row[0] == number] for number in (1, 2)
     )
     assert second[1] == taught != 1.0
-    (lesson,) = json.loads(polishd("beliefs", files.cell, "--json").stdout)["beliefs"]
+    (lesson,) = json.loads(polishd("estimates", files.cell, "--json").stdout)["beliefs"]
     assert lesson["job"] == "two"
-    assert polishd("beliefs", files.cell, "--forget", "--reason", "another pad").returncode == 0
-    assert json.loads(polishd("beliefs", files.cell, "--json").stdout)["beliefs"] == []
+    assert polishd("estimates", files.cell, "--forget", "--reason", "another pad").returncode == 0
+    assert json.loads(polishd("estimates", files.cell, "--json").stdout)["beliefs"] == []
 
 
 @pytest.mark.full
 def test_a_wrong_part_is_put_aside_and_a_kill_in_between_loses_nothing(tmp_path: Path) -> None:
-    with queue_cell(tmp_path / "cell", wrong=["P-1"], mistaken=["P-3"]) as files:
+    with queue_cell(tmp_path / "cell", wrong=["P-1"], wrong_part_unnoticed=["P-3"]) as files:
         add(files, ("one", "P-1"), ("two", "P-2"), ("three", "P-3"), ("four", "P-4"))
         with Daemon(files, "--queue", "--until-empty") as daemon:
             daemon.wait_in_contact(50)
             daemon.end(signal.SIGKILL)
-        assert queue(files)["one"]["state"] == "put aside"
+        assert queue(files)["one"]["state"] == "set aside"
         assert "'OTHER-7' is on the seat instead of 'P-1'" in queue(files)["one"]["reason"]
         assert queue(files)["two"]["state"] == "under way"
         with Daemon(files, "--queue", "--until-empty") as daemon:
@@ -130,9 +130,9 @@ def test_a_wrong_part_is_put_aside_and_a_kill_in_between_loses_nothing(tmp_path:
             assert daemon.wait() == 1, daemon.output.read_text()
         found = queue(files)
         assert {name: job["state"] for name, job in found.items()} == {
-            "one": "put aside",
+            "one": "set aside",
             "two": "accepted",
-            "three": "put aside",
+            "three": "set aside",
             "four": "accepted",
         }
         assert found["three"]["reason"].startswith("WrongPart: ")

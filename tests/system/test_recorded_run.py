@@ -9,7 +9,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.config.cell import load_config
-from polishd.plugins import rnc_robot
+from polishd.plugins import devices
 from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
 from polishd.util.wire_recording import read_recording
@@ -44,7 +44,7 @@ async def test_each_cell_has_a_file_of_its_own_wires(tmp_path: Path) -> None:
     patient = {key: value for key, value in PATIENT["robot"].items() if key != "no_progress_s"}  # the daemon's own key
     options = {"address": "{endpoint}", **patient}
     async with replayed(found["left-cell"].path, "robot") as link:
-        robot = DriverCase(plugin=rnc_robot, type="robot_link", options=options).build(tmp_path, link.endpoint)
+        robot = DriverCase(plugin=devices, type="robot_link", options=options).build(tmp_path, link.endpoint)
         await robot.open()
         assert (await robot.identify()).model
         await robot.close()

@@ -14,11 +14,11 @@ import pytest
 
 from polishd.api import LinkError
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
-from polishd.drivers import spindle_can
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.interfaces import Device
 from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import ConfigError
-from polishd.plugins import voice_coil
+from polishd.plugins import devices, voice_coil
 from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
 from polishd.util.wire_recording import read_recording
@@ -59,7 +59,7 @@ async def test_a_recorded_probe_is_played_to_the_drivers(
     case, said = probed
     for role, plugin, kind, options in (
         ("actuator", voice_coil, type_of_actuator, ACTUATOR),
-        ("spindle", spindle_can, "spindle_can", SPINDLE),
+        ("spindle", devices, "cia402_spindle", {**SPINDLE, "eds": str(SIMULATED_EDS), "node": 5, "rpm_per_unit": 0.1}),
     ):
         async with replayed(case, role) as link:
             device = driver(plugin, kind, options, tmp_path, link.endpoint)
@@ -95,7 +95,7 @@ def test_the_file_names_devices_links_and_ends(probed: tuple[Path, dict[str, Any
 
 @pytest.mark.full
 def test_the_links_are_shown(probed: tuple[Path, dict[str, Any]]) -> None:
-    told = json.loads(polishd("record", "show", probed[0], "--json"))
+    told = json.loads(polishd("recording", "show", probed[0], "--json"))
     links = {link["device"]: link for link in told["links"]}
     assert set(links) == {"actuator", "robot", "spindle"}
     assert told["missing"] == []
@@ -103,7 +103,7 @@ def test_the_links_are_shown(probed: tuple[Path, dict[str, Any]]) -> None:
         assert link["out"] <= link["bytes_out"]
         assert 0 < link["in"] <= link["bytes_in"]
         assert 0.0 <= link["first_s"] <= link["first_s"] + link["longest_silence_s"] <= link["last_s"]
-    assert "spindle" in polishd("record", "show", probed[0])
+    assert "spindle" in polishd("recording", "show", probed[0])
 
 
 def mutilated(case: Path, folder: Path, change: Callable[[list[bytes]], list[bytes]]) -> Path:
@@ -153,7 +153,7 @@ async def test_a_mutilated_file_is_named_with_its_line(probed: tuple[Path, dict[
     odd = b'{"t_s":0,"role":"robot","link":"x","way":"in","hex":"0"}\n'
     assert refused(lambda lines: [lines[0], odd]).startswith(f"{changed}:2: non-hexadecimal")
     assert refused(lambda lines: [lines[0], b'{"t_s":0}\n']).startswith(f"{changed}:2: has no 'way'")
-    with pytest.raises(ConfigError, match=r"nothing of 'loader' is recorded; it has actuator, robot, spindle"):
+    with pytest.raises(ConfigError, match=r"'loader' is recorded; the file holds actuator, robot, spindle"):
         async with replayed(probed[0], "loader"):
             pass
     with pytest.raises(ConfigError, match=r"No such file"):

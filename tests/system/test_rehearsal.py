@@ -1,4 +1,4 @@
-"""A whole job, rehearsed: ``polishd sim --from`` a cell, then ``polishd run`` on the file that it wrote."""
+"""A whole job, rehearsed: ``polishd rehearse`` a cell, then ``polishd run`` on the file that it wrote."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.config.table_files import write_tif
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.process.removal import contact
 from tests.patience import SOON_S
-from tests.system import handover_rig, universal_robots_rig
+from tests.system import plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import Daemon, events, summary, with_keys, write_small
 from tests.system.test_daemon import require_safe_order
 
@@ -51,7 +51,7 @@ def write_spot(path: Path) -> None:
 
 def loads_files(out: Path) -> DemoFiles:
     """A controller that loads files, over OPC UA."""
-    return handover_rig.write_files(out, "opcua", 20.0, tolerance_nm=8.0, max_cycles=3)
+    return plc_robot_rig.write_files(out, "opcua", 20.0, tolerance_nm=8.0, max_cycles=3)
 
 
 def arm(out: Path) -> DemoFiles:
@@ -62,7 +62,7 @@ def arm(out: Path) -> DemoFiles:
 @contextlib.contextmanager
 def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
     """The rehearsal of a cell, its simulator running."""
-    command = [sys.executable, "-m", "polishd", "sim", "--from", str(cell), *options]
+    command = [sys.executable, "-m", "polishd", "rehearse", str(cell), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
         try:
             assert simulator.stdout is not None

@@ -47,7 +47,7 @@ def require_only_touched(files: DemoFiles) -> dict[str, Any]:
         ({"seat_height_mm": 0.5}, 3, "0.500 mm too high"),
         ({"seat_height_mm": -0.2, "seat_tilt_deg": [0.6, 0.0]}, 3, "0.200 mm too low, tilted by +0."),
         ({"seat_height_mm": -0.5}, 1, "no part was found at x 0.0, y 13.5 mm"),
-        ({"seat_empty": True}, 1, "no part was found"),
+        ({"part_missing": True}, 1, "no part was found"),
     ],
 )
 def test_a_part_that_does_not_sit_right_is_not_polished(
@@ -73,7 +73,7 @@ def test_a_part_that_is_seated_anew_is_polished(tmp_path: Path) -> None:
     """The person is told, seats it, and resumes: measured and proved again, and then polished."""
     with seated(tmp_path / "cell", seat_height_mm=0.2) as files:
         cell = files.cell.read_text()
-        files.cell.write_text(with_keys(cell, {"touch_off": {"most_off_mm": 0.1}}))
+        files.cell.write_text(with_keys(cell, {"touch_off": {"max_offset_mm": 0.1}}))
         with Daemon(files) as daemon:
             held = daemon.wait_for_state("held")
             assert "0.200 mm too high" in held["reason"]
@@ -116,10 +116,10 @@ def test_every_way_out_of_a_touch_off_lifts_the_tool(tmp_path: Path, order: str)
 @pytest.mark.full
 def test_a_part_that_is_warm_of_its_pass_is_measured_until_it_has_settled(tmp_path: Path) -> None:
     files = write_small(tmp_path / "cell", **ONE_PASS)
-    cell = with_keys(files.cell.read_text(), {"between": {"settle.wait_s": 0.5, "settle.maps": 100}})
+    cell = with_keys(files.cell.read_text(), {"part_handling": {"settle.wait_s": 0.5, "settle.max_maps": 100}})
     files.cell.write_text(cell)
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"warm_nm": 20.0, "warm_s": 40.0}}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"thermal_nm": 20.0, "thermal_s": 40.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "20"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"), Daemon(files) as daemon:
         assert daemon.wait() == 0, daemon.output.read_text()

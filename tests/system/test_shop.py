@@ -47,7 +47,7 @@ def test_two_cells_work_a_shops_parts_while_it_is_killed_and_tell_it_all_once(tm
         status = json.loads(polishd("shop", "status", shop.file, "--json"))
         assert [cell["cell"] for cell in status["cells"]] == ["a", "b"]
         assert len(json.loads(polishd("shop", "history", shop.file, "--json"))["jobs"]) == 3
-        assert json.loads(polishd("shop", "lessons", shop.file, "--json"))["lessons"]
+        assert json.loads(polishd("shop", "estimates", shop.file, "--json"))["lessons"]
         assert all(cell.link.end() == 0 for cell in cells)
         assert shop.server.end() == -signal.SIGTERM, "as polishd web: the server ends by the signal itself"
 

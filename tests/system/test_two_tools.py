@@ -48,7 +48,7 @@ def two_tools(out: Path, *, change: bool, speed: float = 20.0, **job: Any) -> It
     changer.write_text(CHANGER.format(radius_mm=RADIUS_MM))
     cell = with_keys(files.cell.read_text(), TOOLS)
     if change:
-        cell += f"\n[between.change]\ncommand = {json.dumps([sys.executable, str(changer)])}\nwithin_s = 60.0\n"
+        cell += f"\n[part_handling.change]\ncommand = {json.dumps([sys.executable, str(changer)])}\ntimeout_s = 60.0\n"
     files.cell.write_text(cell)
     files.sim.write_text(files.sim.read_text() + f"\n[process]\ntool_radius_mm = {RADIUS_MM['large']}\n")
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]

@@ -161,7 +161,7 @@ def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -
         web_of(files, OFTEN) as url,
         browsing(tmp_path / "browser") as page,
     ):
-        daemon.live |= {"told": {"force": force, "speed": {"rpm": 800.0, "age_s": 0.01}}, "pressing": True}
+        daemon.live |= {"readings": {"force": force, "speed": {"rpm": 800.0, "age_s": 0.01}}, "pressing": True}
         signed_in(page, url, token)
         page.until(FRESH)
         minutes(daemon, 6)

@@ -9,7 +9,7 @@ import pytest
 from polishd import plugin_loader as plugins
 from polishd.model.errors import PluginError
 from polishd.model.events import PassProgressed
-from polishd.plugin_loader import HOOKS, Hooks, installed, load_own, load_plugins
+from polishd.plugin_loader import HOOKS, RENAMED, Hooks, installed, load_own, load_plugins
 
 SOLVER = """
 def solve(problem, within_s):
@@ -278,3 +278,9 @@ def test_plugin_may_use_polishd_names_that_are_no_functions(install: Any) -> Non
     source = "import polishd.api as polishd_api\npolishd_version = 3\nclass polishd_Thing: pass\n"
     hooks = load_plugins([install("fine", source)])
     assert hooks.report.refused == ()
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_an_old_name_is_refused_with_the_new_one(old: str, new: str) -> None:
+    assert repr(new) in reason(load_plugins([old]), old)
+    assert new in installed()

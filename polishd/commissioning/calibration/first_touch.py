@@ -1,4 +1,4 @@
-"""``polishd calibrate cell``: a first touch on a witness part, planned to teach the most in the least contact time."""
+"""``polishd calibrate first-touch``: a touch on a witness part, planned for the most information per contact time."""
 
 from __future__ import annotations
 
@@ -21,15 +21,19 @@ from polishd.pipeline import precheck, steps
 from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import load_cell
-from polishd.plugins.removal_along_path import path_of
-from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot_of, modelled_spot_of
+from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot_of, modelled_spot_of, path_of
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import path_program, read
 from polishd.process.frames import directions_to_base, points_to_base
-from polishd.process.identification.experiment_design import FIELD_WANTED, WANTED, after, design
-from polishd.process.identification.forward_model import ForwardModel, forward
-from polishd.process.identification.identify import confounding_of, in_the_middle
-from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge, unlearned, usual_parameters
+from polishd.process.identification.experiment_design import (
+    FIELD_WANTED,
+    WANTED,
+    design_track_times,
+    knowledge_after_pass,
+)
+from polishd.process.identification.forward_model import ForwardModel, build_forward_model
+from polishd.process.identification.identify import confounding_of, covariance_at_mid_pass
+from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledge, initial_knowledge, usual_parameters
 from polishd.process.metrology.conditioning import process_grid
 from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot import motion
@@ -39,7 +43,7 @@ from polishd.process.toolpath.paths import BETWEEN, Joined, Track, join_tracks
 from polishd.programs.make import contact_radius_mm, dialect_of, in_program_frame
 from polishd.programs.show import program_picture
 from polishd.rendering.terminal import emit, record_table, stderr
-from polishd.util.files import require_new, unwritable, write_atomic
+from polishd.util.files import require_new, unwritable_message, write_atomic
 
 # A first touch: tracks all over a witness part, with their times and their program.
 
@@ -136,7 +140,7 @@ class _Cell:
         request = steps.request_of(recipe, program, grid, steps.initial_estimates(recipe))
         spot, reference = SPOTS[recipe.model.name](request)
         path = path_of(request, spot, reference)
-        return forward(
+        return build_forward_model(
             blocks_along(path, seconds),
             grid,
             mask,
@@ -150,7 +154,7 @@ class _Cell:
 
 def as_touched(recipe: Recipe) -> Recipe:
     """The recipe of a pass that is polished as programmed, to teach."""
-    return replace(recipe, dwell=recipe.dwell.model_copy(update={"choose": AS_PROGRAMMED, "cross_check": ""}))
+    return replace(recipe, dwell=recipe.dwell.model_copy(update={"objective": AS_PROGRAMMED, "cross_check": ""}))
 
 
 def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> FirstTouchPlan:
@@ -164,8 +168,8 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     deepest = np.array([_deepest(model, owner == c) for c in range(len(pool))])
     most_nm = min(MOST_NM, config.limits.max_removal_nm / 2)
     longest = np.array([track.length_mm for track in pool]) / slow
-    known = unlearned(model.parameters)
-    lasts_s = design(
+    known = initial_knowledge(model.parameters)
+    lasts_s = design_track_times(
         model,
         owner,
         _without_wear(known),
@@ -192,7 +196,7 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
             f"the touch takes {whole:.1f} min, {between:.1f} of them from track to track, and {within_s / 60:.1f} are "
             "allowed; allow more (--minutes), or want less (--want)"
         )
-    learned = after(cell.forward(program, lasts), known, cell.noise_nm)
+    learned = knowledge_after_pass(cell.forward(program, lasts), known, cell.noise_nm)
     return FirstTouchPlan(text, program, known, learned, float(lasts.sum()), len(order))
 
 
@@ -252,7 +256,7 @@ def _in_order(pool: Sequence[Track], seconds: FloatArray) -> list[int]:
 NOT_IN_MINUTES = {"wear": "a tool wears in hours: passes tell", "exponent": "it is not told from rate and compliance"}
 JOB, FRAGMENT, PICTURE, FIGURES = "job.toml", "fragment.toml", "touch.png", "touch.json"
 JOB_TEXT = """\
-# A first touch, made by polishd calibrate cell: {use}.
+# A first touch, made by polishd calibrate first-touch: {use}.
 [job]
 id = "first-touch-{part}"
 max_cycles = 1
@@ -262,10 +266,10 @@ id = "{part}"                        # what the maps of the witness part must na
 
 [program]
 path = "{program}"
-covers = "zone"
+coverage = "zone"
 
 [dwell]
-choose = "as_programmed"
+objective = "as_programmed"
 cross_check = ""
 """
 
@@ -308,8 +312,8 @@ def _recipe(config: CellConfig, recipe: Recipe) -> Recipe:
     if config.process.removal_model not in SPOTS:
         known = " or ".join(SPOTS)
         raise config.error("process.removal_model", f"a touch is planned for {known}; set one of them")
-    if config.process.learns != "machine":
-        raise config.error("process.learns", 'is not "machine": a touch would teach the rate alone; set it')
+    if config.process.estimates != "machine":
+        raise config.error("process.estimates", 'is not "machine": a touch would teach the rate alone; set it')
     return as_touched(recipe)
 
 
@@ -327,7 +331,7 @@ def _wanted(own: Mapping[str, float]) -> dict[str, float]:
 
 def _rows(touch: FirstTouchPlan, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
     parameters = touch.before.parameters
-    prior, learned = (in_the_middle(known, touch.seconds / 7200) for known in (touch.before, touch.after))
+    prior, learned = (covariance_at_mid_pass(known, touch.seconds / 7200) for known in (touch.before, touch.after))
     said = confounding_of(parameters, prior, learned)
     errors = zip(parameters, np.sqrt(np.diag(prior)), np.sqrt(np.diag(learned)), strict=True)
     return [
@@ -364,7 +368,7 @@ def _table(touch: FirstTouchPlan, rows: Sequence[Mapping[str, Any]]) -> Table:
 def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
     short = "not all that is wanted will be known: no more contact was worth its time, or allowed (--minutes)"
     place = "put a witness part of the same shape, glass and slurry in"
-    queue = f"polishd job add {config.path} {out / JOB} in a cell with a queue"
+    queue = f"polishd queue add {config.path} {out / JOB} in a cell with a queue"
     include = f'include = ["{config.relative(out / FRAGMENT)}"]'
     single = f"{include} in the first line of a copy of {config.path.name}, and polishd run of that"
     return [
@@ -378,7 +382,7 @@ def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping
     single = JOB_TEXT.format(use="a fragment that a cell includes", part=part, program=config.relative(out / NAME))
     made = {
         NAME: touch.text,
-        JOB: JOB_TEXT.format(use="a job for polishd job add", part=part, program=NAME).encode(),
+        JOB: JOB_TEXT.format(use="a job for polishd queue add", part=part, program=NAME).encode(),
         FRAGMENT: single.encode(),
         PICTURE: program_picture(touch.program),
         FIGURES: (json.dumps(answer, indent=1) + "\n").encode(),
@@ -388,4 +392,4 @@ def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping
         for name, content in made.items():
             write_atomic(out / name, content)
     except OSError as error:
-        raise unwritable(out, error) from error
+        raise unwritable_message(out, error) from error

@@ -16,9 +16,9 @@ from polishd.config.table_files import PLACE, read_columns, write_tif
 from polishd.maps.map_files import MapSource
 from polishd.model.errors import ComputeError, ConfigError, MapError
 from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, Projection, SerialRobot, ToolProcess
-from polishd.process.metrology.instrument import require_answered
+from polishd.process.metrology.instrument import require_complete
 from polishd.process.removal.measured_tif import TifReport, preston_from_tif, tif_from_maps
-from polishd.process.robot.calibration import LoadingTests, StiffnessFit, doubts, fit_exponent, fit_stiffness
+from polishd.process.robot.calibration import LoadingTests, StiffnessFit, fit_doubts, fit_exponent, fit_stiffness
 from polishd.rendering.terminal import emit, key_table, record_table, stderr
 from polishd.util.files import write_atomic
 
@@ -46,7 +46,7 @@ def stiffness_verb(files: LoadingFiles, cell: Path | None, out: Path | None, *, 
         fit = fit_stiffness(_elastic_robot(cell), tests, projection=files.projection, hold_out=unseen)
     except ComputeError as error:
         raise ComputeError(f"{files.tests}: {error}") from error
-    doubtful = doubts(fit, tests)
+    doubtful = fit_doubts(fit, tests)
     if out is not None and doubtful and not anyway:
         raise ComputeError(f"{files.tests}: {'; '.join(doubtful)}; nothing was written (--anyway writes it)")
     if out is not None:
@@ -163,7 +163,7 @@ def tif_of_maps(
         if found.pitch_mm is None:
             raise MapError(f"{path}: has no lateral scale; export it with one")
         if source.instrument is not None:
-            require_answered(found, source.instrument)
+            require_complete(found, source.instrument)
     if before.pitch_mm != after.pitch_mm or before.height_nm.shape != after.height_nm.shape:
         raise MapError(f"{maps[1]}: has not the samples of {maps[0].name}; measure both with the same setting")
     return tif_from_maps(before.height_nm, after.height_nm, before.grid.pitch_mm, seconds, **asdict(place))

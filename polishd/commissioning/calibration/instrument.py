@@ -16,7 +16,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.instrument_profile import InstrumentProfile, load_profile, write_system
 from polishd.daemon.assembly import build_cell
 from polishd.daemon.runtime.exit_record import locked
-from polishd.maps.absolute_test import poses_of, tell_apart
+from polishd.maps.absolute_test import poses_of, separate_maps
 from polishd.maps.convert import require_target, store
 from polishd.maps.map_files import MapSource
 from polishd.maps.options import AbsoluteOptions
@@ -24,10 +24,9 @@ from polishd.model.errors import ConfigError
 from polishd.model.instrument import SystemErrorRecord
 from polishd.model.surface import SurfaceMap
 from polishd.plugin_loader import Hooks, load_cell
-from polishd.process.metrology.absolute_next_poses import PoseOptions, next_poses
-from polishd.process.metrology.absolute_poses import LEVEL, PartPose, name_of, terms
-from polishd.process.metrology.instrument import as_profiled
-from polishd.process.metrology.system_map import AbsoluteTestResult
+from polishd.process.metrology.absolute_poses import LEVEL, PartPose, PoseOptions, family_name, next_poses, terms
+from polishd.process.metrology.absolute_test import AbsoluteTestResult
+from polishd.process.metrology.instrument import apply_profile
 from polishd.rendering.terminal import emit, stderr
 
 ORDER = 4
@@ -78,8 +77,8 @@ def instrument_verb(
     if files:
         surfaces = [source.read(path) for path in files]
     else:
-        surfaces = [as_profiled(one, profile.instrument) for one in take(poses)]
-    apart = tell_apart(surfaces, poses, options, source)
+        surfaces = [apply_profile(one, profile.instrument) for one in take(poses)]
+    apart = separate_maps(surfaces, poses, options, source)
     instrument = apart.instrument
     if asked.power is not None and asked.power_sigma is not None:
         instrument = _with_power(instrument, AbsoluteTestResult.of(apart.found), asked.power, asked.power_sigma)
@@ -100,7 +99,7 @@ def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[li
     candidates = (*turns, PartPose(0.0, shift, 0.0), PartPose(0.0, 0.0, shift))
     wanted = dict.fromkeys(terms(ORDER)[LEVEL:], sigma_nm)
     found = next_poses(wanted, [first], PoseOptions(candidates, radius_mm, noise_nm))
-    needs = {name_of(*term): what for term, what in found.demanded.items()}
+    needs = {family_name(*term): what for term, what in found.demanded.items()}
     return [first, *found.poses], needs
 
 
@@ -134,9 +133,9 @@ def _with_power(instrument: SurfaceMap, told: AbsoluteTestResult, power_nm: floa
     if step is None:
         return instrument.with_height(height)
     facts = told.with_reference(POWER, sigma_nm).facts()
-    left = [name for name in step.options["without"] if name != name_of(*POWER)]
+    left = [name for name in step.options["without"] if name != family_name(*POWER)]
     reference = f"power {power_nm:g} nm, known to {sigma_nm:g} nm"
-    options = {**step.options, "told": facts, "without": left, "reference": reference}
+    options = {**step.options, "terms": facts, "without": left, "reference": reference}
     return replace(instrument, height_nm=height, history=replace(step, options=options))
 
 

@@ -18,7 +18,7 @@ from polishd.model.errors import MapError, PolishdError
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.run_folder import read_map
 from polishd.plugins.interferometer.formats.common import IN_UNITS, nm_per
-from polishd.process.metrology.conditioning import squared
+from polishd.process.metrology.conditioning import resample_square
 from polishd.util.serialization import toml
 
 INTERFACES = Path("/sys/class/net")
@@ -184,7 +184,7 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
         )
     elif pitch_mm is None:
         pitch_mm = read.pitch_mm if units is not None and not read.pitches_mm else None
-    surface = squared(read)
+    surface = resample_square(read)
     if surface.pitch_mm is None:
         key = missing_of(surface)
         example = '"mm,nm"' if key == "sample_units" else "0.1"

@@ -20,17 +20,21 @@ from polishd.config.cell import FILES, PORTS, CellConfig, consistent, device_opt
 from polishd.config.fields import OUTLINES
 from polishd.config.process_sections import HybridSection, MeasuredSection, SerialSection
 from polishd.config.toml_loader import TomlDocument, in_words, meanings, section_of, toml_type
+from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
 from polishd.model.process import SerialRobot
 from polishd.plugin_loader import Hooks
 from polishd.process.robot.serial import chain
 from polishd.process.toolpath.apertures import on_optic
 from polishd.util.serialization import toml
 
-ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report")
+ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_checks", "run_report")
 """Plugins that every cell needs."""
 PROGRAM = "program.rnc"
 PROFILE = "instrument.toml"
 PART = "PART-1"
+EDS = "drive.eds"
+OF_A_TYPE = ("address", "eds", "node", "rpm_per_unit")
+"""Keys that are assumed for the usual type of a device only."""
 AROUND_MM = 15.0
 """How far beside the part the tool goes: turns and landing of a path, and some room."""
 ABOVE_MM = 60.0
@@ -39,8 +43,6 @@ BLANK_ARM = ("dh", "joint_limits_deg", "home_deg")
 STIFFNESS = "kinematics.joint_stiffness_n_mm_per_rad"
 NOT_MEASURED = "not the arm's: as if nearly rigid; polishd calibrate stiffness fits them"
 
-LANGUAGES = {"universal_robots": "urscript"}
-"""Of robots whose controllers take one language only."""
 DATA_SHEET = "from the machine's data sheet, on the safe side"
 PAPER = "the paper's; your tool's is another"
 UNMEASURED = (
@@ -53,8 +55,11 @@ ASSUMED: Mapping[str, tuple[Any, str]] = {
     "robot.address": ("tcp://robot-controller:28500", "where the robot's controller listens"),
     "actuator.type": ("voice_coil_modbus", "what the actuator speaks"),
     "actuator.address": ("serial:/dev/ttyUSB0?baud=115200", "where the actuator is connected"),
-    "spindle.type": ("spindle_can", "what the spindle's drive speaks"),
+    "spindle.type": ("cia402_spindle", "protocol of the spindle's drive"),
     "spindle.address": ("slcan:/dev/ttyACM0?bitrate=500000", "where the spindle's drive is connected"),
+    "spindle.eds": (EDS, "the simulated drive's. Replace it by the EDS file of your drive, from its maker"),
+    "spindle.node": (SIMULATED_SPINDLE["node"], "CANopen node number of your drive"),
+    "spindle.rpm_per_unit": (SIMULATED_SPINDLE["rpm_per_unit"], "unit of your drive's speeds, as it is parametrized"),
     "metrology.type": ("watched_folder", ""),
     "metrology.folder": ("maps", "where the instrument leaves its maps"),
     "part.edge_mm": (3.0, "what the drawing excludes"),
@@ -78,7 +83,7 @@ ASSUMED: Mapping[str, tuple[Any, str]] = {
 ORDER = (
     "cell", "plugins", "robot", "actuator", "spindle", "metrology", "loader", "force_sensor", "monitor", "signals",
     "roles", "instrument", "part", "kinematics", "compliance", "process", "program", "machine", "dwell", "touch_off",
-    "between", "job", "tolerance", "limits", "notify",
+    "part_handling", "job", "tolerance", "limits", "notify",
 )  # fmt: skip
 """Of the sections, as in examples/cell.toml."""
 
@@ -159,13 +164,16 @@ def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap |
             raise answers.own.error(section, f"must be a section of its own, [{section}], not {given!r}; mend it")
     _assume_names(draft, sample)
     _assume_robot(draft)
-    draft.assume("program.format", LANGUAGES.get(draft.raw["robot"].get("type"), "rs274"))
+    robot = draft.hooks.device_types().get(draft.raw["robot"].get("type"))
+    draft.assume("program.format", (robot and robot.program_format) or "rs274")
     for key, (value, why) in ASSUMED.items():
-        port = key.partition(".")[0]
-        if key.endswith(".address") and f"{port}.type" not in draft.assumed and not _is_usual(draft, port):
-            continue  # of another type, which says itself what it misses
+        port, _, name = key.partition(".")
+        if name in OF_A_TYPE and f"{port}.type" not in draft.assumed and not _is_usual(draft, port):
+            continue  # of another type, whose own check names what is missing
         if not _said_otherwise(draft, key):
             draft.assume(key, value, why)
+    if "spindle.eds" in draft.assumed:
+        draft.files[EDS] = SIMULATED_EDS.read_bytes()
     draft.assume("plugins.load", _plugins(draft))
     _assume_ranges(draft)
     return draft

@@ -37,13 +37,6 @@ USUAL: Mapping[str, Any] = {
 }
 SURFACES = ("flat", "sphere", "asphere")
 SPOTS = ("none", "maps", "file")
-ADDRESSES = {
-    "robot_link": "tcp://robot-controller:28500",
-    "universal_robots": "tcp://robot-controller:30004",
-    "linuxcnc": "tcp://robot-controller:5007",
-    "handover": "opc.tcp://robot-controller:4840",
-}
-"""Where controllers listen unless somebody set them up otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +103,9 @@ def questions(
     first = connected.serial[0].path if connected.serial else ""
     serial = f"serial:{first}?baud=115200" if first else ASSUMED["actuator.address"][0]
     can = f"socketcand://127.0.0.1:29536/{connected.can[0]}" if connected.can else ASSUMED["spindle.address"][0]
-    addresses = {**ADDRESSES, "spindle_can": can, "cia402_spindle": can, "cia402_actuator": can}
+    connected_to = {"": serial, "slcan": can}
     for port in ("robot", "actuator", "spindle"):
-        yield from _of_device(port, given, hooks, lambda kind: addresses.get(kind, serial))
+        yield from _of_device(port, given, hooks, connected_to)
     sample = str(connected.maps[0].sample) if connected.maps else SKIP
     maps = str(connected.maps[0].folder.absolute()) if connected.maps else ASSUMED["metrology.folder"][0]
     yield Question("instrument.sample", "A map of the instrument: its profile is begun from it.", sample, text=True)
@@ -154,18 +147,23 @@ def _of_robot(given: Mapping[str, Any]) -> Iterator[Question]:
         yield _of("kinematics.tool_length_mm", SerialSection, 150.0)
 
 
-def _of_device(port: str, given: Mapping[str, Any], hooks: Hooks, address: Callable[[str], str]) -> Iterator[Question]:
-    """Its type, and what that type must be told."""
+def _of_device(
+    port: str, given: Mapping[str, Any], hooks: Hooks, connected_to: Mapping[str, str]
+) -> Iterator[Question]:
+    """Type of a port's device and the required keys of that type; ``connected_to``: address by scheme."""
     types = {name: kind for name, kind in hooks.device_types().items() if kind.port == port}
-    usual = ASSUMED[f"{port}.type"]
-    yield Question(f"{port}.type", usual[1].capitalize() + ".", usual[0], tuple(sorted(types)))
+    proposed, why = ASSUMED[f"{port}.type"]
+    yield Question(f"{port}.type", why.capitalize() + ".", proposed, tuple(sorted(types)))
     kind = types[given[port]["type"]]
     told = meanings(kind.options)
     for name, field in kind.options.model_fields.items():
         if field.is_required():
-            default = address(kind.name) if name == "address" else SKIP
+            key, usual = f"{port}.{name}", kind.usual_address
+            assumed = ASSUMED.get(key, (SKIP,))[0] if kind.name == proposed else SKIP
+            connected = connected_to.get(usual.partition(":")[0], usual)
+            default = connected if name == "address" else SKIP if key in PATHS else assumed
             why = in_words(told.get(name, ""))
-            yield Question(f"{port}.{name}", why, default, text=field.annotation is str, needed=True)
+            yield Question(key, why, default, text=field.annotation is str, needed=assumed == SKIP or name == "address")
 
 
 def _of_part(given: Mapping[str, Any]) -> Iterator[Question]:

@@ -14,7 +14,7 @@ from polishd.model.process import HybridRobot, MeasuredCompliance, Placement, Se
 from polishd.model.surface import FloatArray
 from polishd.process.frames import points_to_base
 from polishd.process.robot.compliance import reachable
-from polishd.process.robot.hybrid import geometry_of, place
+from polishd.process.robot.hybrid import geometry_of, solve_pose
 from polishd.process.robot.serial import reach_mm
 from polishd.process.toolpath.apertures import on_optic, tool_axes
 
@@ -150,7 +150,7 @@ class _Sight:
         if leans and np.hypot(tip[:, 0], tip[:, 1]).min() < OFF_AXIS_MM:
             return False
         if isinstance(self._robot, HybridRobot):
-            sine = place(self._robot, geometry_of(self._robot), tip.T, axis.T).sine
+            sine = solve_pose(self._robot, geometry_of(self._robot), tip.T, axis.T).sine
             if sine.min() < np.sin(np.radians(self._clear_deg)):
                 return False
         return bool(reachable(self._robot, tip, axis).all())

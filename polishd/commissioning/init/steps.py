@@ -83,7 +83,7 @@ def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
     said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
     again = f"polishd run {_quoted(rehearsal / f'{config.path.stem}-rehearsal.toml')}"
-    simulate = f"polishd sim {_quoted(rehearsal / 'sim.toml')}" if rehearsal.is_dir() else f"polishd sim --from {cell}"
+    simulate = f"polishd sim {_quoted(rehearsal / 'sim.toml')}" if rehearsal.is_dir() else f"polishd rehearse {cell}"
     yield SetupStep("rehearse", _succeeded(rehearsed), said, f"{simulate}, and in another terminal: {again}")
     yield SetupStep("run", _succeeded(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
 
@@ -151,7 +151,7 @@ def _quoted(path: Path) -> str:
     return shlex.quote(str(path))
 
 
-# ``polishd status --setup``: how far a cell is from its first pass. Opens no device, asks no daemon.
+# ``polishd init --status``: how far a cell is from its first pass. Opens no device, asks no daemon.
 
 
 def setup_verb(cell: Path, *, as_json: bool) -> None:

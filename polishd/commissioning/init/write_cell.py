@@ -292,4 +292,4 @@ def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) ->
         return
     for line in lines(todo):
         stdout.print(line, markup=False, highlight=False, soft_wrap=True)
-    stdout.print(f"how far that is: polishd status --setup {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
+    stdout.print(f"how far that is: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)

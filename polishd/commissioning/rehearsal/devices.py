@@ -6,10 +6,18 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from polishd.commissioning.rehearsal.draft import LOOPBACK, REQUEST, SIM_STATE, RehearsalDraft, move_address
+from polishd.commissioning.rehearsal.draft import (
+    LOOPBACK,
+    REQUEST,
+    SIM_STATE,
+    RehearsalDraft,
+    lay_address,
+    move_address,
+)
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
-from polishd.config.simulator_cell import SIMULATED
+from polishd.config.simulator_cell import KINDS, SENSOR_PROFILE
+from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
 from polishd.model.devices import port_of
 from polishd.util.serialization import toml
 
@@ -17,35 +25,29 @@ MOST_N = 50.0
 TOUCH_MM = 5.0
 """Where the simulated actuator meets the part, half-way of its stroke."""
 CIA402_ACTUATOR = {"n_per_permille": 0.05, "mm_per_increment": 0.001, "rest_increments": 0, "balance_n": 2.0}
-CIA402_SPINDLE = {"rpm_per_unit": 0.1}
+CIA402_SPINDLE = {"rpm_per_unit": SIMULATED_SPINDLE["rpm_per_unit"]}
 """What the simulated drive's numbers mean."""
 
 
-INSTEAD: Mapping[str, tuple[Mapping[str, Any], str]] = {
-    "robot": ({"type": "robot_link"}, "rnc_robot"),
-    "actuator": (
-        {"type": "voice_coil_modbus", "address": f"serial:{SIM_STATE}/actuator?baud=115200"},
-        "voice_coil",
-    ),
-    "spindle": ({"type": "spindle_can", "address": f"slcan:{SIM_STATE}/spindle?bitrate=500000"}, "spindle"),
-    "metrology": (
-        {"type": "watched_folder", "request_file": REQUEST, "stable_s": 0.3, "poll_s": 0.1},
-        "interferometer",
-    ),
-    "loader": ({"type": "loader_line", "address": f"serial:{SIM_STATE}/loader"}, "loader"),
-    "force_sensor": ({"type": "force_sensor_line", "address": f"serial:{SIM_STATE}/force_sensor"}, "force_sensor"),
-    "monitor": ({"type": "monitor_line", "address": f"serial:{SIM_STATE}/monitor"}, "monitors"),
+SUBSTITUTE_KEYS: Mapping[str, Mapping[str, Any]] = {
+    "robot": {},
+    "actuator": {"address": f"serial:{SIM_STATE}/actuator?baud=115200"},
+    "spindle": {"address": f"slcan:{SIM_STATE}/spindle?bitrate=500000", "eds": str(SIMULATED_EDS), **SIMULATED_SPINDLE},
+    "metrology": {"request_file": REQUEST, "stable_s": 0.3, "poll_s": 0.1},
+    "loader": {"address": f"serial:{SIM_STATE}/loader"},
+    "force_sensor": {"address": f"serial:{SIM_STATE}/force_sensor", "profile": SENSOR_PROFILE},
+    "monitor": {"address": f"serial:{SIM_STATE}/monitor"},
 }
-"""By port the section of what is simulated instead of a type that is not, and its plugin."""
+"""By port the keys of its substitute, which replaces a device whose type names no simulated device."""
 
 
-def is_simulated(draft: RehearsalDraft, device: str, **more: Any) -> bool:
-    """Whether its type is; else the cell has another one, with a note, and the keys ``more``."""
-    kind, (section, plugin) = draft.config.devices[device].type, INSTEAD[port_of(device)]
-    if kind in SIMULATED[port_of(device)]:
+def is_simulated(draft: RehearsalDraft, device: str, **keys: Any) -> bool:
+    """Return True for a type that names its simulated device. Replace any other by the substitute, with these keys."""
+    port, options = port_of(device), draft.options(device)
+    has_profile = port == "force_sensor" and "profile" in options
+    if draft.device_type(device).simulated_by and (not has_profile or options["profile"] == SENSOR_PROFILE):
         return True
-    draft.replace_device(device, {**section, **more}, f"there is no simulated {kind!r}")
-    draft.plugin(plugin)
+    draft.replace_device(device, **SUBSTITUTE_KEYS[port], **keys)
     return False
 
 
@@ -103,14 +105,11 @@ def _adopt_scales(draft: RehearsalDraft, device: str, options: Mapping[str, Any]
 
 # The robot: its program's language, its controller's address and folders.
 
-SPEED = {"linuxcnc": 1.0, "universal_robots": 4.0, "handover": 8.0}
-USUAL_SPEED = 10.0
-"""Process seconds per wall second: what each controller's own clock, and the daemon's looks at it, bear."""
 NOT_SIMULATED = (
     "controller_dir", "user", "password", "certificate", "private_key", "server_certificate", "delivery_password",
     "known_hosts",
 )  # fmt: skip
-"""Keys of a handover: its simulated controller asks for no password, and reads a folder."""
+"""Keys of a plc_robot: its simulated controller asks for no password, and reads a folder."""
 OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
@@ -121,32 +120,26 @@ TIMES = (
 )  # fmt: skip
 
 
-def speed_of(type_name: str | None) -> float:
-    """At which a cell with such a robot is rehearsed without ``--speed``."""
-    return SPEED.get(type_name or "", USUAL_SPEED)
-
-
 def add_robot(draft: RehearsalDraft, device: str) -> None:
     """ConfigError where no simulated controller reads the cell's program."""
-    kind = str(draft.config.devices[device].type)
-    _require_language(draft, kind)
-    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "handover": _handover}
-    address = f"tcp://{LOOPBACK}:{free_port()}"
-    if is_simulated(draft, device, address=address):
-        draft.laid[f"{device}.address"] = address
+    kind, address = str(draft.config.devices[device].type), f"tcp://{LOOPBACK}:{free_port()}"
+    _require_language(draft, device)
+    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "plc_robot": _plc_robot}
+    if simulated := is_simulated(draft, device, address=address):
+        lay_address(draft, device, address)
     if kind in add:
         add[kind](draft, device)
-    else:
+    elif kind in KINDS or not simulated:
         why = f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}"
         draft.put("robot", "window", WINDOW * MOST_SPEED, why)
 
 
-def _require_language(draft: RehearsalDraft, kind: str) -> None:
-    """Only an arm of Universal Robots reads another language than G-code."""
-    named = draft.config.program.format
-    if kind == "universal_robots":
-        if named != "urscript":
-            raise draft.config.error("program.format", f"is {named!r}; the simulated controller reads urscript only")
+def _require_language(draft: RehearsalDraft, device: str) -> None:
+    """ConfigError where no simulated controller of that type reads the cell's program."""
+    named, kind = draft.config.program.format, str(draft.config.devices[device].type)
+    if only := draft.device_type(device).program_format:
+        if named != only:
+            raise draft.config.error("program.format", f"is {named!r}; the simulated controller reads {only} only")
     elif named in OTHER_LANGUAGES:
         raise draft.config.error(
             "program.format",
@@ -184,7 +177,7 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
         draft.instead(f"{device}.first_register", FIRST_REGISTER, "the simulated arm is watched at that register")
 
 
-def _handover(draft: RehearsalDraft, device: str) -> None:
+def _plc_robot(draft: RehearsalDraft, device: str) -> None:
     options, port = draft.options(device), free_port()
     profile = load_controller_profile(options["profile"], draft.config.base_dir)
     usual = load_controller_profile(f"plc-{profile.link}", CONTROLLER_PROFILE_DIR)
@@ -226,11 +219,10 @@ def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
     add_line(draft, first)
     address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
     for device in others:
-        if draft.config.devices[device].type == "monitor_line":
+        if draft.device_type(device).simulated_by == draft.device_type(first).simulated_by:
             draft.laid[f"{device}.address"] = address
         else:
-            why = f"there is no simulated {draft.config.devices[device].type!r}"
-            draft.replace_device(device, {"type": "monitor_line", "address": address}, why)
+            draft.replace_device(device, address=address)
     if others:
         draft.notes.append(f"{', '.join(devices)}: one simulated monitor reports the signals of all, at one address")
     for name, signal in draft.config.signals.items():

@@ -13,10 +13,12 @@ import tomlkit
 
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.cell import FILES, CellConfig, device_options, overlay
+from polishd.config.simulator_cell import KINDS
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp, parse_address
+from polishd.hookspecs import DeviceType
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
-from polishd.plugin_loader import Hooks
+from polishd.plugin_loader import Hooks, load_own
 from polishd.util.files import require_writable
 from polishd.util.serialization import toml
 
@@ -51,12 +53,24 @@ class RehearsalDraft:
         _, options = device_options(self.config, device, self.hooks.device_types())
         return dict(options)
 
-    def replace_device(self, device: str, section: Mapping[str, Any], why: str) -> None:
-        """Another type of device, for one that is not simulated; keys of the port stay."""
-        raw = self.config.devices[device]
+    def device_type(self, device: str) -> DeviceType:
+        """The device's type. ConfigError as of the cell."""
+        return device_options(self.config, device, self.hooks.device_types())[0]
+
+    def replace_device(self, device: str, **keys: Any) -> None:
+        """Replace a device that has no simulated one by the port's substitute with these keys. Keys of the port stay.
+
+        Raises:
+            ConfigError: no simulated device can take its place.
+        """
+        own, raw = load_own(), self.config.devices[device]
+        substitute = own.substitute(port_of(device))
+        if substitute is None:
+            raise self.config.error(f"{device}.type", f"{raw.type!r} has no simulated device, and no other replaces it")
         kept = {key: getattr(raw, key) for key in type(raw).model_fields if key != "type"}
-        self.laid[device] = {**kept, **section}
-        self.notes.append(f"{device}: {why}; {section['type']} is simulated instead")
+        self.laid[device] = {**kept, "type": substitute.name, **keys}
+        self.notes.append(f"{device}: there is no simulated {raw.type!r}; {substitute.name} replaces it")
+        self._load_plugin(own.plugin_of("polishd_device_types", substitute.name))
 
     def instead(self, key: str, value: Any, why: str) -> None:
         """Another value than the cell's, with a note; None: the key is left out."""
@@ -64,8 +78,7 @@ class RehearsalDraft:
         state = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
         self.notes.append(f"{key}: {why}; it {state}")
 
-    def plugin(self, name: str) -> None:
-        """A device that is simulated instead of the cell's needs this plugin."""
+    def _load_plugin(self, name: str) -> None:
         loaded = self.laid.get("plugins.load", list(self.config.plugins.load))
         if name not in loaded:
             self.laid["plugins.load"] = [*loaded, name]
@@ -77,10 +90,20 @@ def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
     query = urlsplit(address).query
     if isinstance(real, SerialLine | SlcanAddress):
         path = f"{address.partition(':')[0]}:{SIM_STATE}/{port_of(device)}"
-        draft.laid[f"{device}.address"] = path + (f"?{query}" if query else "")
+        lay_address(draft, device, path + (f"?{query}" if query else ""))
         return
     at = f"{LOOPBACK}:{free_port()}"
-    draft.laid[f"{device}.address"] = f"tcp://{at}" if isinstance(real, Tcp) else f"socketcand://{at}/{real.channel}"
+    lay_address(draft, device, f"tcp://{at}" if isinstance(real, Tcp) else f"socketcand://{at}/{real.channel}")
+
+
+def lay_address(draft: RehearsalDraft, device: str, address: str) -> None:
+    """Give a device of the rehearsal's cell this address, and its simulated device what the cell does not say."""
+    draft.laid[f"{device}.address"] = address
+    kind, port = draft.device_type(device), urlsplit(address).port
+    if kind.name not in KINDS:
+        draft.put(port_of(device), "kind", kind.simulated_by, f"{device}.type")
+        if port is not None:
+            draft.put(port_of(device), "port", port, f"{device}.address")
 
 
 # The two files as text: sim.toml, and the cell's own file with few of its values.
@@ -92,7 +115,7 @@ COLUMN = 45
 def sim_text(draft: RehearsalDraft, cell: str) -> str:
     """sim.toml of the rehearsal's cell, which has that file name."""
     lines = [
-        f"# Made by polishd sim --from {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
+        f"# Made by polishd rehearse {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
         "# What is not here is as the cell has it. All keys: docs/reference/simulator.md",
         *(f"# {note}" for note in draft.notes),
         f"cell = {toml(cell)}",
@@ -111,9 +134,7 @@ def cell_text(draft: RehearsalDraft) -> str:
         overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
     for key, value in {**_files(draft), **draft.laid}.items():
         _set(document, key.split("."), value)
-    head = (
-        f"# Made by polishd sim --from {config.path}: the same cell, with simulated devices and folders of its own.\n"
-    )
+    head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and folders of its own.\n"
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
 
 
@@ -152,7 +173,7 @@ def _set(table: MutableMapping[str, Any], path: list[str], value: Any) -> None:
 
 # Where a rehearsal is written: nowhere near what the real cell writes.
 
-FOLDER_KEYS = ("folder", "claimed", "refused", "program_dir")
+FOLDER_KEYS = ("folder", "claimed_dir", "refused_dir", "program_dir")
 """Options of devices that name folders into which the cell or its devices write."""
 
 

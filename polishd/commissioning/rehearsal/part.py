@@ -44,12 +44,10 @@ def add_part(draft: RehearsalDraft, speed: float) -> None:
         draft.put("hidden_truth", key, getattr(hidden, key), "drawn from the seed; 0: a perfect machine")
     accel = f"{MORE_ACCEL:g} x machine.accel_mm_s2, which is on the safe side"
     draft.put("hidden_truth", "accel_mm_s2", MORE_ACCEL * machine.accel_mm_s2, accel)
-    if part.rim == "free":
-        draft.notes.append("part.rim = 'free': the simulated part sits in a flush ring; no tool sinks over its rim")
-    if part.nominal is not None:
-        draft.instead(
-            "part.nominal", None, "the simulated instrument shows the part as behind a null, without its form"
-        )
+    if part.free_edge:
+        draft.notes.append("part.free_edge: the simulated part sits in a flush ring; no tool sinks over its rim")
+    if part.form is not None:
+        draft.instead("part.form", None, "the simulated instrument shows the part as behind a null, without its form")
 
 
 def note_process(draft: RehearsalDraft) -> None:
@@ -111,7 +109,7 @@ def _add_folder(draft: RehearsalDraft, device: str) -> None:
         return
     options = draft.options(device)
     draft.laid[f"{device}.folder"] = folder
-    for key in ("claimed", "refused"):
+    for key in ("claimed_dir", "refused_dir"):
         if Path(options[key]).is_absolute() or ".." in Path(options[key]).parts:
             draft.instead(f"{device}.{key}", None, "is a folder of the real cell's")
     request = options["request_file"]

@@ -1,7 +1,8 @@
-"""``polishd sim --from CELL.toml``: the simulated cell of that very cell, and the cell's file with its addresses."""
+"""``polishd rehearse CELL.toml``: the simulated cell of that very cell, and the cell's file with its addresses."""
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +14,12 @@ from polishd.commissioning.rehearsal.devices import (
     add_monitors,
     add_robot,
     add_spindle,
-    speed_of,
 )
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text, usual_folder
 from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_part, note_process
 from polishd.commissioning.rehearsal.simulated_cell import measure_artefact, run_simulator
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.simulator import load_simulator
+from polishd.config.simulator import require_simulated
 from polishd.maps.commission import prove_profile
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -128,11 +128,11 @@ def _write(draft: RehearsalDraft, folder: Path, own: str) -> None:
         write_atomic(folder / name, content)
     load_config(folder / own)
     try:
-        load_simulator(folder / SIM).require_simulated()
+        require_simulated(folder / SIM)
+        measure_artefact(folder / SIM, folder / ARTEFACT)
     except ConfigError as error:
-        wrong = "; ".join(line.split(": ", 1)[-1] for line in str(error).splitlines())
+        wrong = "; ".join(re.sub(r"^.*?\.toml(:\d+)?: ", "", line) for line in str(error).splitlines())
         raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
-    measure_artefact(folder / SIM, folder / ARTEFACT)
     prove_profile(folder / PROFILE, folder / ARTEFACT)
 
 
@@ -140,7 +140,7 @@ def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     """All of a cell that the simulator is to be; ConfigError where it cannot."""
     draft = RehearsalDraft(config, hooks)
     used = _used(draft)
-    add_part(draft, speed_of(config.devices[used["robot"]].type))
+    add_part(draft, draft.device_type(used["robot"]).simulation_speed)
     note_process(draft)
     for port, add in ONE_OF_A_PORT.items():
         if port in used:
@@ -170,7 +170,7 @@ def _add_folders(draft: RehearsalDraft) -> None:
 
 def _tell_nobody(draft: RehearsalDraft) -> None:
     """Nothing real is started or told."""
-    for name, section in draft.config.between:
+    for name, section in draft.config.part_handling:
         if command := getattr(section, "command", ()):
             why = f"{' '.join(command)} would act on the real cell"
             draft.instead(f"between.{name}.command", NOTHING, why)

@@ -15,7 +15,8 @@ from typing import Any
 
 from polishd.commissioning.init.connected import aperture_mm
 from polishd.config.cell import CellConfig, load_config
-from polishd.model.errors import DeviceFault, MapError
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
+from polishd.model.errors import ConfigError, DeviceFault, MapError
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import load_own
 from polishd.programs.make import own_program
@@ -53,9 +54,16 @@ def simulated_cell(config: Path, options: Sequence[str], log: Path) -> Iterator[
 
 
 def measure_artefact(config: Path, target: Path) -> None:
-    """Have the simulated instrument write one map of its artefact; DeviceFault where it does not."""
+    """Have the simulated instrument write one map of its artefact.
+
+    Raises:
+        ConfigError: the simulator refuses SIM.toml.
+        DeviceFault: the instrument does not measure.
+    """
     command = [sys.executable, "-m", MODULE, str(config), "--artefact", str(target)]
     done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode == ConfigError.exit_code:
+        raise ConfigError(done.stderr.strip())
     if done.returncode:
         raise DeviceFault(f"the simulated instrument did not measure its artefact: {done.stderr.strip()}")
 
@@ -114,6 +122,7 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
     files.cell.write_text(with_values(_shipped("cell.toml"), values))
     files.sim.write_text(_shipped("sim.toml"))
     files.profile.write_text(_shipped("instrument.toml"))
+    (out / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
     return files

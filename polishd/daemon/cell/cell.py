@@ -132,9 +132,9 @@ class Signals:
             wrong = self._wrong(limits, in_contact=True)
             bad_s = self._bad_s.get(limits.name, 0.0) + seconds if wrong else 0.0
             self._bad_s[limits.name] = bad_s
-            if wrong and bad_s > limits.grace_s and limits.name not in self._told:
+            if wrong and bad_s > limits.alarm_delay_s and limits.name not in self._told:
                 self._told.add(limits.name)
-                found.append((limits, f"{wrong} in contact, and was not for more than {limits.grace_s:g} s"))
+                found.append((limits, f"{wrong} in contact, and was not for more than {limits.alarm_delay_s:g} s"))
         return found
 
     def not_ready(self) -> dict[SignalLimits, str]:
@@ -143,14 +143,14 @@ class Signals:
 
     def untold_on_order(self) -> bool:
         """Whether one is not known that counts when motion is ordered."""
-        return any(self.value(limits) is None for limits in self.limits if limits.on_order is not None)
+        return any(self.value(limits) is None for limits in self.limits if limits.on_start is not None)
 
     def wrong_on_order(self) -> list[str]:
         """How those are that are not as they must be when a person orders motion."""
         found = [
-            (limits.name, limits.on_order.broken(self.value(limits), limits.unit))
+            (limits.name, limits.on_start.broken(self.value(limits), limits.unit))
             for limits in self.limits
-            if limits.on_order is not None
+            if limits.on_start is not None
         ]
         return [f"{name} {broken}" for name, broken in found if broken]
 
@@ -161,7 +161,7 @@ class Signals:
                 "value": self.value(limits),
                 "text": limits.said(self.value(limits)),
                 "wrong": self._wrong(limits, in_contact=False) or self._wrong(limits, in_contact=True),
-                "leads_to": limits.leads_to,
+                "action": limits.action,
             }
             for limits in self.limits
         }

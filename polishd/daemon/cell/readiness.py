@@ -57,7 +57,7 @@ async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) 
             if limits.name not in told:
                 told.add(limits.name)
                 what = f"{said} before contact; it is waited for, for up to {limits.wait_s:g} s"
-                publish(SignalOutOfRange(cycle=cycle, signal=limits.name, what=what, leads_to="wait"))
+                publish(SignalOutOfRange(cycle=cycle, signal=limits.name, what=what, action="wait"))
         await cell.clock.sleep(LOOK_S)
 
 
@@ -109,7 +109,7 @@ async def _look(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> None:
         now_s = time.monotonic()
         passed_s, looked_s = min(now_s - looked_s, STEP_S), now_s
         for limits, said in cell.signals.pass_by(passed_s, in_contact=cell.pressing):
-            cell.emergency = cell.emergency or limits.leads_to == "estop"
+            cell.emergency = cell.emergency or limits.action == "estop"
             tell(limits, said)
 
 

@@ -141,7 +141,7 @@ class TimeLimits:
         return max(rest_s, lift_s + max(stop_s, self.buffer_s) + stop_s)
 
     def chain(
-        self, lookahead_s: float, *, apart_s: float = math.inf, force_s: float = math.inf
+        self, stream_ahead_s: float, *, apart_s: float = math.inf, force_s: float = math.inf
     ) -> tuple[ActionTimeLimit, ...]:
         """Each limit in the order in which they act, with what it must outlast.
 
@@ -193,9 +193,9 @@ class TimeLimits:
             ),
             ActionTimeLimit(of_robot("stop_s"), "robot stops or lifts, at most", robot.stop_s),
             ActionTimeLimit(
-                "job.lookahead_s",
+                "job.stream_ahead_s",
                 "motion held by the robot",
-                lookahead_s,
+                stream_ahead_s,
                 self.buffer_s,
                 "of motion: contact is left when less is held, and the tool is up when that is used up",
             ),
@@ -218,10 +218,10 @@ class TimeLimits:
                 "of its readings",
             ),
             ActionTimeLimit(
-                "force_sensor.grace_s", "actuator and force sensor may disagree for", apart_s, late_s, because
+                "force_sensor.alarm_delay_s", "actuator and force sensor may disagree for", apart_s, late_s, because
             ),
             ActionTimeLimit(
-                "limits.force_grace_s", "force may be off its set point for", force_s, late_s - BEAT_S, because
+                "limits.force_alarm_delay_s", "force may be off its set point for", force_s, late_s - BEAT_S, because
             ),
         )
 

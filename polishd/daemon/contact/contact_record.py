@@ -274,25 +274,27 @@ class ForceCheck:
     def __init__(
         self,
         set_n: float,
-        band_n: float,
-        grace_s: float,
+        max_difference_n: float,
+        alarm_delay_s: float,
         *,
         set_band: float,
-        set_grace_s: float,
+        set_alarm_delay_s: float,
         most_n: float = math.inf,
         most_key: str = "process.force_max_n",
         delay_s: float = 0.0,
     ) -> None:
-        """Both may be ``band_n`` apart, and farther for ``grace_s``; one may read a force alone for ``one_sided_s``.
+        """Both may be ``max_difference_n`` apart, and farther for ``alarm_delay_s``.
 
-        The sensor may be off the set point by ``set_band``, relative, and farther for ``set_grace_s``; it tells
+        One may read a force alone for ``one_sided_s``.
+
+        The sensor may be off the set point by ``set_band``, relative, and farther for ``set_alarm_delay_s``; it tells
         ``delay_s`` late. No device may read more than ``most_n``, not once, which the config key ``most_key`` changes.
         """
         self._set_n = set_n
-        self._band_n = band_n
-        self._grace_s = grace_s
+        self._max_difference_n = max_difference_n
+        self._alarm_delay_s = alarm_delay_s
         self._set_band = set_band
-        self._set_grace_s = set_grace_s
+        self._set_alarm_delay_s = set_alarm_delay_s
         self._most_n = most_n
         self._most_key = most_key
         self._ceilings: dict[str, ForceCeiling] = {}
@@ -303,7 +305,7 @@ class ForceCheck:
         self._reached: set[Who] = set()
         """Who has been at the set point."""
         self._left_s: dict[Who, float] = {}
-        """Since when who is off it by more than half of ``band_n``: of two that are farther apart one always is."""
+        """Since when a device is off the set point by more than half of ``max_difference_n``: one of two always is."""
         self._together_s = math.nan
         self._good_s = math.nan
 
@@ -321,10 +323,11 @@ class ForceCheck:
         self._hear(SENSOR, at_s, force_n)
         if self.sensor_fits or (not landed and force_n < self._set_n) or math.isnan(self._good_s):
             self._good_s = at_s
-        elif at_s - self._good_s > self._set_grace_s:
+        elif at_s - self._good_s > self._set_alarm_delay_s:
             raise ForcesApart(
                 f"force: by the force sensor {force_n:.2f} N is outside {self._set_n:g} N +- {self._set_band:.0%} for "
-                f"more than {self._set_grace_s:g} s; the actuator says {self._words.get(ACTUATOR, math.nan):.2f} N"
+                f"more than {self._set_alarm_delay_s:g} s; "
+                f"the actuator says {self._words.get(ACTUATOR, math.nan):.2f} N"
             )
 
     def monitor(self, name: str, at_s: float, force_n: float) -> None:
@@ -341,7 +344,7 @@ class ForceCheck:
     def _one_sided(self, at_s: float) -> None:
         """ForcesApart where one reads a force and the other none for too long, and both have been heard meanwhile."""
         low_n, high_n = sorted(abs(read_n) for read_n in self._words.values())
-        if not (low_n <= min(self._band_n / 2, self._set_n / 4) and high_n > self._band_n):
+        if not (low_n <= min(self._max_difference_n / 2, self._set_n / 4) and high_n > self._max_difference_n):
             self._one_sided_since_s = math.nan
         elif math.isnan(self._one_sided_since_s):
             self._one_sided_since_s = at_s
@@ -357,7 +360,7 @@ class ForceCheck:
     def _hear(self, who: Who, at_s: float, force_n: float) -> None:
         self._below_ceiling(who, at_s, force_n)
         self._words[who], self._heard_s[who] = force_n, at_s
-        if abs(force_n - self._set_n) <= self._band_n / 2:
+        if abs(force_n - self._set_n) <= self._max_difference_n / 2:
             self._reached.add(who)
             self._left_s.pop(who, None)
         else:
@@ -366,13 +369,14 @@ class ForceCheck:
             return
         self._one_sided(at_s)
         apart_n = abs(self._words[ACTUATOR] - self._words[SENSOR])
-        if apart_n <= self._band_n or math.isnan(self._together_s):
+        if apart_n <= self._max_difference_n or math.isnan(self._together_s):
             self._together_s = at_s
-        elif at_s - self._together_s > self._grace_s:
+        elif at_s - self._together_s > self._alarm_delay_s:
             raise ForcesApart(
                 f"the forces disagree: the actuator says {self._words[ACTUATOR]:.2f} N, the force sensor "
                 f"{self._words[SENSOR]:.2f} N, the set point is {self._set_n:g} N; {apart_n:.2f} N apart, at most "
-                f"{self._band_n:g} N (force_sensor.band_n), for more than {self._grace_s:g} s; {self._first()}"
+                f"{self._max_difference_n:g} N (force_sensor.max_difference_n), for more than "
+                f"{self._alarm_delay_s:g} s; {self._first()}"
             )
 
     def _first(self) -> str:
@@ -382,9 +386,9 @@ class ForceCheck:
         return f"the {min(left, key=lambda who: left[who])} left the set point first"
 
 
-def verdict(actuator_n: float, sensor_n: float, band_n: float) -> str:
+def verdict(actuator_n: float, sensor_n: float, max_difference_n: float) -> str:
     """What both read with the tool off the part, where the force is 0, and which of them that makes suspected."""
-    off = {ACTUATOR: abs(actuator_n) > band_n / 2, SENSOR: abs(sensor_n) > band_n / 2}
+    off = {ACTUATOR: abs(actuator_n) > max_difference_n / 2, SENSOR: abs(sensor_n) > max_difference_n / 2}
     read = f"with the tool up the actuator reads {actuator_n:.2f} N, the sensor {sensor_n:.2f} N"
     wrong = [who for who in off if off[who]]
     if len(wrong) == 1:
@@ -457,7 +461,7 @@ def tolerance_nm(recipe: Recipe) -> float | None:
 
 
 def require_stall_depth(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
-    """How deep that is; ConfigError where it is deeper than ``limits.pit_nm``. Empty where the robot tells at once."""
+    """Depth of that; empty where the robot reports at once. ConfigError beyond ``limits.max_stall_removal_nm``."""
     robot, actuator = cell.limits.robot, cell.limits.actuator
     if not robot.unseen_stop_s:
         return ""
@@ -467,10 +471,11 @@ def require_stall_depth(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
         f"{rate_nm_s * stands_s:.1f} nm at most: {1e3 * robot.unseen_stop_s:.0f} ms until it is told, "
         f"{1e3 * actuator.release_s:.0f} ms until the force is off, at {rate_nm_s:.0f} nm/s"
     )
-    if rate_nm_s * stands_s > config.limits.pit_nm:
+    if rate_nm_s * stands_s > config.limits.max_stall_removal_nm:
         raise config.error(
-            "limits.pit_nm",
-            f"a feed hold at the controller would dig {said}; more than {config.limits.pit_nm:g} nm. Have the "
+            "limits.max_stall_removal_nm",
+            f"a feed hold at the controller would dig {said}; more than {config.limits.max_stall_removal_nm:g} nm. "
+            "Have the "
             "controller report faster, state what the actuator truly takes (actuator.release_s), or wire its signal "
             "'in motion' to the actuator (in_motion_wired in its profile)",
         )

@@ -16,7 +16,7 @@ from polishd.daemon.journal.records import BlockRecord, JournalBlocks, PassRecor
 from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import DeviceError
 from polishd.model.surface import FloatArray
-from polishd.process.robot.motion import pace, reached
+from polishd.process.robot.motion import clock_rate, last_reachable_block
 
 ASK_S = 3.0
 """Longest that asking the robot for what it remembers may take."""
@@ -69,7 +69,7 @@ class _Account:
             planned_s = float(self.least_s[self.blocks.seq[told][1:]].sum())
             speed = self._pace(planned_s)
             if speed is not None:
-                end = min(end, reached(self.least_s, first - 1, within_s * max(speed, 1.0)))
+                end = min(end, last_reachable_block(self.least_s, first - 1, within_s * max(speed, 1.0)))
         return first, max(first, end)
 
     def unseen_s(self) -> float:
@@ -85,7 +85,7 @@ class _Account:
 
     def _pace(self, process_s: float) -> float | None:
         told_s = self.blocks.told_s[self._told]
-        return pace(process_s, float(told_s[-1] - told_s[0]), self.late_s) if told_s.size else None
+        return clock_rate(process_s, float(told_s[-1] - told_s[0]), self.late_s) if told_s.size else None
 
 
 async def mark_interrupted(

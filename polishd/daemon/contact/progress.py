@@ -17,7 +17,7 @@ from polishd.model.errors import SafetyStop
 from polishd.model.program import Plan
 from polishd.model.surface import FloatArray
 from polishd.process.removal.excess import Excess, ExcessMap
-from polishd.process.robot.motion import pace
+from polishd.process.robot.motion import clock_rate
 
 STEP_S = 0.02
 """Between two looks at the time since the last progress."""
@@ -236,7 +236,7 @@ class Progress:
         if self._first is None or self._point_began is None:
             return None
         process_s, wall_s = self._point_began[0] - self._first[0], self._clock_s - self._first[1]
-        most = pace(process_s, wall_s, self._limits.report_s)
+        most = clock_rate(process_s, wall_s, self._limits.report_s)
         return None if most is None else blur_s * max(most, 1.0) * excess.peak_nm_s
 
     def _ahead(self, excess: ExcessMap, point: int, slow: float, blur_nm: float) -> Excess | None:

@@ -34,8 +34,8 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 
-async def tare(cell: Cell, band_n: float) -> None:
-    """Nothing touches: what the sensor reads is 0. DeviceFault where that has moved by more than ``band_n`` since."""
+async def tare(cell: Cell, max_difference_n: float) -> None:
+    """Nothing touches: the sensor reads 0. DeviceFault where that has moved by more than ``max_difference_n``."""
     sensor, name = cell.force_sensor, cell.used.get("force_sensor", "")
     if sensor is None:
         return
@@ -43,10 +43,11 @@ async def tare(cell: Cell, band_n: float) -> None:
         async with asyncio.timeout(sensor.times.tare_s + ANSWERS_S):
             reading = await _next(sensor.samples())
             _require_sound(reading)
-            if name in cell.tared and not abs(reading.force_n) <= band_n:
+            if name in cell.tared and not abs(reading.force_n) <= max_difference_n:
                 raise DeviceFault(
                     f"{name}: reads {reading.force_n:.2f} N with the tool up, and was 0 there before the last contact; "
-                    f"at most {band_n:g} N (force_sensor.band_n): look at the sensor, its cable and what hangs on it"
+                    f"at most {max_difference_n:g} N (force_sensor.max_difference_n): "
+                    f"look at the sensor, its cable and what hangs on it"
                 )
             await sensor.tare()
     except TimeoutError:
@@ -91,7 +92,7 @@ async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: ContactReco
         cell.signals.on_force = lambda _name, _force_n: None
 
 
-async def diagnose_force_disagreement(cell: Cell, error: BaseException, band_n: float) -> BaseException:
+async def diagnose_force_disagreement(cell: Cell, error: BaseException, max_difference_n: float) -> BaseException:
     """The error; where two forces disagreed, and the tool is up since, with what both read there."""
     sensor = cell.force_sensor
     if not isinstance(error, ForcesApart) or sensor is None or cell.unsafe:
@@ -103,7 +104,7 @@ async def diagnose_force_disagreement(cell: Cell, error: BaseException, band_n: 
     except Exception as late:  # noqa: BLE001 - a plugin may raise anything: what ended contact is told all the same
         log.warning("actuator and force sensor are not both asked again: %s", late)
         return error
-    return ForcesApart(f"{error}; {verdict(told.force_n, sensed.force_n, band_n)}")
+    return ForcesApart(f"{error}; {verdict(told.force_n, sensed.force_n, max_difference_n)}")
 
 
 def _require_sound(reading: SensedForce) -> None:
@@ -131,8 +132,8 @@ class ContactLimits:
     force_n: float
     rpm: float
     force_band: float
-    """Relative; outside it for longer than ``grace_s`` is a safety stop."""
-    grace_s: float
+    """Relative; outside it for longer than ``alarm_delay_s`` is a safety stop."""
+    alarm_delay_s: float
     deepest_mm: float = math.inf
     """The tool is lifted where it is farther out than that, whether it touches or not."""
     apart_n: float = math.inf
@@ -370,7 +371,7 @@ def _all_lifted(tools: Iterable[str], lifts: Mapping[str, asyncio.Task[bool]]) -
 async def _land(cell: Cell, watch: _Watch) -> None:
     limits, landing_s = watch.limits, cell.limits.actuator.landing_s
     try:
-        async with asyncio.timeout(landing_s + limits.grace_s):
+        async with asyncio.timeout(landing_s + limits.alarm_delay_s):
             await cell.actuator.set_force(limits.force_n)
             await watch.landed.wait()
     except TimeoutError:
@@ -399,7 +400,7 @@ def _force_check(limits: ContactLimits, delay_s: float = 0.0) -> ForceCheck:
         limits.apart_n,
         limits.apart_s,
         set_band=limits.force_band,
-        set_grace_s=limits.grace_s,
+        set_alarm_delay_s=limits.alarm_delay_s,
         most_n=limits.force_max_n,
         most_key=limits.force_max_key,
         delay_s=delay_s,
@@ -432,10 +433,10 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
             good_at = sample.at_s
             if cell.force_sensor is None or watch.forces.sensor_fits:
                 watch.landed.set()
-        elif watch.landed.is_set() and sample.at_s - good_at > limits.grace_s:
+        elif watch.landed.is_set() and sample.at_s - good_at > limits.alarm_delay_s:
             raise SafetyStop(
                 f"force {sample.force_n:.2f} N is outside {limits.force_n:g} N +- {limits.force_band:.0%} "
-                f"for more than {limits.grace_s:g} s"
+                f"for more than {limits.alarm_delay_s:g} s"
             )
 
     try:
@@ -463,9 +464,9 @@ async def _watch_speed(cell: Cell, watch: _Watch) -> None:
             raise DeviceFault(f"spindle: fault {sample.fault} while in contact")
         if good_at is None or abs(sample.rpm - limits.rpm) <= max(0.05 * abs(limits.rpm), STILL_RPM):
             good_at = sample.at_s
-        elif sample.at_s - good_at > limits.grace_s:
+        elif sample.at_s - good_at > limits.alarm_delay_s:
             raise SafetyStop(
-                f"spindle at {sample.rpm:.0f} rpm instead of {limits.rpm:g} for more than {limits.grace_s:g} s"
+                f"spindle at {sample.rpm:.0f} rpm instead of {limits.rpm:g} for more than {limits.alarm_delay_s:g} s"
             )
 
     await read_samples(cell.spindle.samples(), judge, "spindle", cell.limits.spindle.silence_s)

@@ -44,7 +44,7 @@ class Stream:
         plan: Plan,
         robot: Robot,
         clock: Clock,
-        lookahead_s: float,
+        stream_ahead_s: float,
         least_s: float,
         *,
         heard: Heard = lambda _: None,
@@ -63,7 +63,7 @@ class Stream:
         self._plan = plan
         self._robot = robot
         self._clock = clock
-        self._lookahead_s = lookahead_s
+        self._stream_ahead_s = stream_ahead_s
         self._least_s = least_s
         self._in_contact = False
         self._sent = 0
@@ -81,11 +81,11 @@ class Stream:
             chunk = segments[self._sent : self._sent + CHUNK]
             await self._robot.send(chunk)
             self._sent += len(chunk)
-            if self._robot.buffer_s >= self._lookahead_s:
+            if self._robot.buffer_s >= self._stream_ahead_s:
                 self._filled.set()
-            while self._robot.buffer_s >= 2 * self._lookahead_s:
+            while self._robot.buffer_s >= 2 * self._stream_ahead_s:
                 self._filled.set()
-                await self._clock.sleep(self._lookahead_s / 10)
+                await self._clock.sleep(self._stream_ahead_s / 10)
         self._filled.set()
 
     async def watch(self) -> None:
@@ -125,7 +125,7 @@ class Stream:
     async def approach(self) -> None:
         """To the landing point, tool retracted; the robot then stands still. DeviceRefused if it holds too little."""
         with contextlib.suppress(TimeoutError):  # a robot may hold less than the look-ahead: then it is full now
-            async with asyncio.timeout(2 * self._lookahead_s):
+            async with asyncio.timeout(2 * self._stream_ahead_s):
                 await self._filled.wait()
         if self._starves():
             raise DeviceRefused(
@@ -188,7 +188,8 @@ class Stream:
             self._short.set_exception(
                 SafetyStop(
                     f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}, and "
-                    f"lifting may take {self._least_s:.2f} s: the stream cannot keep up; lengthen job.lookahead_s or "
+                    f"lifting may take {self._least_s:.2f} s: the stream cannot keep up; "
+                    "lengthen job.stream_ahead_s or "
                     "look at the link"
                 )
             )
@@ -202,7 +203,7 @@ async def streaming(
     plan: Plan,
     robot: Robot,
     clock: Clock,
-    lookahead_s: float,
+    stream_ahead_s: float,
     *,
     least_s: float,
     heard: Heard = lambda _: None,
@@ -212,7 +213,7 @@ async def streaming(
 ) -> AsyncIterator[Stream]:
     """Prepare the robot and feed it in the background for as long as the block lasts; ``ended``: a done callback."""
     await robot.prepare(plan)
-    stream = Stream(plan, robot, clock, lookahead_s, least_s, heard=heard, limits=limits, excess=excess)
+    stream = Stream(plan, robot, clock, stream_ahead_s, least_s, heard=heard, limits=limits, excess=excess)
     try:
         async with asyncio.TaskGroup() as group:
             tasks = [

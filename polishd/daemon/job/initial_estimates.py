@@ -33,7 +33,7 @@ from polishd.pipeline.steps import initial_estimates
 # What other cells of a shop have learned of a recipe, as the shop offered it to this one: events of the journal.
 
 RECIPE = ("process.",)
-TOOL = "memory.tool"
+TOOL = "estimates.tool"
 FORGOTTEN = "forgotten"
 """The event behind which nothing is remembered; its data has the last pass before it, ``job`` and ``cycle``."""
 UNKNOWN_SHARE, ANOTHER_SHARE = 3.0, 6.0
@@ -68,9 +68,9 @@ class ShopRate:
 def recipe_of(terms: Mapping[str, Any]) -> str:
     """What identifies the recipe of a job that was begun with those terms, on whatever machine: process and tool.
 
-    Empty where what it learns is of its own machine (``process.learns`` other than ``rate``): nothing is offered then.
+    Empty where ``process.estimates`` is not ``rate``: the estimates then hold for this machine alone.
     """
-    if terms.get("process.learns", "rate") != "rate":
+    if terms.get("process.estimates", "rate") != "rate":
         return ""
     keys = {key for key in terms if key.startswith(RECIPE) or key == TOOL} - {*LIMITS_OF_PROCESS}
     known = {key: _content(terms[key]) for key in keys}
@@ -97,7 +97,7 @@ def _content(value: Any) -> Any:
     return [_content(one) for one in value] if isinstance(value, list) else value
 
 
-SERIES = ("process.", "compliance.", "kinematics.", "roles.", "instrument.", "memory.tool")
+SERIES = ("process.", "compliance.", "kinematics.", "roles.", "instrument.", "estimates.tool")
 """Sections and keys of a job's terms."""
 FORM = "part."
 MACHINE = ("machine.accel_mm_s2", "machine.corner_deg", "machine.block_overhead_s")
@@ -146,7 +146,7 @@ def facts(terms: Mapping[str, Any] | None, believed: EstimatesInUse) -> dict[str
         "taught": {
             "series": series_of(own),
             "machine": _hash({key: own.get(key) for key in MACHINE}),
-            "tool": own.get("memory.tool") or "",
+            "tool": own.get("estimates.tool") or "",
             "recipe": recipe_of(own),
             "believed": believed.facts(),
         }
@@ -205,7 +205,7 @@ def _days_since(at_s: float) -> float:
 
 def series_of(terms: Mapping[str, Any]) -> str:
     """What identifies the series of a job that was begun with those terms."""
-    prefixes = SERIES if terms.get("process.learns", "rate") == "rate" else (*SERIES, FORM)
+    prefixes = SERIES if terms.get("process.estimates", "rate") == "rate" else (*SERIES, FORM)
     other = {"part.id", *LIMITS_OF_PROCESS}
     return _hash({key: one for key, one in terms.items() if key.startswith(prefixes) and key not in other})
 

@@ -118,24 +118,6 @@ def _process(terms: Mapping[str, Any] | None) -> str:
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
 
 
-# What follows a measurement, by what the journal knows of the job (`polishd.pipeline.decisions`).
-
-
-@dataclass(frozen=True, slots=True)
-class StopCriteria:
-    """Decisions of one job."""
-
-    recipe: Recipe
-    journal: Journal
-
-    def decide(self, surface: MeasureResult, findings: Sequence[Finding], passes_left: int) -> Decision:
-        """Decide what follows the last measurement of the journal."""
-        torn = [record.cycle for record in self.journal.passes if record.how != "done"]
-        since = max(torn, default=-1)  # a pass that was torn off leaves a step, which is nobody's divergence
-        earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
-        return decide(self.recipe, earlier, surface, findings, passes_left)
-
-
 PROGRESS_BLOCKS = 50
 """Blocks between two progress events."""
 
@@ -161,7 +143,7 @@ class Job:
     publish: Callable[[Event], None]
     check_plan: Callable[[Plan, Envelope], Sequence[str]]
     max_cycles: int
-    lookahead_s: float
+    stream_ahead_s: float
     findings: tuple[Finding, ...] = field(init=False, default=())
     """What was found in the last pass, and not told before."""
     _remembers: tuple[str, ...] = field(init=False, default=())
@@ -178,11 +160,9 @@ class Job:
 
     people: RunFolderWriter = field(init=False)
     """What it leaves in its run folder."""
-    judging: StopCriteria = field(init=False)
 
     def __post_init__(self) -> None:
         self.people = RunFolderWriter(self.folder, self.journal)
-        self.judging = StopCriteria(self.recipe, self.journal)
 
     @property
     def recipe(self) -> Recipe:
@@ -284,7 +264,10 @@ class Job:
 
     def decide(self, cycle: int, surface: MeasureResult) -> Decision:
         """Decide what follows that cycle's measurement, once its pass was learned from."""
-        return self.judging.decide(surface, self.findings, self.last_cycle - cycle)
+        torn = [record.cycle for record in self.journal.passes if record.how != "done"]
+        since = max(torn, default=-1)  # a pass that was cut off leaves a step on the surface, which is no divergence
+        earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
+        return decide(self.recipe, earlier, surface, self.findings, self.last_cycle - cycle)
 
     async def solve(self, cycle: int, surface: MeasureResult) -> SolveResult:
         """Dwell with a certificate, kept in the run folder whether it will be used or not."""
@@ -315,7 +298,7 @@ class Job:
         """
         if self.tools.left:
             return False
-        if found := worthless_pass(self.judging.recipe, self._planned[cycle].forecast):
+        if found := worthless_pass(self.recipe, self._planned[cycle].forecast):
             self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
 

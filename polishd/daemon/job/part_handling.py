@@ -131,11 +131,11 @@ class PartHandling:
 
     async def clean(self, cycle: int) -> None:
         """What comes between a pass and the next measurement. HandlingError where a person is to do it."""
-        await self._step(cycle, CyclePhase.CLEAN, self._job.recipe.between.clean)
+        await self._step(cycle, CyclePhase.CLEAN, self._job.recipe.part_handling.clean)
 
     async def settled(self, cycle: int, surface: MeasureResult) -> MeasureResult:
         """The measurement that counts: maps are taken until two in a row agree. NotSettled where none do."""
-        settle = self._job.recipe.between.settle
+        settle = self._job.recipe.part_handling.settle
         if settle is None:
             return surface
         async with self._journal.phase(cycle, CyclePhase.SETTLE):
@@ -147,7 +147,7 @@ class PartHandling:
         Where that is more than the tolerance bears: GateStop for a mount that prints through otherwise each time,
         NotSettled for a part that does not come to rest.
         """
-        job, settle = self._job, self._job.recipe.between.settle
+        job, settle = self._job, self._job.recipe.part_handling.settle
         wait_s, earlier = (residual_diagnosis.WAIT_S, 0) if settle is None else (settle.wait_s, settle.maps)
         seen, moves, changes = list[Diagnosis](), tuple[Diagnosis, ...](), list[float]()
         async with self._journal.phase(cycle, CyclePhase.SETTLE):
@@ -166,12 +166,12 @@ class PartHandling:
             if restless := steps.harmful_changes(job.recipe, moves):
                 settling = all(one.cause == "settling" for one in restless)
                 raise (PartNotSettled if settling else RemovalCheckStop)("; ".join(one.words for one in restless))
-        return surface, residual_diagnosis.persistent(seen)
+        return surface, residual_diagnosis.largest_of_each_cause(seen)
 
     async def ready(self, cycle: int) -> None:
         """Tool, pad and seat, before a pass; the links are up. HandlingError, WrongSeat: nothing was polished."""
         await self._change(cycle)
-        await self._step(cycle, CyclePhase.CONDITION, self._job.recipe.between.condition)
+        await self._step(cycle, CyclePhase.CONDITION, self._job.recipe.part_handling.condition)
         asked = self._job.recipe.touch_off
         if asked is None or (self._seated and not asked.each_pass):
             return
@@ -188,7 +188,7 @@ class PartHandling:
         job, tool = self._job, self._job.tool
         if not tool or await asyncio.to_thread(mounted, self._journal) == tool:
             return
-        step = job.recipe.between.change
+        step = job.recipe.part_handling.change
         async with self._journal.phase(cycle, CyclePhase.CHANGE):
             if step.command:
                 await run_command(
@@ -237,7 +237,7 @@ class PartHandling:
         raise PartNotSettled(
             f"the part does not settle: from map to map it changed by {', '.join(f'{one:.2f}' for one in changes)} nm; "
             f"{limit_nm:.2f} nm are the instrument's noise. To do: look for what warms or moves it; or give it more "
-            "time, between.settle.wait_s or maps"
+            "time, part_handling.settle.wait_s or maps"
         )
 
     async def _another(self, cycle: int, number: int, wait_s: float) -> MeasureResult:
@@ -255,9 +255,9 @@ class PartHandling:
         met_mm = [await self._met(asked, place, plan, meets_mm) for place, plan in enumerate(plans)]
         seat = seat_of(asked, meets_mm - np.array(met_mm))
         facts, notes = facts_of(asked, seat), [] if seat.is_level else [f"the part sits {seat}"]
-        job.publish(events.PartTouchedOff(cycle=cycle, seat=seat, most_off_mm=asked.most_off_mm, notes=notes))
+        job.publish(events.PartTouchedOff(cycle=cycle, seat=seat, max_offset_mm=asked.max_offset_mm, notes=notes))
         await job.people.leave(cycle, "touch_off.json", {**facts, "notes": notes})
-        if seat.worst_mm > asked.most_off_mm:
+        if seat.worst_mm > asked.max_offset_mm:
             raise WrongSeat(_wrong(asked, seat))
 
     async def _met(self, asked: TouchOff, place: int, plan: Plan, meets_mm: float) -> float:
@@ -274,7 +274,7 @@ class PartHandling:
             force_max_key="touch_off.force_max_n",
         )
         least_s, ended = cell.limits.buffer_s, cell.ended
-        feed = streaming(plan, cell.robot, cell.clock, job.lookahead_s, least_s=least_s, ended=ended)
+        feed = streaming(plan, cell.robot, cell.clock, job.stream_ahead_s, least_s=least_s, ended=ended)
         async with feed as stream:
             await require_robot(cell, limits.least_override)
             await stream.approach()
@@ -323,8 +323,8 @@ def _no_block(_: Sequence[BlockRecord]) -> None:
 def facts_of(asked: TouchOff, seat: PartSeat) -> dict[str, object]:
     """What the run folder keeps of a touch-off."""
     places = {
-        "places_mm": asked.places_mm[:, :2].round(3).tolist(),
-        "most_off_mm": asked.most_off_mm,
+        "points_mm": asked.points_mm[:, :2].round(3).tolist(),
+        "max_offset_mm": asked.max_offset_mm,
         "force_n": asked.force_n,
     }
     return {"seat": asdict(seat), **places}
@@ -333,25 +333,25 @@ def facts_of(asked: TouchOff, seat: PartSeat) -> dict[str, object]:
 def _wrong(asked: TouchOff, seat: PartSeat) -> str:
     met = "; ".join(
         f"{abs(off):.2f} mm too {'high' if off > 0 else 'low'} at x {x:.1f}, y {y:.1f} mm"
-        for off, (x, y, _) in zip(seat.off_mm, asked.places_mm.tolist(), strict=True)
+        for off, (x, y, _) in zip(seat.off_mm, asked.points_mm.tolist(), strict=True)
     )
     return (
-        f"the part sits {seat} ({met}): up to {seat.worst_mm:.2f} mm off, at most {asked.most_off_mm:g} mm "
-        "(touch_off.most_off_mm). Nothing was polished. To do: clean its seat and seat it again; or mend "
+        f"the part sits {seat} ({met}): up to {seat.worst_mm:.2f} mm off, at most {asked.max_offset_mm:g} mm "
+        "(touch_off.max_offset_mm). Nothing was polished. To do: clean its seat and seat it again; or mend "
         "part.origin_mm, part.rotation_rpy_deg or touch_off.position_mm"
     )
 
 
 def _nothing(asked: TouchOff, place: int, said: str) -> str:
-    x, y, _ = asked.places_mm[place].tolist()
+    x, y, _ = asked.points_mm[place].tolist()
     return (
-        f"no part was found at x {x:.1f}, y {y:.1f} mm down to {asked.most_off_mm:g} mm below where it should be "
+        f"no part was found at x {x:.1f}, y {y:.1f} mm down to {asked.max_offset_mm:g} mm below where it should be "
         f"({said}): it is missing, or sits too low. Nothing was polished. To do: seat it; or mend part.origin_mm or "
         "touch_off.position_mm"
     )
 
 
-# A person's word before motion: that a plan may run (``job.approve``), and that the cell is clear (``on_order``).
+# A person's word before motion: that a plan may run (``job.approve``), and that the cell is clear (``on_start``).
 
 TOLD_S = 5.0
 """For so long a signal is waited for that nobody has told yet: its monitor's link was just opened again, say."""
@@ -385,7 +385,7 @@ async def approve(cell: Cell, publish: Callable[[Event], None], program_sha256: 
 
 
 async def require_clear(cell: Cell) -> None:
-    """SignalFault where a signal is not what it must be when a person orders motion (``on_order``)."""
+    """SignalFault where a signal is not what it must be when a person orders motion (``on_start``)."""
     with suppress(TimeoutError):
         async with asyncio.timeout(TOLD_S):
             while cell.signals.untold_on_order():  # noqa: ASYNC110 - signals are heard, not asked

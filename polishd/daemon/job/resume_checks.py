@@ -45,11 +45,11 @@ RULES = (
     ),
     ResumeRule(("roles.*",), False, "another robot or tool removes otherwise, and what was learned is of this one"),
     ResumeRule(("dwell.*",), True, "how the next dwell is chosen; each has a certificate of its own"),
-    ResumeRule(("touch_off*", "between.*"), True, "what is done beside polishing removes nothing"),
+    ResumeRule(("touch_off*", "part_handling.*"), True, "what is done beside polishing removes nothing"),
     ResumeRule((*LIMITS_OF_PROCESS, "tools.*.force_max_n"), True, "what ends contact from now on"),
     ResumeRule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "what is refused from now on"),
     ResumeRule(
-        ("job.tolerance_nm", "tolerance", "job.accept", "job.max_cycles", "job.approve", "job.lookahead_s"),
+        ("job.tolerance_nm", "tolerance", "job.accept_by", "job.max_cycles", "job.approve", "job.stream_ahead_s"),
         True,
         "when the job ends, and how it is streamed",
     ),
@@ -62,8 +62,8 @@ RULES = (
     ),
     ResumeRule(("tools.*.change_s", "tools.*.position_mm"), True, "what a change takes, and how a tool is proved"),
     ResumeRule(("tools.*",), False, "what was learned is of these tools, and passes were theirs in this order"),
-    ResumeRule(("memory.remember",), True, "how the next job begins"),
-    ResumeRule(("memory.tool",), False, "what was learned is of this tool"),
+    ResumeRule(("estimates.use_previous",), True, "how the next job begins"),
+    ResumeRule(("estimates.tool",), False, "what was learned is of this tool"),
     ResumeRule(
         ("process.*", "compliance.*", "kinematics.*"), False, "the rate learned is relative to what these predict"
     ),

@@ -12,14 +12,14 @@ from typing import Any
 from urllib.parse import quote
 
 from polishd.daemon.journal.journal import JOURNAL_NAME
-from polishd.daemon.journal.store import require_sound
+from polishd.daemon.journal.store import EVENTS_RENAMED, SCHEMA_VERSION, require_sound
 from polishd.model.errors import ConfigError, JournalDamage, ToolStop
-from polishd.model.tolerance import Judged, judged_of, worst
+from polishd.model.tolerance import LineResult, line_results, worst_line
 
-FAULTS = ("held", "failed", "found")
+FAULTS = ("cell_held", "daemon_failed", "finding_reported")
 """Events that somebody had to see to."""
 TOLD = ToolStop.__name__
-"""An error whose cause is an event of its own, ``found``."""
+"""An error whose cause is the event ``finding_reported``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class HistoryMeasurement:
     at_s: float
     """Unix time."""
     rms_nm: float
-    judged: tuple[Judged, ...]
+    judged: tuple[LineResult, ...]
     rate: float | None
     """Removal rate that the pass before it showed, relative to the model's own; None: it showed none."""
     rate_sigma: float | None
@@ -72,9 +72,9 @@ class JobHistory:
         return next((one.rate for one in reversed(self.measured) if one.rate is not None), None)
 
     @property
-    def worst(self) -> Judged | None:
+    def worst(self) -> LineResult | None:
         """The line of the tolerance that the last measurement keeps worst."""
-        return worst(self.measured[-1].judged) if self.measured else None
+        return worst_line(self.measured[-1].judged) if self.measured else None
 
 
 def read_history(state_dir: Path) -> list[JobHistory]:
@@ -96,7 +96,7 @@ def read_events(
     """
     if not (state_dir / JOURNAL_NAME).exists():
         return []
-    kinds = f"name IN ({', '.join('?' * len(names))})" if names else "name != 'progress'"
+    kinds = f"name IN ({', '.join('?' * len(names))})" if names else "name != 'pass_progressed'"
     sql = f"SELECT id, at, cycle, name, data FROM event WHERE {kinds} AND id < ? ORDER BY id DESC LIMIT ?"  # noqa: S608
     with read_only(state_dir) as journal:
         rows = journal.execute(sql, (*names, 1 << 60 if before is None else before, count)).fetchall()
@@ -144,7 +144,16 @@ def _require_sound(path: Path, error: Exception) -> None:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
+    """A connection that only reads. A journal of before release 1.0 shows its events by their names of today."""
+    connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
+    try:
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if 0 < version < SCHEMA_VERSION:
+            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")  # noqa: S608 - our own names
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
 def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
@@ -181,7 +190,7 @@ def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -
 
 def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any]) -> HistoryMeasurement:
     rate = (before.get("shown") or {}).get("rate") or {}
-    judged = judged_of(stats)
+    judged = line_results(stats)
     predicted = before.get("predicted_rms_nm")
     rms, rates = stats["rms_nm"], (rate.get("value"), rate.get("sigma"))
     return HistoryMeasurement(at_s, rms, judged, *rates, predicted, _as_forecast(before.get("shown") or {}))
@@ -198,8 +207,8 @@ def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[FaultEvent]:
     last = ("", "")
     for at_s, name, data in events:
         said = json.loads(data)
-        fault = FaultEvent(at_s, said["kind"], said["what" if name == "found" else "error"])
-        again = name == "failed" and last == (fault.kind, fault.what)
+        fault = FaultEvent(at_s, said["kind"], said["what" if name == "finding_reported" else "error"])
+        again = name == "daemon_failed" and last == (fault.kind, fault.what)
         last = (fault.kind, fault.what)
         if fault.kind != TOLD and not again:
             yield fault

@@ -133,15 +133,19 @@ class JournalView:
 
         Between jobs those of this run: earlier ones are nobody's.
         """
-        sql = "SELECT at, name, data FROM event WHERE job = ? AND id > ? AND name IN ('held', 'failed') ORDER BY id"
+        sql = (
+            "SELECT at, name, data FROM event WHERE job = ? AND id > ? AND name IN ('cell_held', 'daemon_failed') "
+            "ORDER BY id"
+        )
         found = self._store.read(sql, (self._job, self._known.events_before))
         return [(at, name, json.loads(data)) for at, name, data in found]
 
     def held_last(self) -> str:
         """Why the cell was held, or its queue stopped, when its last daemon ended; empty where neither was so."""
         sql = (
-            "SELECT data FROM event WHERE (name = 'state' AND json_extract(data, '$.state') NOT IN ('starting', "
-            "'finished')) OR (name = 'job_ended' AND json_extract(data, '$.stops') != '') ORDER BY id DESC LIMIT 1"
+            "SELECT data FROM event WHERE (name = 'state_changed' AND json_extract(data, '$.state') NOT IN "
+            "('starting', 'finished')) OR (name = 'queue_job_ended' AND json_extract(data, '$.stops') != '') "
+            "ORDER BY id DESC LIMIT 1"
         )
         for (text,) in self._store.read(sql):
             data = json.loads(text)

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import hashlib
 import io
+import json
 import logging
 import math
 import os
@@ -29,6 +30,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from polishd.config.renamed_keys import renamed_key
 from polishd.daemon.journal.checksums import (
     CHECK_S,
     DISPENSABLE,
@@ -47,7 +49,7 @@ from polishd.util.files import make_folder, sync_folder, write_atomic
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 QUEUE_4 = """
 CREATE TABLE queue (
@@ -178,7 +180,56 @@ def _with_checksums() -> str:
 
 
 FROM_5 = _with_checksums()
-STEPS = {1: FROM_1, 2: FROM_2 + QUEUE, 3: FROM_3, 4: CLAIM, 5: FROM_5}
+
+# Names of before release 1.0, and what they are since.
+_EVENTS = {
+    "rate_offered": "shop_rate_received", "job_begun": "job_started", "part_wanted": "part_requested",
+    "job_ended": "queue_job_ended", "queue_ended": "queue_stopped", "opened": "cell_opened", "state": "state_changed",
+    "ordered": "command_received", "acknowledged": "alarm_acknowledged", "contact_broken": "contact_aborted",
+    "held": "cell_held", "failed": "daemon_failed", "measured": "map_measured", "repeated": "map_repeated",
+    "gate_stopped": "removal_check_failed", "learned": "estimates_updated", "signal_wrong": "signal_out_of_range",
+    "found": "finding_reported", "solved": "dwell_solved", "touched_off": "part_touched_off",
+    "plan_waits": "plan_awaiting_approval", "approved": "plan_approved", "pass_begun": "pass_started",
+    "progress": "pass_progressed", "job_finished": "run_folder_completed",
+}  # fmt: skip
+_CASES = " ".join(f"WHEN '{old}' THEN '{new}'" for old, new in _EVENTS.items())
+EVENTS_RENAMED = f"id, job, at, cycle, CASE name {_CASES} ELSE name END AS name, data"
+"""Columns of the table of events of a format before 7, with the names of this one."""
+_EVENT_FIELDS = {"signal_wrong": ("leads_to", "action"), "touched_off": ("most_off_mm", "max_offset_mm")}
+
+
+def _with_new_names() -> str:
+    """SQL for the names of events and of their fields, keys of a job's terms, and how jobs of a queue ended."""
+    fields = "".join(
+        f"UPDATE event SET data = json_remove(json_set(data, '$.{new}', json_extract(data, '$.{old}')), '$.{old}') "  # noqa: S608
+        f"WHERE name = '{name}' AND json_type(data, '$.{old}') IS NOT NULL;\n"
+        for name, (old, new) in _EVENT_FIELDS.items()
+    )
+    return (
+        f"{fields}UPDATE event SET name = CASE name {_CASES} ELSE name END;\n"  # noqa: S608
+        "UPDATE job SET terms = renamed_terms(terms);\n"
+        "UPDATE job SET outcome = 'set aside' WHERE outcome = 'put aside';\n"
+        "UPDATE queue SET verdict = 'set aside' WHERE verdict = 'put aside';\n"
+    )
+
+
+def _renamed_terms(terms: str) -> str:
+    """The terms of a job, JSON, with the names of config keys of this release. A key has its table's new name first."""
+    found = json.loads(terms)
+    if not isinstance(found, dict):
+        return terms
+    for old in list(found):
+        root, dot, rest = old.partition(".")
+        dotted = f"{renamed_key(root) or root}{dot}{rest}"
+        new = (renamed_key(dotted) or dotted).partition(" ")[0]
+        key = new if "." in new or "." not in dotted else f"{dotted.rpartition('.')[0]}.{new}"
+        value = found.pop(old)
+        found[key] = value == "free" if old == "part.rim" else value
+    return json.dumps(found, sort_keys=True)
+
+
+FROM_6 = _with_new_names()
+STEPS = {1: FROM_1, 2: FROM_2 + QUEUE, 3: FROM_3, 4: CLAIM, 5: FROM_5, 6: FROM_6}
 """From each earlier format to the next."""
 JSON_COLUMNS = (("job", "terms"), ("map", "stats"), ("pass", "facts"), ("event", "data"))
 """Of a format without checksums: a row whose JSON cannot be read is damaged."""
@@ -237,7 +288,7 @@ def require_sound(path: Path) -> None:
     if not path.exists() or path.with_name(f"{path.name}-journal").exists():
         return  # not there, or not quite made yet: it is rolled back when it is opened
     try:
-        damage, is_complete = check_journal(path, {SCHEMA_VERSION: _definitions()})
+        damage, is_complete = check_journal(path, dict.fromkeys((6, SCHEMA_VERSION), _definitions()))  # the same tables
     except (sqlite3.Error, OSError) as error:
         log.info("%s: the journal cannot be checked before it is opened: %s", path, error)
         return
@@ -326,7 +377,9 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         copy_whole(connection, old_copy(path, version))
     if version != SCHEMA_VERSION:
         script = "".join(STEPS[step] for step in range(version, SCHEMA_VERSION)) if version else SCHEMA
-        script += f"INSERT INTO commits (id, journal, count) VALUES (1, '{secrets.token_hex(8)}', 0);"  # noqa: S608
+        if version < 6:
+            script += f"INSERT INTO commits (id, journal, count) VALUES (1, '{secrets.token_hex(8)}', 0);"  # noqa: S608
+        connection.create_function("renamed_terms", 1, _renamed_terms, deterministic=True)
         connection.executescript(f"BEGIN IMMEDIATE; {script} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
         sync_folder(path.parent)
 

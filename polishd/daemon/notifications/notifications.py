@@ -126,7 +126,9 @@ def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str,
             "type": notifier.type,
             "severity": notifier.least.value,
             "error": attempt.wait(),
-            "waiting": len(read_outbox(outbox_path(config.state_dir, notifier.name), notifier.repeat_s)[0].waiting),
+            "waiting": len(
+                read_outbox(outbox_path(config.state_dir, notifier.name), notifier.remind_after_s)[0].waiting
+            ),
         }
         for notifier, attempt in zip(notifiers, attempts, strict=True)
     ]

@@ -29,7 +29,7 @@ KEPT_S = 7 * 86400.0
 """What could not be sent for so long is given up."""
 MOST_WAITING = 100
 MOST_THINGS = 12
-"""More things than this within ``repeat_s`` are one thing, by severity."""
+"""More things than this within ``remind_after_s`` are one thing, by severity."""
 
 
 @dataclass(slots=True)
@@ -44,7 +44,7 @@ class _Told:
 class NotificationQueue:
     """All that one notifier has to do."""
 
-    repeat_s: float
+    remind_after_s: float
     """What happens again within that time is counted."""
     waiting: list[Notification] = field(default_factory=list)
     _told: dict[str, _Told] = field(default_factory=dict)
@@ -54,13 +54,13 @@ class NotificationQueue:
     _tries: Counter[str] = field(default_factory=Counter)
 
     @classmethod
-    def of(cls, facts: Mapping[str, Any], repeat_s: float) -> Self:
+    def of(cls, facts: Mapping[str, Any], remind_after_s: float) -> Self:
         """As ``facts`` was kept; KeyError, TypeError or ValueError where it is something else."""
         told = {
             thing: _Told(float(one["began_s"]), _notification(one["again"]) if one["again"] else None)
             for thing, one in facts["told"].items()
         }
-        return cls(repeat_s, [_notification(one) for one in facts["waiting"]], told)
+        return cls(remind_after_s, [_notification(one) for one in facts["waiting"]], told)
 
     def facts(self) -> dict[str, Any]:
         """What a later run needs, JSON-ready."""
@@ -80,13 +80,13 @@ class NotificationQueue:
             told.again = notification.again(told.again)
             return
         self.waiting.append(notification)
-        if self.repeat_s > 0:
+        if self.remind_after_s > 0:
             self._told[thing] = _Told(now_s)
 
     def release(self, now_s: float) -> None:
         """What was counted long enough waits to be sent."""
         for thing, told in list(self._told.items()):
-            if _left_s(told.began_s, self.repeat_s, now_s):
+            if _left_s(told.began_s, self.remind_after_s, now_s):
                 continue
             if told.again is None:
                 del self._told[thing]
@@ -129,7 +129,7 @@ class NotificationQueue:
         until = [60.0]
         if self.waiting:
             until.append(_left_s(self._failed_s, self._pause_s(), now_s))
-        until += [_left_s(told.began_s, self.repeat_s, now_s) for told in self._told.values()]
+        until += [_left_s(told.began_s, self.remind_after_s, now_s) for told in self._told.values()]
         return min(until)
 
     def _pause_s(self) -> float:
@@ -167,7 +167,7 @@ class Notifier:
     name: str
     type: str
     least: Severity
-    repeat_s: float
+    remind_after_s: float
     send: Callable[[Notification], None]
 
 
@@ -223,7 +223,7 @@ class NotificationSender:
         self._path = outbox_path(state_dir, notifier.name)
         self._tell = tell
         self._inbox: queue.SimpleQueue[Notification | Attempt | _End] = queue.SimpleQueue()
-        self._outbox = NotificationQueue(notifier.repeat_s)
+        self._outbox = NotificationQueue(notifier.remind_after_s)
         self._attempt: Attempt | None = None
         self._failing = False
         self._end: _End | None = None
@@ -260,7 +260,7 @@ class NotificationSender:
             log.exception("the courier of %r is gone: nobody is told by it until the next start", self.notifier.name)
 
     def _until_over(self) -> None:
-        self._outbox, self._kept = read_outbox(self._path, self.notifier.repeat_s)
+        self._outbox, self._kept = read_outbox(self._path, self.notifier.remind_after_s)
         while not self._over():
             now_s = time.time()
             self._outbox.release(now_s)
@@ -357,13 +357,13 @@ def outbox_path(state_dir: Path, name: str) -> Path:
     return state_dir / "notify" / f"{name}.json"
 
 
-def read_outbox(path: Path, repeat_s: float) -> tuple[NotificationQueue, bytes]:
+def read_outbox(path: Path, remind_after_s: float) -> tuple[NotificationQueue, bytes]:
     """What an earlier run left, and the file's content; an empty one where there is none, or none that can be read."""
     try:
         content = path.read_bytes()
-        return NotificationQueue.of(json.loads(content), repeat_s), content
+        return NotificationQueue.of(json.loads(content), remind_after_s), content
     except FileNotFoundError:
-        return NotificationQueue(repeat_s), b""
+        return NotificationQueue(remind_after_s), b""
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         log.error("%s cannot be read, and what waited in it is not sent: %s", path, error)
-        return NotificationQueue(repeat_s), b""
+        return NotificationQueue(remind_after_s), b""

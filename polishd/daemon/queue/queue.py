@@ -24,7 +24,7 @@ from polishd.model.states import Outcome
 
 # What each ending of a job means for its part, and for the queue: one table, which the queue works by.
 
-How = Literal["accepted", "rejected", "put aside"]
+How = Literal["accepted", "rejected", "set aside"]
 QueueEffect = Literal["goes on", "stops", "waits"]
 
 
@@ -43,39 +43,39 @@ RULES = (
     ResultRule((Outcome.IN_TOLERANCE,), "accepted", "goes on", "the part is in tolerance"),
     ResultRule((Outcome.AS_PROGRAMMED,), "accepted", "goes on", "it was polished as its program says, to teach"),
     ResultRule((Outcome.CYCLES_USED,), "rejected", "goes on", "all its passes are used"),
-    ResultRule((Outcome.STALLED,), "put aside", "goes on", "its passes bring too little, and a person may find why"),
+    ResultRule((Outcome.STALLED,), "set aside", "goes on", "its passes bring too little, and a person may find why"),
     ResultRule(
         (Outcome.DIVERGED,), "rejected", "goes on", "its surface got worse: the next part tells whether it is the cell"
     ),
     ResultRule(
         (errors.RemovalCheckStop,),
-        "put aside",
+        "set aside",
         "stops",
         "instrument or alignment is wrong, and would be for the next part, too",
     ),
     ResultRule(
-        (errors.ToolStop,), "put aside", "stops", "the tool would remove otherwise than planned from the next part, too"
+        (errors.ToolStop,), "set aside", "stops", "the tool would remove otherwise than planned from the next part, too"
     ),
-    ResultRule((errors.WrongSeat,), "put aside", "goes on", "it does not sit where it should; nothing was polished"),
+    ResultRule((errors.WrongSeat,), "set aside", "goes on", "it does not sit where it should; nothing was polished"),
     ResultRule(
         (errors.HandlingError,), None, "waits", "a person is asked to clean or to condition, and the job goes on"
     ),
-    ResultRule((errors.SurfaceError,), "put aside", "goes on", "its map cannot be trusted, or shows another part"),
+    ResultRule((errors.SurfaceError,), "set aside", "goes on", "its map cannot be trusted, or shows another part"),
     ResultRule(
         (errors.ProgramError, errors.PlanRefused, errors.ComputeError, errors.ConfigError, errors.PluginError),
-        "put aside",
+        "set aside",
         "goes on",
         "nothing moves for a job that cannot be read, computed or planned",
     ),
     ResultRule(
         (errors.DeviceError,), None, "waits", "the device is at fault, not the part: the job goes on when it is mended"
     ),
-    ResultRule((errors.PolishdError,), "put aside", "stops", "what is not known to be safe is a person's to judge"),
+    ResultRule((errors.PolishdError,), "set aside", "stops", "what is not known to be safe is a person's to judge"),
 )
 """The first row that fits holds; of errors that came out of contact."""
 
 TORN = ResultRule(
-    (errors.DeviceError, errors.SafetyStop), "put aside", "goes on", "its pass was cut off: somebody should look at it"
+    (errors.DeviceError, errors.SafetyStop), "set aside", "goes on", "its pass was cut off: somebody should look at it"
 )
 """Of errors that cut off a pass, once every device confirmed that it is safe; where one did not, the daemon ends."""
 
@@ -125,7 +125,7 @@ def judge(end: Outcome | errors.PolishdError, *, torn: bool, previous: str, tool
 
 REMOVED = "removed"
 """The verdict of a job that a person took out before it began."""
-BY_A_PERSON = "put aside by a person"
+BY_A_PERSON = "set aside by a person"
 TO_DO = "ended IS NULL ORDER BY begun IS NULL, place"
 _COLUMNS = "id, name, part_id, path, content, files, added, job, begun, ended, verdict, reason, fault, claim"
 
@@ -279,13 +279,13 @@ class Queue:
         self._write(*((sql, (place, entry.id)) for place, entry in zip(places, order, strict=True)))
 
     def remove(self, name: str, reason: str = "") -> None:
-        """As ``remove_waiting``; at rest, where no daemon goes on with it, also the one under way: it is put aside."""
+        """As ``remove_waiting``; at rest, where no daemon goes on with it, also the one under way: it is set aside."""
         entry = self.under_way()
         if entry is None or entry.name != name:
             self.remove_waiting(name, reason)
             return
-        over = [over_row(entry.job, "put aside", reason)] if entry.job else []
-        self.end(entry, JobResult("put aside", reason or BY_A_PERSON, ""), *over)
+        over = [over_row(entry.job, "set aside", reason)] if entry.job else []
+        self.end(entry, JobResult("set aside", reason or BY_A_PERSON, ""), *over)
 
     def remove_waiting(self, name: str, reason: str = "") -> None:
         """Take a job out that waits; its row stays, with its end. ConfigError where it begins in the same moment."""
@@ -324,13 +324,13 @@ class Queue:
         self._to_do = self._where(TO_DO)
 
     def _taken(self, job: NewJob, before: Iterable[NewJob]) -> str:
-        """Why a name cannot be added; empty where it can. One that was put aside or removed may come again."""
+        """Why a name cannot be added; empty where it can. One that was set aside or removed may come again."""
         sql = "SELECT ifnull(verdict, 'in the queue') FROM queue WHERE name = ? AND ifnull(verdict, '') NOT IN (?, ?)"
         done = (
             "SELECT ifnull(outcome, 'under way') FROM job WHERE name = ? AND ifnull(outcome, '') NOT IN ('stopped', ?)"
         )
-        found = self._store.read(sql, (job.name, REMOVED, "put aside")) or self._store.read(
-            done, (job.name, "put aside")
+        found = self._store.read(sql, (job.name, REMOVED, "set aside")) or self._store.read(
+            done, (job.name, "set aside")
         )
         twice = any(job.name == other.name for other in before)
         if not (found or twice):

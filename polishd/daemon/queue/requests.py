@@ -67,7 +67,7 @@ class QueueRequests:
     @property
     def handlers(self) -> dict[str, Handler]:
         """Who obeys the verbs of the socket."""
-        return {"job_list": self.list, "job_add": self.add, "job_move": self.move, "job_remove": self.remove}
+        return {"queue_list": self.list, "queue_add": self.add, "queue_move": self.move, "queue_remove": self.remove}
 
     async def list(self) -> Mapping[str, Any]:
         """All jobs."""
@@ -90,21 +90,21 @@ class QueueRequests:
             jobs = await asyncio.to_thread(judged)
             await asyncio.to_thread(self._queue.add, jobs)
         self._changed()
-        self._told("job_add", ", ".join(job.name for job in jobs), by)
+        self._told("queue_add", ", ".join(job.name for job in jobs), by)
         return {"added": [job.name for job in jobs], "waiting": len(self._queue.to_do())}
 
     async def move(self, job: str, where: str, other: str = "", by: str = "") -> Mapping[str, Any]:
         """Change the order."""
         async with self._turn:
             await asyncio.to_thread(self._queue.move, job, where, other)
-        self._told("job_move", " ".join(filter(None, (job, where, other))), by)
+        self._told("queue_move", " ".join(filter(None, (job, where, other))), by)
         return await self.list()
 
     async def remove(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        """Take one out that waits; where no daemon works the queue the one under way, too, which is put aside."""
+        """Take one out that waits; where no daemon works the queue the one under way, too, which is set aside."""
         async with self._turn:
             await asyncio.to_thread(self._queue.remove, job, reason)
-        self._told("job_remove", ": ".join(filter(None, (job, reason))), by)
+        self._told("queue_remove", ": ".join(filter(None, (job, reason))), by)
         return await self.list()
 
     async def remove_waiting(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
@@ -112,7 +112,7 @@ class QueueRequests:
         async with self._turn:
             await asyncio.to_thread(self._queue.remove_waiting, job, reason)
         self._changed()
-        self._told("job_remove", ": ".join(filter(None, (job, reason))), by)
+        self._told("queue_remove", ": ".join(filter(None, (job, reason))), by)
         return await self.list()
 
     def _told(self, order: str, reason: str, by: str) -> None:
@@ -153,7 +153,7 @@ class ShopAssignments:
                 tell(event)
             return {"offers": len(offers)}
 
-        return {"shop_word": self.told, "shop_offer": offered}
+        return {"shop_assignments": self.told, "shop_rates": offered}
 
     async def told(
         self, stands: Sequence[Any] = (), back: Sequence[Any] = (), lost: Sequence[Any] = ()
@@ -170,7 +170,11 @@ class ShopAssignments:
 
     def first(self) -> QueueEntry | None:
         """The first that waits and may begin."""
-        return self._queue.next(lambda entry: not entry.claim or entry.claim in self._stands)
+        return self._queue.next(self.stands)
+
+    def stands(self, entry: QueueEntry) -> bool:
+        """Whether no shop gave its part, or the shop has said that the part is this cell's."""
+        return not entry.claim or entry.claim in self._stands
 
     async def settled(self, entry: QueueEntry | None) -> str:
         """Why the job under way may not go on, once that is known; empty where it may."""
@@ -185,7 +189,9 @@ class ShopAssignments:
         unheard = [one.name for one in self._queue.to_do() if one.claim and one.claim not in self._stands | self._lost]
         if not unheard:
             return {}
-        said = f"it has not said since this start that these are ours: {', '.join(unheard)}; is polishd shop link up?"
+        said = (
+            f"it has not said since this start that these are ours: {', '.join(unheard)}; is polishd shop connect up?"
+        )
         return {"shop": said}
 
     def _take_out(self, claim: str, why: str) -> None:
@@ -198,5 +204,5 @@ class ShopAssignments:
 def _offer(given: Any) -> ShopRateReceived:
     """ConfigError where it is none."""
     if not isinstance(given, dict) or {key: type(one) for key, one in given.items()} != OFFER:
-        raise ConfigError(f"an offer has {', '.join(OFFER)}, as polishd shop link sends them")
+        raise ConfigError(f"an offer has {', '.join(OFFER)}, as polishd shop connect sends them")
     return ShopRateReceived(**given)

@@ -1,105 +1,49 @@
-"""Numerical work in one worker process, killed when its time is over, so that the event loop never waits for it."""
+"""Numerical work in one worker process, which is killed at its limit, so that the event loop never waits for it.
+
+Both ends of a call are in this file: ``Compute`` in the daemon, ``start_worker`` in the worker. Calls and results are
+pickles, as both ends are this program.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
+import importlib
 import os
-import signal
-import sys
-import time
-from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import asynccontextmanager
-from pathlib import Path
+import pickle
+import traceback
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from polishd.daemon.runtime.compute_worker import LENGTH, pack, unpack
+import numpy as np
+from numpy.typing import NDArray
+
 from polishd.daemon.runtime.installed import installed_at_start, installed_now, require_same
-from polishd.model.errors import ComputeError, HostFault
+from polishd.daemon.runtime.process import compute_last
+from polishd.model.errors import ComputeError, HostFault, PolishdError, WorkerError
 from polishd.pipeline.recipe import CpuLimit
 from polishd.process.dwell.time_limit import backstop_s
-from polishd.util.secret_files import environment_without_secrets
+from polishd.util.array_stream import Message
+from polishd.util.worker_main import AnswerFunction
+from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
-# When the compute worker's time for a call is over: CPU seconds of the worker, and a wall-clock backstop.
-
-LOOK_S = 0.1
-"""Time between two looks at what the worker has used."""
-
-
-def process_cpu_s(pid: int) -> float:
-    """CPU seconds that all threads of a process have used; 0 where it is gone, or where there is no /proc."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return 0.0
-    # after the name, which may hold anything, user and system time are the 12th and 13th field
-    fields = stat.rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-class WorkerTimeLimit:
-    """Sees when a process has used its CPU seconds, counted from now, or when the backstop is over.
-
-    A process that a busy machine starves, or that somebody stops, keeps its CPU seconds; one that sleeps uses none.
-    """
-
-    def __init__(self, pid: int, limit: CpuLimit, backstop: Callable[[float], float]) -> None:
-        self._pid, self._limit = pid, limit
-        self._backstop_s = backstop(limit.within_s)
-        self._wall, self._cpu = time.monotonic(), process_cpu_s(pid)
-        self._next_look: asyncio.TimerHandle | None = None
-
-    @asynccontextmanager
-    async def kept(self) -> AsyncIterator[None]:
-        """What is inside ends with a TimeoutError when the time is over."""
-        async with asyncio.timeout(None) as scope:
-            self._look(scope)
-            try:
-                yield
-            finally:
-                if self._next_look is not None:
-                    self._next_look.cancel()
-
-    def __str__(self) -> str:
-        """What was used, what was allowed, and what gives more."""
-        used = f"used {self._cpu_s:.1f} s of CPU time in {self._wall_s:.1f} s"
-        allowed = f"at most {self._limit.within_s:g} s in {self._backstop_s:g} s are allowed"
-        more = f"; {self._limit.key} gives it more" if self._limit.key else ""
-        return f"{used}, {allowed}{more}"
-
-    @property
-    def _cpu_s(self) -> float:
-        return max(process_cpu_s(self._pid) - self._cpu, 0.0)
-
-    @property
-    def _wall_s(self) -> float:
-        return time.monotonic() - self._wall
-
-    def _look(self, scope: asyncio.Timeout) -> None:
-        loop = asyncio.get_running_loop()
-        if self._over():
-            scope.reschedule(loop.time())
-        else:
-            self._next_look = loop.call_later(LOOK_S, self._look, scope)
-
-    def _over(self) -> bool:
-        return self._cpu_s >= self._limit.within_s or self._wall_s >= self._backstop_s
-
+TARGET = "polishd.daemon.runtime.compute:start_worker"
+EARLY = ("polishd.hookspecs", "scipy.fft", "scipy.ndimage", "scipy.sparse", "scipy.spatial")
+"""Imported before the worker is ready, so that no call's limit includes them."""
+SMALL_BYTES = 1 << 12
+"""Arrays up to this size are inside the pickle."""
 
 T = TypeVar("T")
-
-START_S = 30.0
-"""CPU seconds in which a worker says that it is ready."""
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+Pickled = dict[str, NDArray[np.uint8]]
 
 
 class Compute:
     """``await compute(function, *arguments, within_s=30)``: module-level functions and picklable arguments.
 
-    One call runs at a time, others wait their turn. The worker starts at the first call or ``start``, and proves that
-    it has the daemon's versions: else HostFault.
+    One call runs at a time; others wait in order. The worker starts at the first call or ``start``. It states the
+    versions of its installed software: HostFault where they are not the daemon's.
     """
 
     def __init__(self, threads: int | None = None, backstop: Callable[[float], float] = backstop_s) -> None:
@@ -107,49 +51,64 @@ class Compute:
         self._backstop = backstop
         self._installed = installed_at_start()
         self._turn = asyncio.Lock()
-        self._process: Process | None = None
+        # Not asyncio's threads: files on a share that does not answer may keep all of them.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="compute")
+        self._worker: WorkerProcess | None = None
         self._ready = False
         self._closed = False
 
     @property
     def pid(self) -> int | None:
         """Process id of the worker, or None while there is none."""
-        return None if self._process is None else self._process.pid
+        return None if self._worker is None else self._worker.pid
 
     async def start(self) -> None:
-        """Start the worker and wait until it is ready; idempotent."""
+        """Start the worker and wait until it is ready. Idempotent."""
         async with self._turn:
-            await self._warm()
+            await self._started()
 
     async def __call__(self, function: Callable[..., T], *arguments: Any, within_s: CpuLimit | float = 600.0) -> T:
-        """Run it in the worker. PolishdErrors come back as themselves, others as ComputeError with a note.
+        """Run the function in the worker, and return its result.
 
-        ComputeError also when the worker has used so many CPU seconds (all its threads, since the ready worker has the
-        call), or the ``backstop``'s wall seconds for them, or where it dies. The worker is killed then, and when the
-        caller is cancelled; the next call has a new one.
+        The limit is CPU seconds of all threads of the worker, and the ``backstop``'s wall seconds for them. The worker
+        is killed at the limit, and when the caller is cancelled. The next call has another one.
+
+        Raises:
+            PolishdError: as the function raises it.
+            ComputeError: the function raises another exception (a note has its traceback), the limit is exceeded, or
+                the worker ends.
         """
-        limit = within_s if isinstance(within_s, CpuLimit) else CpuLimit(within_s)
+        cpu = within_s if isinstance(within_s, CpuLimit) else CpuLimit(within_s)
+        limit = WorkerLimit(wall_s=self._backstop(cpu.within_s), cpu_s=cpu.within_s, key=cpu.key)
+        name = getattr(function, "__qualname__", repr(function))
         async with self._turn:
-            process = await self._warm()
-            name = getattr(function, "__qualname__", repr(function))
+            worker = await self._started()
             try:
-                message = pack((function, arguments))
+                call = pack((function, arguments))
             except Exception as error:
                 raise ComputeError(f"{name} cannot be sent to the worker: {error}") from error
-            work = _exchange(process, message)
-            late, dead = f"{name} was ended", f"{name}: the worker died"
-            kind, value = await self._kept(process, limit, work, late=late, dead=dead)
+            try:
+                kind, value = await self._in_thread(worker, partial(_exchange, worker, call, limit))
+            except WorkerError as error:
+                if not self._closed:
+                    self._worker = self._new_worker()  # the next call need not wait for its start
+                raise ComputeError(f"{name}: {error}") from error
         if kind == "error":
             raise value
         return value  # type: ignore[no-any-return]
 
     async def close(self) -> None:
-        """End the worker, also amid a call; idempotent."""
+        """End the worker, also during a call. Idempotent."""
         self._closed = True
-        await self._drop()
+        if self._worker is not None:
+            self._worker.kill()
+            async with self._turn:
+                await self._in_thread(self._worker, self._worker.end)
+                self._worker = None
+        self._thread.shutdown(wait=False)
 
     async def __aenter__(self) -> Self:
-        """Nothing yet: the worker starts when it is needed."""
+        """Itself; the worker starts when it is needed."""
         return self
 
     async def __aexit__(
@@ -158,98 +117,103 @@ class Compute:
         """Close."""
         await self.close()
 
-    async def _warm(self) -> Process:
-        process = self._process
-        if process is None or process.returncode is not None:
-            process = await self._spawn()
-        if not self._ready:
-            late, dead = "the worker was not ready in time", "the worker did not start"
-            try:
-                _, now = await self._kept(
-                    process, CpuLimit(START_S), _receive(process), late=late, dead=dead, hint="; see stderr"
-                )
-            except ComputeError:
-                require_same(self._installed, await asyncio.to_thread(installed_now))  # names what is gone
-                raise
-            try:
-                require_same(self._installed, now)
-            except HostFault:
-                await self._drop()
-                raise
-            self._ready = True
-        return process
-
-    async def _kept(
-        self, process: Process, limit: CpuLimit, work: Coroutine[Any, Any, T], *, late: str, dead: str, hint: str = ""
-    ) -> T:
-        """What the worker answers in time; else it is killed, and a ComputeError begins with ``late`` or ``dead``."""
-        watch = WorkerTimeLimit(process.pid, limit, self._backstop)
-        try:
-            async with watch.kept():
-                return await work
-        except TimeoutError:
-            used = str(watch)
-            await self._drop()
-            if self._ready:  # the next call need not wait for it
-                await self._spawn()
-            raise ComputeError(f"{late}: it {used}") from None
-        except (OSError, EOFError) as error:
-            raise ComputeError(f"{dead} ({await self._drop()}){hint}") from error
-        except BaseException:
-            await self._drop()
-            raise
-
-    async def _spawn(self) -> Process:
-        self._refuse_closed()
-        folders = [folder or str(Path.cwd()) for folder in sys.path]
-        environment = {
-            **environment_without_secrets(),
-            **dict.fromkeys(_THREAD_VARIABLES, str(self._threads)),
-            "PYTHONPATH": os.pathsep.join(folders),
-        }
-        command = (sys.executable, "-P", "-m", "polishd.daemon.runtime.compute_worker")
-        self._ready = False
-        self._process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, env=environment)
-        if self._closed:  # while it started
-            await self._drop()
-            self._refuse_closed()
-        return self._process
-
-    def _refuse_closed(self) -> None:
+    async def _started(self) -> WorkerProcess:
+        """Return a worker that is ready."""
         if self._closed:
             raise ComputeError("the compute worker is closed")
+        if self._worker is None or not self._worker.alive:
+            if self._worker is not None:
+                self._worker.end()
+            self._worker = self._new_worker()
+        worker = self._worker
+        if not self._ready:
+            try:
+                stated = await self._in_thread(worker, worker.start)
+            except WorkerError:
+                require_same(self._installed, await asyncio.to_thread(installed_now))  # names the distribution
+                raise
+            try:
+                require_same(self._installed, stated["installed"])
+            except HostFault:
+                worker.end()
+                self._worker = None
+                raise
+            self._ready = True
+        return worker
 
-    async def _drop(self) -> str:
-        """Kill the worker and wait for its end; says how it ended."""
-        process, self._process = self._process, None
-        if process is None:
-            return "it was closed"
-        if process.returncode is None:
-            # Not process.kill(): it may reap the process itself, and asyncio then never learns the exit code.
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(process.pid, signal.SIGKILL)
-        if process.stdin is not None:
-            process.stdin.close()
-        code = await process.wait()
-        return f"exit code {code}" if code >= 0 else f"signal {-code}; out of memory?"
+    def _new_worker(self) -> WorkerProcess:
+        self._ready = False
+        return WorkerProcess(TARGET, "the compute worker", threads=self._threads, has_log=True)
+
+    async def _in_thread(self, worker: WorkerProcess, work: Callable[[], T]) -> T:
+        """Return the result of work that waits for the worker. The worker is killed where the caller is cancelled."""
+        running = asyncio.get_running_loop().run_in_executor(self._thread, work)
+        try:
+            return await asyncio.shield(running)
+        except asyncio.CancelledError:
+            worker.kill()
+            await asyncio.wait({running})
+            raise
 
 
-async def _exchange(process: Process, message: list[bytes | memoryview]) -> tuple[str, Any]:
-    if process.stdin is None:
-        raise EOFError
-    process.stdin.writelines(message)
-    await process.stdin.drain()
-    return await _receive(process)
+def pack(value: object) -> Pickled:
+    """Return the pickle of a value, and its large arrays, which are not copied."""
+    arrays: list[memoryview] = []
+
+    def is_small(buffer: pickle.PickleBuffer) -> bool:
+        content = buffer.raw()
+        if content.nbytes > SMALL_BYTES:
+            arrays.append(content)
+        return content.nbytes <= SMALL_BYTES
+
+    main = pickle.dumps(value, protocol=5, buffer_callback=is_small)
+    pieces: list[bytes | memoryview] = [main, *arrays]
+    return {str(number): np.frombuffer(piece, np.uint8) for number, piece in enumerate(pieces)}
 
 
-async def _receive(process: Process) -> tuple[str, Any]:
-    stream = process.stdout
-    if stream is None:
-        raise EOFError
-    (count,) = LENGTH.unpack(await stream.readexactly(LENGTH.size))
-    pieces = []
-    for _ in range(count):
-        (length,) = LENGTH.unpack(await stream.readexactly(LENGTH.size))
-        pieces.append(await stream.readexactly(length))
-    kind, value = unpack(pieces)
+def unpack(pieces: Mapping[str, NDArray[Any]]) -> Any:
+    """Return the value of such pieces; its arrays are writable."""
+    main, *buffers = pieces.values()
+    # The other end is this program, on a pipe that no other process has.
+    return pickle.loads(main.data, buffers=buffers)  # noqa: S301
+
+
+def _exchange(worker: WorkerProcess, call: Pickled, limit: WorkerLimit) -> tuple[str, Any]:
+    kind, value = unpack(worker.request({}, call, limit)[1])
     return kind, value
+
+
+def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
+    """Prepare this process to be the worker."""
+    compute_last()
+    for name in EARLY:
+        importlib.import_module(name)
+    return {"installed": installed_now()}, _answer
+
+
+def _answer(_: Mapping[str, Any], call: Mapping[str, NDArray[Any]]) -> Message:
+    """Return ``("result", value)`` or ``("error", exception)``, pickled."""
+    name = "a call"
+    try:
+        function, arguments = unpack(call)
+        name = getattr(function, "__qualname__", repr(function))
+        answer = "result", function(*arguments)
+    except PolishdError as error:
+        answer = "error", _portable(error)
+    except Exception as error:  # noqa: BLE001 - the caller gets any exception
+        failure = ComputeError(f"{name} failed: {type(error).__name__}: {error}")
+        failure.add_note(traceback.format_exc())
+        answer = "error", failure
+    try:
+        return {}, pack(answer)
+    except Exception as error:  # noqa: BLE001 - a result that cannot be pickled is the call's error
+        return {}, pack(("error", ComputeError(f"the result cannot be sent back: {error}")))
+
+
+def _portable(error: PolishdError) -> PolishdError:
+    """Return the error itself where it survives pickling, else a ComputeError with its text."""
+    try:
+        unpack(pack(error))
+    except Exception:  # noqa: BLE001 - a plugin's exception class may raise anything here
+        return ComputeError(f"{type(error).__name__}: {error}")
+    return error

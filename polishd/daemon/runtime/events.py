@@ -141,7 +141,7 @@ def causes(journal: Journal, failure: Exception | None) -> tuple[EndCause, ...]:
     except PolishdError:  # its loss is, or follows, the failure
         return (EndCause(utc_now(), type(failure).__name__, str(failure), ended=True),) if failure else ()
     for at_s, name, data in told:
-        cause = EndCause(_iso(at_s), str(data["kind"]), str(data["error"]), ended=name == "failed")
+        cause = EndCause(_iso(at_s), str(data["kind"]), str(data["error"]), ended=name == "daemon_failed")
         if cause.ended and found and replace(found[-1], ended=True, at=cause.at) == cause:
             found[-1] = replace(found[-1], ended=True)  # held over it, and then stopped: one cause
         else:

@@ -24,7 +24,7 @@ RECORD_NAME = "ending.json"
 _AGAIN = "polishd run CELL.toml; it comes up held, and polishd resume CELL.toml starts with a new measurement"
 _OVER = "look at report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
 NEXT: Mapping[str, str] = {
-    "idle": "polishd job add CELL.toml JOB.toml adds a job to the queue; polishd stop CELL.toml ends the daemon",
+    "idle": "polishd queue add CELL.toml JOB.toml adds a job to the queue; polishd stop CELL.toml ends the daemon",
     "changing": "where there is no loader: put the part in, then polishd resume CELL.toml",
     "held": (
         "when nothing is left to mend: polishd resume CELL.toml goes on, with a new measurement first; a file of the "
@@ -34,7 +34,7 @@ NEXT: Mapping[str, str] = {
     "failed": f"the daemon has ended; when that is mended: {_AGAIN}",
     "stopped": f"the daemon has ended; to go on with this job: {_AGAIN}",
     "in_tolerance": _OVER,
-    "as_programmed": f"what the pass has taught is remembered, polishd beliefs CELL.toml shows it: {_OVER}",
+    "as_programmed": f"what the pass has taught is remembered, polishd estimates CELL.toml shows it: {_OVER}",
     "cycles_used": f"the part is not in tolerance: {_OVER}",
     "diverged": f"the surface got worse: {_OVER}",
     "stalled": f"passes bring too little of what was predicted: {_OVER}",

@@ -106,17 +106,19 @@ VERBS: Mapping[str, SocketCommand] = {
         ),
         SocketCommand("approve", "the plan that waits may run (`job.approve`)", "an approval", (PROGRAM, BY)),
         SocketCommand("acknowledge", "a person has seen these alarms", "the journal", (ALARMS, BY)),
-        SocketCommand("job_list", "the jobs of the queue: that under way, those that wait, those that ended"),
-        SocketCommand("job_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY, CLAIM)),
-        SocketCommand("job_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER, BY)),
+        SocketCommand("queue_list", "the jobs of the queue: that under way, those that wait, those that ended"),
+        SocketCommand("queue_add", "put jobs at the end of the queue, all or none", "the queue", (FILES, BY, CLAIM)),
+        SocketCommand("queue_move", "move a job that waits", "the queue", (JOB, WHERE, OTHER, BY)),
         SocketCommand(
-            "job_remove",
+            "queue_remove",
             "take a job out that waits, or put the one aside over which the cell is held",
             "the queue",
             (JOB, REASON, BY),
         ),
-        SocketCommand("shop_word", "what the shop says of the parts that it gave to this cell", "the queue", CLAIMS),
-        SocketCommand("shop_offer", "what other cells of the shop have learned", "the journal", (OFFERS,)),
+        SocketCommand(
+            "shop_assignments", "what the shop says of the parts that it gave to this cell", "the queue", CLAIMS
+        ),
+        SocketCommand("shop_rates", "what other cells of the shop have learned", "the journal", (OFFERS,)),
     )
 }
 """An order is answered when it is obeyed."""

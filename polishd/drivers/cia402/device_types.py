@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import Field
@@ -17,7 +18,6 @@ from polishd.api import (
     Spindle,
     SpindleTimes,
     Unpowered,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.cia402.actuator import ActuatorScale, Cia402Actuator
@@ -26,7 +26,10 @@ from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, can_address
 
-POLISHD_API = 1
+SIMULATED_EDS = Path(__file__).with_name("simulated_drive.eds")
+"""EDS file of the simulated drive (polishd/sim_backends/cia402)."""
+SIMULATED_SPINDLE: Mapping[str, Any] = {"node": 5, "rpm_per_unit": 0.1}
+"""Keys of ``[spindle]`` that the simulated drive needs, besides its type, its address and its EDS file."""
 
 _ACTUATOR, _SPINDLE = ActuatorTimes(), SpindleTimes()
 
@@ -157,10 +160,23 @@ def _build_actuator(options: Cia402ActuatorOptions, context: DeviceContext) -> F
     return Cia402Actuator(place, dictionary, scale, _of(ActuatorTimes, options))
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``cia402_spindle``, ``cia402_actuator``."""
-    return [
-        DeviceType("cia402_spindle", "spindle", Cia402SpindleOptions, _build_spindle),
-        DeviceType("cia402_actuator", "actuator", Cia402ActuatorOptions, _build_actuator),
-    ]
+USUAL_ADDRESS = "slcan:/dev/ttyACM0?bitrate=500000"
+DEVICE_TYPES = [
+    DeviceType(
+        "cia402_spindle",
+        "spindle",
+        Cia402SpindleOptions,
+        _build_spindle,
+        simulated_by="cia402",
+        substitute={**SIMULATED_SPINDLE, "eds": str(SIMULATED_EDS), "silence_s": 1.5},
+        usual_address=USUAL_ADDRESS,
+    ),
+    DeviceType(
+        "cia402_actuator",
+        "actuator",
+        Cia402ActuatorOptions,
+        _build_actuator,
+        simulated_by="cia402",
+        usual_address=USUAL_ADDRESS,
+    ),
+]

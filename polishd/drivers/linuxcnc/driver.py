@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import secrets
 import time
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated
@@ -22,20 +21,15 @@ from polishd.api import (
     DeviceRefused,
     DeviceStatus,
     DeviceType,
-    LinkError,
     OwnLines,
     Plan,
-    ProtocolError,
     RobotTimes,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.linuxcnc.protocol import SILENCE_S, RshConnection, RshSnapshot
-from polishd.drivers.transport import program_tracker
 from polishd.drivers.transport.address import Tcp, tcp_address
-from polishd.drivers.transport.background import Background, Ready
-from polishd.drivers.transport.program_robot import FileRobot, Goes
-from polishd.drivers.transport.program_tracker import FileProgramTracker
-from polishd.model.surface import FloatArray
+from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
+from polishd.drivers.transport.program_tracker import PollingConnection, ProgramFile, ProgramTracker, time_shares
 from polishd.util.files import write_atomic
 
 # A connection that is looked through all the time, so that what LinuxCNC does is known, and standstill seen.
@@ -47,82 +41,43 @@ REPORT_S = 0.05
 """Greatest age of what a look tells: LinuxCNC's own CYCLE_TIME, the pause between looks, and the six answers of one."""
 OPEN_S = 2.0
 
-OnLook = Callable[[RshSnapshot], Awaitable[bool]]
-"""Takes a look; tells whether the next one is urgent."""
 
+class RshPoller(PollingConnection[RshConnection, RshSnapshot]):
+    """linuxcncrsh, polled."""
 
-class RshPoller(Background):
-    """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by LinkError."""
+    def __init__(
+        self,
+        address: Tcp,
+        passwords: tuple[str, str],
+        on_snapshot: Callable[[RshSnapshot], Awaitable[None]],
+        times: RobotTimes,
+    ) -> None:
+        super().__init__(str(address), OPEN_S, on_snapshot)
+        self._address, self._passwords, self._silence_s = address, passwords, times.silence_s
+        self.is_program_running = False
+        """Poll at the fast rate."""
 
-    def __init__(self, address: Tcp, passwords: tuple[str, str], on_look: OnLook, times: RobotTimes) -> None:
-        super().__init__(str(address))
-        self._address = address
-        self._passwords = passwords
-        self._on_look = on_look
-        self._silence_s, self._stop_s = times.silence_s, times.stop_s
-        self._connection: RshConnection | None = None
-        self._looks: tuple[RshSnapshot, ...] = ()
-        """The last two."""
-        self._count = 0
-
-    @property
-    def connection(self) -> RshConnection:
-        """LinkError while it is not open, or once it is lost."""
-        if self._connection is None:
-            raise LinkError(f"{self._address}: is not open")
-        self.check()
-        return self._connection
-
-    @property
-    def last(self) -> RshSnapshot:
-        """What LinuxCNC was doing last."""
-        return self._looks[-1]
-
-    async def open(self) -> None:
-        """Connect, take control and prove it, and look twice. DeviceBusy where another client has control."""
+    async def _connect(self) -> RshConnection:
+        """Connect, take control and prove it. DeviceBusy where another client has control."""
         connection = RshConnection(self._address, self._passwords, self._silence_s)
         await connection.open()
-        self._connection = connection
         try:
             await connection.control()
-            await self.start(self._follow, OPEN_S)
         except BaseException:
-            await self.close()
-            raise
-
-    async def close(self) -> None:
-        """Hang up; idempotent."""
-        await self.stop()
-        connection, self._connection = self._connection, None
-        self._looks = ()
-        if connection is not None:
             await connection.close()
+            raise
+        return connection
 
-    def stands(self) -> bool:
-        """Two looks in a row at one place, and no program under way."""
-        return (
-            len(self._looks) > 1
-            and not self._looks[1].moved_since(self._looks[0])
-            and all(look.status != "running" for look in self._looks)
-        )
+    async def _disconnect(self, link: RshConnection) -> None:
+        await link.close()
 
-    async def standstill(self, order: str) -> None:
-        """Seen by two looks that are later than the order; DeviceFault otherwise."""
-        count = self._count
-        if not await self.until(lambda: self._count >= count + 2 and self.stands(), self._stop_s):
-            raise DeviceFault(f"{self._address}: LinuxCNC goes on moving after {order}")
-
-    async def _follow(self, ready: Ready) -> None:
-        connection = self.connection
+    async def _snapshots(self, link: RshConnection) -> AsyncIterator[RshSnapshot]:
         while True:
-            look = await connection.look()
-            self._looks = (*self._looks[-1:], look)
-            self._count += 1
-            if len(self._looks) > 1:
-                ready()
-            urgent = await self._on_look(look)
-            self.fire()
-            await asyncio.sleep(LOOK_S if urgent else IDLE_LOOK_S)
+            yield await link.look()
+            await asyncio.sleep(LOOK_S if self.is_program_running else IDLE_LOOK_S)
+
+    def _stands(self, recent: Sequence[RshSnapshot]) -> bool:
+        return not recent[-1].moved_since(recent[0]) and all(look.status != "running" for look in recent)
 
 
 async def abort(connection: RshConnection, stop_s: float) -> None:
@@ -143,7 +98,7 @@ async def abort(connection: RshConnection, stop_s: float) -> None:
         if look.status == "idle" and not look.moved_since(last):
             return
         last = look
-    raise DeviceFault("LinuxCNC goes on moving after abort")
+    raise DeviceFault(f"LinuxCNC is still moving {stop_s:g} s after abort. Stop it at its controller.")
 
 
 async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:
@@ -172,7 +127,7 @@ async def obstacle(connection: RshConnection) -> str:
 # The file that LinuxCNC runs: the program's blocks, with places to stand and words that tell how far it is.
 
 
-class LinuxCncProgramFile(program_tracker.ProgramFile):
+class LinuxCncProgramFile(ProgramFile):
     """Blocks with a pause (``M0``) before each of ``stops``, and a message before each pause and the program's end.
 
     Run from line would lose G61/G64 and what else is queued; behind a pause all modal state is kept. linuxcncrsh shows
@@ -213,7 +168,7 @@ SLACK_S = 0.25
 """Of the plan, and of looks at a busy controller."""
 
 
-class LinuxCncProgramTracker(FileProgramTracker):
+class LinuxCncProgramTracker(ProgramTracker):
     """One program from its load to its end.
 
     A block that moves is timed to one look. The blocks of one look share its time: those that dwell get what passed
@@ -284,14 +239,14 @@ class LinuxCncProgramTracker(FileProgramTracker):
         if self._reached == self.blocks:
             self._advance(self.blocks)
             self.state, self.detail = "done", ""
-        elif self.refuses:
+        elif self.is_start_over:
             self.state, self.detail = "fault", "the program was ended at the controller"
 
     def _paused(self) -> None:
         if self._reached is not None:
             self._advance(self._reached)
             self.state, self.detail, self.held_at = "held", "", self._reached
-        elif self.refuses:
+        elif self.is_start_over:
             self.state, self.detail = "held", "paused"
 
     def _advance(self, to: int) -> None:
@@ -299,23 +254,9 @@ class LinuxCncProgramTracker(FileProgramTracker):
         first = len(self)
         if to <= first:
             return
-        rest_s = min(max(self._rest_s, self.began_s), self.clock_s)
-        shares = _shares(self._asked_s[first:to], self._dwells, rest_s - self.began_s, self.clock_s - rest_s)
-        ends = np.minimum(self.began_s + np.cumsum(shares), self.clock_s)
-        ends[-1] = self.clock_s
-        self.record(ends.tolist())
-
-
-def _shares(asked_s: FloatArray, dwells: bool, moving_s: float, resting_s: float) -> FloatArray:
-    """What of the time in motion and at rest is each block's, (n,) s."""
-    timed = asked_s > 0.0
-    if timed.all() or not timed.any():
-        weights = asked_s if timed.all() else np.ones(len(asked_s))
-        return np.asarray((moving_s + resting_s) * weights / weights.sum())
-    on_timed = resting_s if dwells else moving_s + resting_s
-    shares = on_timed * asked_s / asked_s.sum()
-    shares[~timed] = (moving_s + resting_s - on_timed) / np.count_nonzero(~timed)
-    return np.asarray(shares)
+        asked_s, took_s = self._asked_s[first:to], self.clock_s - self.began_s
+        resting_s = self.clock_s - min(max(self._rest_s, self.began_s), self.clock_s)
+        self.stretch(time_shares(took_s, asked_s, resting_s if self._dwells else took_s, asked_s <= 0.0))
 
 
 VERIFY_S, VERIFY_LINE_S = 2.0, 5e-5
@@ -332,7 +273,7 @@ TIMES = RobotTimes(
 )
 
 
-class LinuxCnc(FileRobot[LinuxCncProgramTracker]):
+class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
     """A Robot over linuxcncrsh. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
 
     Never switches the machine on and never homes it: that is for the operator, who sees it move.
@@ -356,42 +297,38 @@ class LinuxCnc(FileRobot[LinuxCncProgramTracker]):
         self._folder = program_dir
         self._controller_dir = controller_dir or str(program_dir)
         self._passwords = passwords
-        self._following = RshPoller(address, passwords, self._seen, self._times)
+        self._poller = RshPoller(address, passwords, self._seen, self._times)
 
     @property
-    def _background(self) -> Background:
-        return self._following
+    def _connection(self) -> RshPoller:
+        return self._poller
 
     async def open(self) -> None:
         """See Device. Proves that it controls LinuxCNC. What ran when the link was lost is followed further."""
         await self.close()
         self._stay()
-        await self._following.open()
+        await self._poller.open()
 
     async def close(self) -> None:
         """See Device."""
-        await self._following.close()
+        await self._poller.close()
 
     async def identify(self) -> DeviceIdentity:
         """See Device. LinuxCNC has no serial number and no boot id; its configuration stands for the machine."""
-        connection = self._following.connection
+        connection = self._poller.link
         name, _, version = connection.server.partition(" ")
         return DeviceIdentity("LinuxCNC", name, await connection.get("inifile"), version)
 
     async def status(self) -> DeviceStatus:
         """See Device. Ready: switched on. Safe: no program runs and it stands still."""
-        why = await obstacle(self._following.connection)
-        following = self._following
-        return DeviceStatus(ready=not why, safe=following.stands(), state=following.last.status, detail=why)
+        why = await obstacle(self._poller.link)
+        return DeviceStatus(ready=not why, safe=self._poller.stands, state=self._poller.last.status, detail=why)
 
-    async def make_safe(self) -> None:
-        """See Device. Aborts whatever runs: what was under way is not gone on with. Connects for it if it has to."""
-        self._stay()
-        self._drop()
-        if self._following.alive:
-            with contextlib.suppress(LinkError, ProtocolError):
-                await abort(self._following.connection, self._times.stop_s)
-                return await self._following.standstill("abort")
+    async def _stop(self) -> None:
+        await abort(self._poller.link, self._times.stop_s)
+        await self._poller.standstill("abort", self._times.stop_s)
+
+    async def _stop_anew(self) -> None:
         connection = RshConnection(self._address, self._passwords, self._times.silence_s)
         await connection.open()
         try:
@@ -401,60 +338,59 @@ class LinuxCnc(FileRobot[LinuxCncProgramTracker]):
 
     async def hold(self) -> None:
         """See Robot. A pause: it decelerates along the path. Inside G4 it stands anyway, and the dwell runs out."""
-        connection = self._following.connection
+        connection = self._poller.link
         self._stay()
         if self._running():
             await connection.control()
             await connection.set("set pause", urgent=True)
-        await self._following.standstill("pause")
+        await self._poller.standstill("pause", self._times.stop_s)
 
     def _override(self) -> float:
-        return self._following.last.override
+        return self._poller.last.override
 
     def _moves(self) -> bool:
-        return self._following.last.status == "running"
+        return self._poller.last.status == "running"
 
-    async def _empty(self) -> None:
-        connection = self._following.connection
+    async def _clear(self) -> None:
+        connection = self._poller.link
         if why := await obstacle(connection):
             raise DeviceRefused(f"{self._address}: {why}. To do: switch LinuxCNC on and home it, then try again")
         await connection.control()
         await connection.set("set abort")
 
-    def _watched(self, plan: Plan, blocks: int) -> LinuxCncProgramTracker:
+    def _track(self, plan: Plan, blocks: int) -> LinuxCncProgramTracker:
         return LinuxCncProgramTracker(plan, blocks)
 
-    async def _load(self, plan: Plan, watch: LinuxCncProgramTracker) -> None:
+    async def _load(self, plan: Plan, tracker: LinuxCncProgramTracker) -> None:
         """Write the file, open it, and have it interpreted without motion."""
-        connection = self._following.connection
+        connection = self._poller.link
         file = LinuxCncProgramFile(self._lines, self._stops(plan), secrets.token_hex(4))
         path = await asyncio.to_thread(file.write, self._folder, FILE_NAME)
         await connection.errors()
         await connection.set("set mode auto")
         await connection.set(f"set open {PurePosixPath(self._controller_dir) / path.name}")
-        await connection.set("set run -1", within_s=VERIFY_S + VERIFY_LINE_S * watch.blocks)
-        await self._following.standstill("interpreting the program")  # until then it refuses to run
+        await connection.set("set run -1", within_s=VERIFY_S + VERIFY_LINE_S * tracker.blocks)
+        await self._poller.standstill("interpreting the program", self._times.stop_s)  # until then it refuses to run
         if errors := await connection.errors():
             raise DeviceRefused(f"{self._address}: LinuxCNC does not take the program: {errors}")
-        watch.file = file
+        tracker.file = file
 
-    async def _run(self, watch: LinuxCncProgramTracker, goes: Goes) -> None:
-        connection = self._following.connection
+    async def _run(self, tracker: LinuxCncProgramTracker, wanted: IsWanted) -> None:
+        connection = self._poller.link
         await connection.control()
         now = await connection.look()
-        await connection.set_if(lambda: goes(now.time_s), "set resume" if watch.started else "set run")
+        await connection.set_if(lambda: wanted(now.time_s), "set resume" if tracker.started else "set run")
 
-    async def _seen(self, look: RshSnapshot) -> bool:
-        """What LinuxCNC does is booked; a stop that nobody asked for is passed."""
-        watch = self._watch
-        if watch is None:
-            return False
-        was = watch.state
-        watch.update(look)
-        if watch.state == "fault" != was:
-            watch.detail = await self._following.connection.errors() or watch.detail
-        await self._pass_stops()
-        return watch.state == "running"
+    async def _seen(self, look: RshSnapshot) -> None:
+        """Record what LinuxCNC does, and continue from a stop that is not wanted."""
+        tracker = self._tracker
+        if tracker is not None:
+            was = tracker.state
+            tracker.update(look)
+            if tracker.state == "fault" != was:
+                tracker.detail = await self._poller.link.errors() or tracker.detail
+            await self._pass_stops()
+        self._poller.is_program_running = tracker is not None and tracker.state == "running"
 
 
 # The device type ``linuxcnc``: a robot behind LinuxCNC's linuxcncrsh (docs/protocols/linuxcnc.md).
@@ -498,4 +434,15 @@ def _own_lines(_options: LinuxCncOptions, _context: DeviceContext) -> OwnLines:
     return OwnLines("LinuxCNC, which runs RS274", {}, ("M0", "M2"))
 
 
-LINUXCNC = DeviceType("linuxcnc", "robot", LinuxCncOptions, _build, own_lines=_own_lines)
+DEVICE_TYPES = [
+    DeviceType(
+        "linuxcnc",
+        "robot",
+        LinuxCncOptions,
+        _build,
+        own_lines=_own_lines,
+        simulated_by="linuxcnc",
+        simulation_speed=1.0,
+        usual_address="tcp://robot-controller:5007",
+    )
+]

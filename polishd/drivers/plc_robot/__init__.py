@@ -1,1 +1,1 @@
-"""Robots whose controllers load files, over OPC UA, ADS or Modbus: docs/protocols/handover.md."""
+"""Robots whose controllers load files, over OPC UA, ADS or Modbus: docs/protocols/plc_robot.md."""

@@ -1,15 +1,15 @@
-"""The device type ``handover``: a robot whose controller loads a file and is ordered by its variables."""
+"""The device type ``plc_robot``: a robot whose controller loads a file and is ordered by its variables."""
 
 from __future__ import annotations
 
 import importlib.util
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from polishd.api import ConfigError, DeviceContext, DeviceType, OwnLines, hookimpl, read_secret
+from polishd.api import ConfigError, DeviceContext, DeviceType, OwnLines, read_secret
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.config.fields import ConfigSection
 from polishd.drivers.plc_robot.ads import Ads
@@ -21,11 +21,11 @@ from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Vari
 from polishd.drivers.transport.address import tcp_address
 from polishd.util.secret_files import SecretPlace, require_private
 
-# The keys of ``[robot]`` with ``type = "handover"``: docs/handover.md.
+# The keys of ``[robot]`` with ``type = "plc_robot"``: docs/plc-robot.md.
 
 
-class HandoverOptions(ConfigSection):
-    """Keys of ``[robot]`` with ``type = "handover"``."""
+class PlcRobotOptions(ConfigSection):
+    """Keys of ``[robot]`` with ``type = "plc_robot"``."""
 
     profile: str
     """The controller's profile: a shipped one by its name, or the path of a ``.toml``."""
@@ -52,15 +52,6 @@ class HandoverOptions(ConfigSection):
     """The file with the host key that sftp is to find: a host without one is refused."""
 
 
-POLISHD_API = 1
-
-
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``handover``."""
-    return [DeviceType("handover", "robot", HandoverOptions, build, own_lines=own_lines)]
-
-
 # From the options to a closed robot. What they name is looked at, and nothing is opened.
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
@@ -68,7 +59,7 @@ EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh
 """Extras of polishd, and the library that each brings."""
 
 
-def build(options: HandoverOptions, context: DeviceContext) -> PlcRobot:
+def build(options: PlcRobotOptions, context: DeviceContext) -> PlcRobot:
     """The robot. ConfigError where the controller must not polish, or a library is missing."""
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
@@ -83,14 +74,14 @@ def build(options: HandoverOptions, context: DeviceContext) -> PlcRobot:
     )
 
 
-def own_lines(options: HandoverOptions, context: DeviceContext) -> OwnLines:
+def own_lines(options: PlcRobotOptions, context: DeviceContext) -> OwnLines:
     """Pauses, dwells and the end, as the controller's profile writes them."""
     table = load_controller_profile(options.profile, context.base_dir).program
     dwells = {seconds: table.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
     return OwnLines(f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end))
 
 
-def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceContext) -> Callable[[], Variables]:
+def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceContext) -> Callable[[], Variables]:
     table, silence_s = profile.variables, profile.silence_s
     match profile.link:
         case "opcua":
@@ -111,7 +102,7 @@ def _link(profile: ControllerProfile, options: HandoverOptions, context: DeviceC
             return make
 
 
-def _papers(options: HandoverOptions, base_dir: Path) -> OpcUaCertificates | None:
+def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | None:
     """All three files, or None where none is named."""
     names = {key: getattr(options, key) for key in ("certificate", "private_key", "server_certificate")}
     if not any(names.values()):
@@ -119,12 +110,12 @@ def _papers(options: HandoverOptions, base_dir: Path) -> OpcUaCertificates | Non
     for key, name in names.items():
         if not (name and (base_dir / Path(name).expanduser()).is_file()):
             said = f"{name!r} is no file" if name else "is missing"
-            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/handover.md)")
+            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/plc-robot.md)")
     require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
     return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 
-def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
+def _delivery(options: PlcRobotOptions, context: DeviceContext) -> Delivery:
     kind, _, rest = options.delivery.partition(":")
     match kind:
         case "folder" if rest:
@@ -146,7 +137,7 @@ def _delivery(options: HandoverOptions, context: DeviceContext) -> Delivery:
             )
 
 
-def _place(options: HandoverOptions, context: DeviceContext, port: int) -> RemoteFolder:
+def _place(options: PlcRobotOptions, context: DeviceContext, port: int) -> RemoteFolder:
     url = urlsplit(options.delivery)
     if not url.hostname or not url.username or url.password is not None or url.query or url.fragment:
         raise ConfigError(
@@ -167,3 +158,17 @@ def _ads_address(address: str) -> tuple[str, str, int]:
 def _require(extra: str, what: str) -> None:
     if importlib.util.find_spec(EXTRAS[extra]) is None:
         raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed: pip install 'polishd[{extra}]'")
+
+
+DEVICE_TYPES = [
+    DeviceType(
+        "plc_robot",
+        "robot",
+        PlcRobotOptions,
+        build,
+        own_lines=own_lines,
+        simulated_by="plc_robot",
+        simulation_speed=8.0,
+        usual_address="opc.tcp://robot-controller:4840",
+    )
+]

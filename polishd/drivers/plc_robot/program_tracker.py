@@ -26,16 +26,14 @@ from polishd.config.controller_profile import (
     VariablesTable,
 )
 from polishd.drivers.plc_robot.variables import VariableSnapshot
-from polishd.drivers.transport import program_tracker
-from polishd.drivers.transport.program_tracker import START_S, FileProgramTracker
-from polishd.model.surface import FloatArray
+from polishd.drivers.transport.program_tracker import START_S, ProgramFile, ProgramTracker
 
 # The file that is handed over: the program's blocks, pauses where it is to stop, and dwells that prove the line.
 
 _N_WORD = re.compile(rb"\s*/?\s*N\s*(\d+)", re.IGNORECASE)
 
 
-class PlcProgramFile(program_tracker.ProgramFile):
+class PlcProgramFile(ProgramFile):
     """Before its first stop, out of contact, stand dwells of ``proof_s``: see ``proof.Proof``."""
 
     def __init__(
@@ -285,7 +283,7 @@ SPREAD = 1e-3
 """Share of the time that is spread evenly, so that no block lasts no time at all."""
 
 
-class PlcProgramTracker(FileProgramTracker):
+class PlcProgramTracker(ProgramTracker):
     """One program from its load to its end.
 
     A line counts only if the controller was seen running before: what it shows as it starts may be of another program.
@@ -428,8 +426,8 @@ class PlcProgramTracker(FileProgramTracker):
         if to > first:
             low_s = max(self._sure_s, self.began_s)
             high_s = self.clock_s if began_s is None else max(began_s, low_s)
-            ends = between(self.began_s, self._expected_s[first:to], low_s, high_s, reaches=began_s is not None)
-            self.record(ends.tolist())
+            shares_s, reaches = self._expected_s[first:to], began_s is not None
+            self.stretch(shares_s, low_s=low_s, high_s=high_s, reaches=reaches, spread=SPREAD)
         self._sure_s = self.clock_s
 
     def _settle_begin(self, next_s: float | None, lasted_s: float) -> None:
@@ -439,30 +437,3 @@ class PlcProgramTracker(FileProgramTracker):
         else:
             self.began_s += self._leeway_s / 2
         self._leeway_s = 0.0
-
-
-def between(
-    began_s: float, expected_s: FloatArray, low_s: float, high_s: float, *, reaches: bool = False
-) -> FloatArray:
-    """Ends of n blocks in a row, (n,) s, rising: as expected (n,), within the two reports that they lie between.
-
-    Args:
-        began_s: When the first began, at most ``low_s``.
-        expected_s: How long each is expected to last; none at all: all alike.
-        low_s: None had ended by then.
-        high_s: All have ended by then.
-        reaches: The last ended at ``high_s``.
-    """
-    count = len(expected_s)
-    even = np.arange(1, count + 1) / count
-    total_s = float(expected_s.sum())
-    if total_s > 0.0:
-        ends = began_s + np.cumsum(expected_s)
-        if reaches or ends[-1] > high_s:
-            ends = began_s + np.cumsum(expected_s) * (high_s - began_s) / total_s
-    else:
-        ends = began_s + (high_s - began_s) * even
-    ends = np.clip(ends, low_s, high_s)
-    if reaches:
-        ends[-1] = high_s
-    return np.asarray((1.0 - SPREAD) * ends + SPREAD * (low_s + (high_s - low_s) * even))

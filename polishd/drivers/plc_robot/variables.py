@@ -13,7 +13,7 @@ from typing import Protocol
 from polishd.api import DeviceIdentity, DeviceRefused, LinkError, ProtocolError
 from polishd.config.controller_profile import Kind, Value, Variable, VariablesTable
 from polishd.drivers.plc_robot.file_delivery import Delivery
-from polishd.util.wire_recording import Tap, tap
+from polishd.util.wire_recording import LinkTap, tap
 
 ORDERS = ("start", "hold", "reset", "load", "program", "heartbeat")
 """What polishd writes; the other variables are watched."""
@@ -139,7 +139,7 @@ class Recorded:
     def __init__(self, inner: Variables, link: str, delivery: RecordedDelivery) -> None:
         """``link``: its address. ``delivery``: that of the same robot."""
         self._inner, self._link, self._delivery = inner, link, delivery
-        self._tap: Tap | None = None
+        self._tap: LinkTap | None = None
 
     async def open(self) -> None:
         """See Variables."""

@@ -77,7 +77,7 @@ def polls(profile: DeviceProfile) -> list[str]:
     """The requests of one look at the device."""
     if profile.modbus is None:
         return [ask.send for ask in profile.asks.values() if set(ask.groups) & set(profile.polled)]
-    found = codec.blocks(profile.registers, profile.polled, profile.modbus.most)
+    found = codec.blocks(profile.registers, profile.polled, profile.modbus.max_registers)
     return [_hex(read_frame(profile.modbus.unit, one.table, one.address, one.count)) for one in found]
 
 
@@ -86,15 +86,15 @@ def poll_s(profile: DeviceProfile) -> float:
     byte_s = usual_line(profile).byte_s
     if profile.modbus is None:
         return byte_s * sum(len(ask) + 2 + 40 for ask in polls(profile))
-    found = codec.blocks(profile.registers, profile.polled, profile.modbus.most)
+    found = codec.blocks(profile.registers, profile.polled, profile.modbus.max_registers)
     sizes = [one.count if one.table in {"holding", "input"} else -(-one.count // 16) for one in found]
     return sum(max(7.0 * byte_s, 0.0035) + profile.modbus.pause_s + byte_s * (8 + 5 + 2 * size) for size in sizes)
 
 
 def orders(profile: DeviceProfile) -> Iterator[tuple[str, str]]:
     """Each order, and what is sent for an example of what may be asked."""
-    for name in type(profile.orders).model_fields:
-        steps = getattr(profile.orders, name)
+    for name in type(profile.commands).model_fields:
+        steps = getattr(profile.commands, name)
         if steps and name in ORDERS[profile.kind]:
             asked, words = EXAMPLES[ASKS[name]] if name in ASKS else (0.0, "")
             sent = " | ".join(_sent(profile, step, asked) for step in steps)

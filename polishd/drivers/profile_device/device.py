@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from polishd.api import DeviceIdentity, LinkError, ProtocolError
+from polishd.api import DeviceIdentity, DeviceRefused, LinkError, ProtocolError
 from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profile_device.codec import Values, identity, state_of
 from polishd.drivers.transport.background import RequestQueue
@@ -131,7 +131,10 @@ class RequestChannel:
     async def _recognise(self) -> None:
         """ProtocolError where another device answers, by what is expected of it, or by a state that nobody knows."""
         profile = self.wire.profile
-        values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
+        try:
+            values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
+        except DeviceRefused as error:
+            raise DeviceRefused(f"{error}; is it another device?") from None
         for one in profile.expects:
             if not one.holds(values[one.when]):
                 said = f"{self.wire.name}: another device answers: its {one.when} reads {values[one.when]!r}"
@@ -207,7 +210,7 @@ class ProfiledDevice(ABC, Generic[R, T]):
 
     async def _beat(self) -> R:
         """Feed its watchdog, and read it."""
-        await self._wire.order("beat")
+        await self._wire.order("heartbeat")
         return await self._read()
 
     async def _clear(self, fault: int) -> None:

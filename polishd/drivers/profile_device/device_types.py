@@ -17,14 +17,11 @@ from polishd.api import (
     SensorTimes,
     Spindle,
     SpindleTimes,
-    hookimpl,
 )
 from polishd.config.device_profile import DeviceProfile, Kind
 from polishd.config.device_profile_checks import profile_of
 from polishd.config.fields import ConfigSection
 from polishd.drivers.profile_device import build
-
-POLISHD_API = 1
 
 A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_sensor": "a force sensor"}
 Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
@@ -122,11 +119,15 @@ def _force_sensor(options: ForceSensorOptions, context: DeviceContext) -> ForceS
     return build.force_sensor(profile, address, times, unit=options.unit)
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """``actuator_profile``, ``spindle_profile``, ``force_sensor_profile``."""
-    return [
-        DeviceType("actuator_profile", "actuator", ProfileActuatorOptions, _actuator),
-        DeviceType("spindle_profile", "spindle", ProfileSpindleOptions, _spindle),
-        DeviceType("force_sensor_profile", "force_sensor", ForceSensorOptions, _force_sensor),
-    ]
+DEVICE_TYPES = [
+    DeviceType("actuator_profile", "actuator", ProfileActuatorOptions, _actuator, simulated_by="actuator"),
+    DeviceType("spindle_profile", "spindle", ProfileSpindleOptions, _spindle, simulated_by="profile_device"),
+    DeviceType(
+        "force_sensor_profile",
+        "force_sensor",
+        ForceSensorOptions,
+        _force_sensor,
+        simulated_by="force_sensor",
+        substitute={"profile": "force_sensor_line"},
+    ),
+]

@@ -79,7 +79,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
         if not 0.0 <= force_n <= self._table.max_force_n:
             raise DeviceRefused(f"{self._wire.name}: force {force_n} N is outside 0 to {self._table.max_force_n:g} N")
         retracts = self._retracts
-        if force_n > 0.0 and not self._wire.profile.orders.engage:  # the set point alone would land it
+        if force_n > 0.0 and not self._wire.profile.commands.engage:  # the set point alone would land it
             self._require_sound(await self._link.ask(self._beat))
         await self._link.ask(lambda: self._set_point(force_n))
         reading = await self._link.ask(self._beat)
@@ -141,7 +141,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
 
     async def _set_point(self, force_n: float) -> None:
         # where no order engages, the set point alone lands it
-        self._link.exposed = self._link.exposed or (force_n > 0.0 and not self._wire.profile.orders.engage)
+        self._link.exposed = self._link.exposed or (force_n > 0.0 and not self._wire.profile.commands.engage)
         await self._wire.order("force", force_n)
         self._asked_n = force_n
 
@@ -215,10 +215,10 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
 
     async def set_speed(self, rpm: float) -> None:
         """See Spindle. DeviceRefused outside the drive's range, and backwards where it only turns forward."""
-        most, orders = self._table.max_rpm, self._wire.profile.orders
+        most, commands = self._table.max_rpm, self._wire.profile.commands
         if not (math.isfinite(rpm) and abs(rpm) <= most):
             raise DeviceRefused(f"{self._wire.name}: {rpm} rpm is outside the drive's {most:g} rpm")
-        if rpm < 0.0 and not orders.reverse:
+        if rpm < 0.0 and not commands.reverse:
             raise DeviceRefused(f"{self._wire.name}: {rpm:g} rpm: profile {self._wire.profile.name!r} has no way back")
         if rpm == 0.0:
             return await self._stop()
@@ -284,9 +284,6 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
 
 # A force sensor by its profile: it only reads, and takes what it reads now for no force.
 
-PERIOD_S = 0.05
-"""Of readings, at most so often."""
-
 
 @dataclass(frozen=True, slots=True)
 class ForceSensorReading:
@@ -298,6 +295,8 @@ class ForceSensorReading:
     """In words."""
     count: float | None
     """Of conversions; None where it has no such counter."""
+    is_taring: bool
+    """The force means nothing yet."""
 
 
 class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
@@ -313,7 +312,7 @@ class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
     async def status(self) -> DeviceStatus:
         """See Device. It is always safe."""
         reading = await self._link.ask(self._read)
-        state = "fault" if reading.fault else "measuring"
+        state = "fault" if reading.fault else "taring" if reading.is_taring else "measuring"
         return DeviceStatus(ready=not reading.fault, safe=True, state=state, detail=reading.faults)
 
     async def make_safe(self) -> None:
@@ -325,25 +324,29 @@ class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
             await self.status()
 
     async def tare(self) -> None:
-        """See ForceSensor. DeviceFault where it has one, or still reads a force after ``times.tare_s``."""
+        """See ForceSensor. DeviceFault where it has a fault, or is not tared after ``times.tare_s``."""
         deadline = time.monotonic() + self._times.tare_s
         await self._link.ask(lambda: self._wire.order("tare"))
-        while abs((reading := await self._link.ask(self._read)).force_n) > self._table.zero_n or reading.fault:
+        tells = any(rule.state == "taring" for rule in self._wire.profile.states)
+        while True:
+            reading = await self._link.ask(self._read)
             if reading.fault:
                 raise DeviceFault(f"{self._wire.name}: cannot be tared, fault {reading.fault} ({reading.faults})")
+            if not reading.is_taring and (tells or abs(reading.force_n) <= self._table.zero_n):
+                return
             if time.monotonic() > deadline:
-                said = f"still reads {reading.force_n:g} N {self._times.tare_s:g} s after its tare"
-                raise DeviceFault(f"{self._wire.name}: {said}; does something shake it?")
-            await asyncio.sleep(PERIOD_S)
+                said = f"not tared after {self._times.tare_s:g} s, reads {reading.force_n:g} N"
+                raise DeviceFault(f"{self._wire.name}: {said}. Check that nothing shakes the sensor.")
+            await asyncio.sleep(self._table.period_s)
 
     async def samples(self) -> AsyncIterator[SensedForce]:
-        """See ForceSensor. Where the sensor counts its conversions, one that was told before is none."""
-        pace, last = PeriodicTimer(PERIOD_S), -1.0
+        """See ForceSensor. Where the sensor counts its conversions, a repeated one is no new reading."""
+        pace, last = PeriodicTimer(self._table.period_s), -1.0
         self._link.exposed = True
         try:
             while True:
                 reading = await self._link.ask(self._read)
-                if reading.count is None or reading.count != last:
+                if not reading.is_taring and (reading.count is None or reading.count != last):
                     yield SensedForce(time.monotonic(), reading.force_n, reading.fault)
                 last = -1.0 if reading.count is None else reading.count
                 await pace.next()
@@ -353,7 +356,8 @@ class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
     def _reading(self, values: Values) -> ForceSensorReading:
         profile = self._wire.profile
         fault = codec.fault_of(profile, values)
-        broken = any(rule.holds(values[rule.when]) for rule in profile.states)  # it has no state but that one
+        states = {rule.state for rule in profile.states if rule.holds(values[rule.when])}
         count = codec.number(values, "count", -1.0) if "count" in values else None
         force_n = codec.number(values, "force", 0.0)
-        return ForceSensorReading(force_n, fault or int(broken), codec.fault_words(profile, fault), count)
+        fault_words, is_taring = codec.fault_words(profile, fault), "taring" in states
+        return ForceSensorReading(force_n, fault or int("fault" in states), fault_words, count, is_taring)

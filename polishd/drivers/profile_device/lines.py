@@ -145,7 +145,7 @@ class LineWire:
 
     async def order(self, name: str, asked: float = 0.0) -> None:
         """See Wire."""
-        for step in getattr(self.profile.orders, name):
+        for step in getattr(self.profile.commands, name):
             if "{count" in step:
                 self._count = (self._count + 1) & 0xFFFF
             await self._tell(step.format(asked=asked, count=self._count))

@@ -27,7 +27,7 @@ class ModbusWire:
         """An answer comes within ``silence_s``."""
         self.profile = profile
         self._table = profile.modbus or ModbusTable()
-        refusals = {int(code): why for code, why in self._table.refusals.items()}
+        refusals = {int(code): why for code, why in self._table.error_replies.items()}
         given = self._table.unit if unit is None else unit
         self._link = ModbusLink(address, given, silence_s, self._table.pause_s, refusals)
         self._pole_pairs = pole_pairs
@@ -54,7 +54,7 @@ class ModbusWire:
         """See Wire. The echo of our heartbeat tells a fresh answer from a stale one."""
         words = {
             block: await self._link.read(block.table, block.address, block.count)
-            for block in codec.blocks(self.profile.registers, names, self._table.most)
+            for block in codec.blocks(self.profile.registers, names, self._table.max_registers)
         }
         found = Values()
         try:
@@ -71,7 +71,7 @@ class ModbusWire:
 
     async def order(self, name: str, asked: float = 0.0) -> None:
         """See Wire."""
-        for step in getattr(self.profile.orders, name):
+        for step in getattr(self.profile.commands, name):
             await self._write(write_of(step), asked)
 
     async def _write(self, write: Write, asked: float) -> None:

@@ -236,4 +236,14 @@ def _build(options: RobotLinkOptions, context: DeviceContext) -> RobotLink:
     return RobotLink(address, times)
 
 
-ROBOT_LINK = DeviceType("robot_link", "robot", RobotLinkOptions, _build)
+DEVICE_TYPES = [
+    DeviceType(
+        "robot_link",
+        "robot",
+        RobotLinkOptions,
+        _build,
+        simulated_by="robot_link",
+        substitute={"watchdog_s": 60.0},
+        usual_address="tcp://robot-controller:28500",
+    )
+]

@@ -1,22 +1,20 @@
-"""A robot whose controller gets the whole program before it runs any of it, and is watched meanwhile."""
+"""A robot whose controller has the whole program before it runs any of it, and is watched meanwhile."""
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Sequence
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from polishd.drivers.transport.background import Background
-from polishd.drivers.transport.program_tracker import FileProgramTracker, ProgramTracker
+from polishd.drivers.transport.program_tracker import PollingConnection, ProgramTracker
 from polishd.model.devices import ExecutedBlock, RobotProgress, RobotState, RobotTimes
-from polishd.model.errors import DeviceFault, DeviceRefused
+from polishd.model.errors import DeviceFault, DeviceRefused, LinkError, ProtocolError
 from polishd.model.program import Plan, Segment
-
-# Blocks as a robot is handed them.
 
 
 def new_blocks(segments: Sequence[Segment], accepted: int, longest_line: int, name: str) -> list[Segment]:
-    """Those that the robot does not have yet; DeviceRefused for blocks out of turn, and for what is no line (bytes)."""
+    """The blocks that the robot does not have yet. DeviceRefused for a gap, and for a block that is no line (bytes)."""
     if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
         raise DeviceRefused(f"{name}: blocks are not numbered one by one")
     new = [segment for segment in segments if segment.seq >= accepted]
@@ -29,227 +27,225 @@ def new_blocks(segments: Sequence[Segment], accepted: int, longest_line: int, na
 
 
 Tracker = TypeVar("Tracker", bound=ProgramTracker)
+IsWanted = Callable[[float], bool]
+"""Called right before the command to run, with the controller's time: whether the start is still wanted. Marks it."""
 
 
 class ProgramRobot(ABC, Generic[Tracker]):
-    """Of the Robot port what such robots share: blocks are collected, what is executed is told as it is watched."""
+    """The Robot interface, except for what differs between controllers: see the abstract methods.
+
+    The robot stops only where its file has a pause: at the stops of the plan, and at the first ``until``. It continues
+    from a stop that is not wanted. A controller that can stop before any block sets ``stops_anywhere``.
+    """
 
     longest_line: int
     """Bytes."""
+    stops_anywhere = False
 
     def __init__(self, name: str, times: RobotTimes) -> None:
+        """``name``: for messages."""
         self._name = name
-        """For messages."""
         self._times = times
         self._plan: Plan | None = None
         self._lines: list[bytes] = []
-        self._watch: Tracker | None = None
+        self._tracker: Tracker | None = None
         self._target: int | None = None
-        """Blocks below it are to be run; None for all."""
+        """Run the blocks below it; None for all."""
         self._pending = False
-        """Told to run before the program was complete."""
+        """Commanded to run before the program was complete."""
+        self._holds = 0
+        """Number of holds: a start from before the last one is not wanted any more."""
 
     @property
     @abstractmethod
-    def _background(self) -> Background:
-        """What looks at the controller all the time, and fires at each look."""
+    def _connection(self) -> PollingConnection[Any, Any]:
+        """The link that is polled."""
 
     @abstractmethod
-    def _running(self) -> bool:
-        """Something runs that was not told to stand."""
+    def _moves(self) -> bool:
+        """Whether the controller reports that it runs a program."""
 
-    @property
-    def times(self) -> RobotTimes:
-        """See Robot."""
-        return self._times
+    @abstractmethod
+    async def _clear(self) -> None:
+        """Make the controller ready for another program. DeviceRefused where it is not ready for one."""
+
+    @abstractmethod
+    def _track(self, plan: Plan, blocks: int) -> Tracker:
+        """A tracker for that program."""
+
+    @abstractmethod
+    async def _load(self, plan: Plan, tracker: Tracker) -> None:
+        """Load the program into the controller, and set ``tracker.file``. DeviceRefused where it refuses it."""
+
+    @abstractmethod
+    async def _run(self, tracker: Tracker, wanted: IsWanted) -> None:
+        """Command the controller to run, from the beginning or on from where it stands, if ``wanted`` agrees."""
+
+    @abstractmethod
+    async def _stop(self) -> None:
+        """Stop whatever runs over the open link, and see that the robot stands."""
+
+    @abstractmethod
+    async def _stop_anew(self) -> None:
+        """The same over a new link."""
+
+    def _obstacle(self) -> str:
+        """Why the controller would not run a program as written, by its last report; empty where it would."""
+        return ""
 
     def _override(self) -> float | None:
         """Speed override of the controller's last report, as a fraction; None: it reports none."""
         return None
 
     @property
+    def times(self) -> RobotTimes:
+        """See Robot."""
+        return self._times
+
+    @property
     def buffer_s(self) -> float:
         """See Robot. All that is left, once the controller has the program. 0 before, and while the link is down."""
-        watch, plan = self._watch, self._plan
-        if watch is None or plan is None or len(self._lines) < watch.blocks or not self._background.alive:
+        tracker, plan = self._tracker, self._plan
+        if tracker is None or plan is None or len(self._lines) < tracker.blocks or not self._connection.alive:
             return 0.0
-        return watch.left_s()
+        return tracker.left_s()
+
+    async def make_safe(self) -> None:
+        """See Device. Ends whatever runs, and the program with it. Connects for it if it has to."""
+        self._stay()
+        self._drop()
+        if self._connection.alive:
+            with contextlib.suppress(LinkError, ProtocolError):
+                await self._stop()
+                return
+        await self._stop_anew()
 
     async def progress(self) -> RobotProgress:
         """See Robot."""
-        self._background.check()
-        if self._watch is None:
+        self._connection.check()
+        if self._tracker is None:
             state: RobotState = "running" if self._running() else "idle"
             return RobotProgress(state, "", 0, 0, 0.0, override=self._override())
-        return self._watch.progress(len(self._lines), self.buffer_s, self._override())
+        return self._tracker.progress(len(self._lines), self.buffer_s, self._override())
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
-        """See Robot. DeviceFault when the controller stops by itself, or ends the program before its end."""
-        self._background.check()
-        watch, seq = self._watch, from_seq
-        while watch is not None:
-            while seq < len(watch):
-                yield watch[seq]
+        """See Robot. DeviceFault when the controller stops, or ends the program before its end."""
+        self._connection.check()
+        tracker, seq = self._tracker, from_seq
+        while tracker is not None:
+            while seq < len(tracker):
+                yield tracker[seq]
                 seq += 1
-            if watch is self._watch and watch.stopped:
-                raise DeviceFault(f"{self._name}: {watch.stopped}")  # at once: a tool that stands digs
-            if watch is not self._watch or watch.ended:
-                if watch.state == "fault":
-                    raise DeviceFault(f"{self._name}: {watch.detail}")
+            if tracker is self._tracker and tracker.stopped:
+                raise DeviceFault(f"{self._name}: {tracker.stopped}")  # at once: a tool that stands digs
+            if tracker is not self._tracker or tracker.ended:
+                if tracker.state == "fault":
+                    raise DeviceFault(f"{self._name}: {tracker.detail}")
                 return
-            await self._background.until(_news(watch))
-
-    def _announce(self, plan: Plan, make: Callable[[Plan, int], Tracker]) -> None:
-        """Begin to collect its blocks, and to watch it; what was there before is dropped."""
-        self._plan, self._lines, self._target, self._pending = plan, [], None, False
-        self._watch = make(plan, len(plan.segments) or plan.program.block_count)
-
-    def _collect(self, segments: Sequence[Segment]) -> bool:
-        """Take blocks; tells whether these make the program complete. DeviceRefused as in ``new_blocks``."""
-        _, watch = self._loaded()
-        new = new_blocks(segments, len(self._lines), self.longest_line, self._name)
-        self._lines += [segment.text for segment in new]
-        return bool(new) and len(self._lines) >= watch.blocks
-
-    def _waits(self, until: int | None) -> bool:
-        """Be told to run to there; tells whether that waits for the rest of the program."""
-        _, watch = self._loaded()
-        self._target = until
-        if len(self._lines) >= watch.blocks:
-            return False
-        self._pending = True
-        watch.state, watch.detail = "running", "waits for the rest of the program"
-        return True
-
-    def _stay(self) -> None:
-        """Nothing is asked of it any more."""
-        if self._pending and self._watch is not None:
-            self._watch.state, self._watch.detail = "held", ""
-        self._pending, self._target = False, 0
-
-    def _drop(self) -> None:
-        """What was under way is not gone on with."""
-        if self._watch is not None and not self._watch.ended:
-            self._watch.drop("aborted")
-        self._background.fire()
-
-    def _loaded(self) -> tuple[Plan, Tracker]:
-        if self._plan is None or self._watch is None:
-            raise DeviceRefused(f"{self._name}: no program: prepare one first")
-        return self._plan, self._watch
-
-
-def _news(watch: ProgramTracker) -> Callable[[], bool]:
-    """Tells whether anything was executed since now, or the program is over."""
-    count = len(watch)
-    return lambda: len(watch) > count or watch.ended or bool(watch.stopped)
-
-
-# A robot whose controller takes its program as one file, runs it by itself, and is watched meanwhile.
-
-FileTracker = TypeVar("FileTracker", bound=FileProgramTracker)
-Goes = Callable[[float], bool]
-"""Asked right before the order to run, with the controller's time: whether it is still wanted."""
-
-
-class FileRobot(ProgramRobot[FileTracker]):
-    """The Robot port but for what differs between controllers: see the abstract methods.
-
-    It stops only where the file has a pause: at the plan's own stops, and the first ``until``. A stop that nobody asked
-    for is passed.
-    """
-
-    def __init__(self, name: str, times: RobotTimes) -> None:
-        super().__init__(name, times)
-        self._stays = 0
-        """How often it was told to stay: a start from before counts no more."""
-
-    @abstractmethod
-    def _moves(self) -> bool:
-        """Whether the controller runs a program, by its own word."""
-
-    @abstractmethod
-    async def _empty(self) -> None:
-        """Make the controller ready for another program. DeviceRefused where it is not to have one."""
-
-    @abstractmethod
-    def _watched(self, plan: Plan, blocks: int) -> FileTracker:
-        """What will follow that program."""
-
-    @abstractmethod
-    async def _load(self, plan: Plan, watch: FileTracker) -> None:
-        """Give the controller the file, and set ``watch.file``. DeviceRefused where it does not take it."""
-
-    @abstractmethod
-    async def _run(self, watch: FileTracker, goes: Goes) -> None:
-        """Order it to run, from the beginning or on from where it stands."""
+            await self._connection.until(_has_news(tracker))
 
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the controller runs a program, or is not ready to."""
-        self._background.check()
+        self._connection.check()
         if self._running():
             raise DeviceRefused(f"{self._name}: a program is running; hold it first")
-        await self._empty()
-        self._announce(plan, self._watched)
+        await self._clear()
+        self._plan, self._lines, self._target, self._pending = plan, [], None, False
+        self._tracker = self._track(plan, len(plan.segments) or plan.program.block_count)
 
     async def send(self, segments: Sequence[Segment]) -> None:
         """See Robot. With the last block the controller gets the file. DeviceRefused where it cannot read it."""
-        plan, watch = self._loaded()
-        if self._collect(segments):
-            await self._load(plan, watch)
+        plan, tracker = self._loaded()
+        new = new_blocks(segments, len(self._lines), self.longest_line, self._name)
+        self._lines += [segment.text for segment in new]
+        if new and len(self._lines) >= tracker.blocks:
+            await self._load(plan, tracker)
             if self._pending:
-                await self._start(plan, watch)
+                await self._start(plan, tracker)
 
     async def resume(self, until: int | None = None) -> None:
-        """See Robot."""
-        plan, watch = self._loaded()
-        if watch.ended:
-            raise DeviceRefused(f"{self._name}: the program is over ({watch.state}: {watch.detail}); prepare one")
-        self._background.check()
-        if until is not None and until <= len(watch):
+        """See Robot. DeviceRefused where the controller would not run the program as written."""
+        plan, tracker = self._loaded()
+        if tracker.ended:
+            raise DeviceRefused(f"{self._name}: the program is over ({tracker.state}: {tracker.detail}); prepare one")
+        self._connection.check()
+        if until is not None and until <= len(tracker):
             return
-        if watch.started and watch.file is not None and until not in (None, *watch.file.stops, watch.blocks):
-            stops = ", ".join(map(str, watch.file.stops))
+        if why := self._obstacle():
+            raise DeviceRefused(f"{self._name}: {why}. Correct it at the controller, then try again")
+        file = None if self.stops_anywhere or not tracker.started else tracker.file
+        if file is not None and until not in (None, *file.stops, tracker.blocks):
+            stops = ", ".join(map(str, file.stops))
             raise DeviceRefused(f"{self._name}: can stop at {stops}, not at block {until}: prepare it anew")
-        if not self._waits(until) and watch.state != "running":
-            await self._start(plan, watch)
+        self._target = until
+        if len(self._lines) < tracker.blocks:
+            self._pending = True
+            tracker.state, tracker.detail = "running", "waits for the rest of the program"
+        elif self.stops_anywhere or tracker.state != "running":
+            await self._start(plan, tracker)
 
     async def lift(self, distance_mm: float) -> None:
         """See Robot. Refused: the controller would have to stop first, with the tool on the part.
 
-        It has the whole program, so that motion goes on along that until the actuator has let go by itself.
+        The controller has the whole program, so motion continues until the actuator has released the tool.
         """
         raise DeviceRefused(f"{self._name}: cannot lift by {distance_mm:g} mm out of a running program")
 
     def _stops(self, plan: Plan) -> set[int]:
-        """Where the file is to have a pause."""
+        """Blocks before which the file has a pause."""
         return {plan.approach_blocks, plan.contact_blocks, self._target or 0}
 
-    async def _start(self, plan: Plan, watch: FileTracker) -> None:
+    def _has_to_load(self, tracker: Tracker) -> bool:
+        """Whether the controller needs the file, or another one, before it can run to the target."""
+        file = tracker.file
+        return file is None or (not tracker.started and self._target not in (None, *file.stops))
+
+    async def _start(self, plan: Plan, tracker: Tracker) -> None:
         """From the beginning, or on from where it stands."""
-        stays = self._stays
+        holds = self._holds
         self._pending = False
-        if watch.file is None or (not watch.started and self._target not in (None, *watch.file.stops)):
-            await self._load(plan, watch)
+        if self._has_to_load(tracker):
+            await self._load(plan, tracker)
 
-        def goes(time_s: float) -> bool:
-            if stays == self._stays:
-                watch.go(time_s)
-            return stays == self._stays
+        def wanted(time_s: float) -> bool:
+            if holds == self._holds:
+                tracker.go(time_s)
+            return holds == self._holds
 
-        await self._run(watch, goes)
+        await self._run(tracker, wanted)
 
     async def _pass_stops(self) -> None:
-        """Go on from a stop that nobody asked for."""
-        plan, watch = self._plan, self._watch
-        if plan is None or watch is None or watch.held_at is None or watch.dropped:
+        """Continue from a stop that is not wanted."""
+        plan, tracker = self._plan, self._tracker
+        if plan is None or tracker is None or tracker.held_at is None or tracker.dropped:
             return
-        if self._target is None or self._target > watch.held_at:
-            await self._start(plan, watch)
+        if self._target is None or self._target > tracker.held_at:
+            await self._start(plan, tracker)
 
     def _running(self) -> bool:
-        return self._moves() or (self._watch is not None and self._watch.state == "running")
+        """A program runs, or is about to."""
+        return self._moves() or (self._tracker is not None and self._tracker.state == "running")
 
     def _stay(self) -> None:
-        super()._stay()
-        self._stays += 1
+        """Cancel every start that is under way."""
+        if self._pending and self._tracker is not None:
+            self._tracker.state, self._tracker.detail = "held", ""
+        self._pending, self._target = False, 0
+        self._holds += 1
+
+    def _drop(self) -> None:
+        """End the program under way before its end."""
+        if self._tracker is not None and not self._tracker.ended:
+            self._tracker.drop("aborted")
+        self._connection.fire()
+
+    def _loaded(self) -> tuple[Plan, Tracker]:
+        if self._plan is None or self._tracker is None:
+            raise DeviceRefused(f"{self._name}: no program: prepare one first")
+        return self._plan, self._tracker
+
+
+def _has_news(tracker: ProgramTracker) -> Callable[[], bool]:
+    """A condition: a block was executed since now, or the program is over."""
+    count = len(tracker)
+    return lambda: len(tracker) > count or tracker.ended or bool(tracker.stopped)

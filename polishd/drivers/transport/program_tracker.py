@@ -1,26 +1,35 @@
-"""A program as the one file that a controller loads: its blocks, and lines of ours where it is to stop."""
+"""Watch a program that a controller runs: its file, the link that is polled, and the record of executed blocks.
+
+A robot adapter has three parts. A ``PollingConnection`` reads snapshots from the controller. A ``ProgramTracker`` turns
+the snapshots into executed blocks. A ``ProgramRobot`` (program_robot.py) gives the commands.
+"""
 
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from array import array
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from polishd.drivers.transport.background import Background, Ready
 from polishd.model.devices import ExecutedBlock, RobotProgress, RobotState
+from polishd.model.errors import DeviceFault, LinkError
 from polishd.model.program import Plan
+from polishd.model.surface import FloatArray
 
 _COMMENT = re.compile(rb"\([^()]*\)|;.*")
 _END = re.compile(rb"(?<![A-Z#])M0*(?:2|30)(?:\.0*)?(?![0-9.])")
 
 
 class ProgramFile:
-    """The blocks, with ``at_stop(stop)`` before each of ``stops`` and ``at_end(end)`` before what ends the program.
+    """A program as one file: its blocks, ``at_stop(stop)`` before each of ``stops``, ``at_end(end)`` before its end.
 
-    The last line that ``at_stop`` gives makes the controller stand: behind it all modal state is kept, which *run from
-    line* would lose. A program without an end gets ``end_line``.
+    The last line of ``at_stop`` pauses the controller. A pause keeps all modal state, which *run from line* would lose.
+    A program without an end gets ``end_line``.
     """
 
     def __init__(
@@ -35,28 +44,28 @@ class ProgramFile:
         end = next((seq for seq, block in enumerate(blocks) if _ends(block, seq)), self.blocks)
         self.stops = tuple(sorted({stop for stop in stops if 0 < stop <= min(end, self.blocks - 1)}))
         self.inserted: list[int] = []
-        """Indices, in the file, of lines that are none of the program's."""
+        """Indices, in the file, of the lines that the driver added."""
         self.pauses: dict[int, int] = {}
-        """1-based line of the file that makes the controller stand: number of blocks that are executed there."""
+        """1-based line of each pause: number of blocks that are executed there."""
         lines: list[bytes] = []
         at = 0
         for stop in self.stops:
             lines += blocks[at:stop]
-            self._put_in(lines, at_stop(stop), stop)
+            self._insert(lines, at_stop(stop), stop)
             at = stop
         lines += blocks[at:end]
-        self._put_in(lines, at_end(end), end)
+        self._insert(lines, at_end(end), end)
         self.lines = (*lines, *(blocks[end:] or [end_line] * bool(end_line)))
         self.text = b"\n".join([*self.lines, b""])
 
-    def _put_in(self, lines: list[bytes], own: Sequence[bytes], executed: int) -> None:
+    def _insert(self, lines: list[bytes], own: Sequence[bytes], executed: int) -> None:
         self.inserted += range(len(lines), len(lines) + len(own))
         lines += own
         if own:
             self.pauses[len(lines)] = executed
 
     def block_at(self, line: int) -> int:
-        """The block at a 1-based line of the file, or the next one where the line is none of the program's."""
+        """The block at a 1-based line of the file, or the next one where the driver added the line."""
         index = max(line - 1, 0)
         return min(index - bisect_left(self.inserted, index), self.blocks)
 
@@ -67,16 +76,18 @@ def _ends(block: bytes, seq: int) -> bool:
     return bool(_END.search(code)) or (code == b"%" and seq > 0)
 
 
-# What a controller that has its whole program has executed of it, and when. Sans-IO.
-
 BLOCK_S = 0.01
-"""What a block costs beyond its dwell, about."""
+"""Approximate time of a block beyond its dwell."""
+START_S = 1.0
+"""Longest time from the command to run until the controller reports that it runs."""
 
 
 class ProgramTracker:
-    """One program from its load to its end. Times are process time: it stands still while the robot is held.
+    """What a controller has executed of one program, and when, from its load to its end. Sans-IO.
 
-    What a controller says of itself is for its own kind to understand: it moves ``clock_s`` on and calls ``record``.
+    An adapter adds ``update(snapshot)``: it calls ``tick`` with the controller's time and ``stretch`` with the blocks
+    that are over, and sets ``state``, ``detail``, ``stopped``, ``runs`` and ``held_at``. Times are process time, which
+    does not advance while the robot is held.
     """
 
     def __init__(self, plan: Plan, blocks: int) -> None:
@@ -85,14 +96,22 @@ class ProgramTracker:
         self.state: RobotState = "held"
         self.detail = ""
         self.dropped = False
-        """Nothing more will be executed of it."""
+        """The rest of the program will not be executed."""
         self.stopped = ""
-        """Why it stands although it was told to run; empty where nobody knows."""
+        """Why the robot stands although it was commanded to run; empty if it does not, or for an unknown reason."""
+        self.started = False
+        self.file: ProgramFile | None = None
+        """The file that the controller has loaded."""
+        self.held_at: int | None = None
+        """The stop of the file at which the robot stands."""
+        self.runs = False
+        """The controller has reported that it runs since the last command to run."""
         self.clock_s = 0.0
         self.began_s = 0.0
         """When the block under way began."""
+        self.seen_s = self._commanded_s = 0.0
         self._start_s, self._end_s = array("d"), array("d")
-        # asked again and again while the tool presses: the sums are made once
+        # left_s is read at each period of contact: the sums are made once
         self._timed = plan.program.block
         self._ahead_s = np.cumsum(np.append(plan.expected_time_s, 0.0)[::-1])[::-1]
 
@@ -107,18 +126,23 @@ class ProgramTracker:
         """No more records will come."""
         return self.dropped or self.state in ("done", "fault")
 
+    @property
+    def is_start_over(self) -> bool:
+        """The controller runs, or has had the time to start: from now on a stop is a stop."""
+        return self.runs or self.clock_s - self._commanded_s > START_S
+
     def left_s(self) -> float:
-        """What is left of its plan, about."""
+        """Approximate time of the rest of the plan."""
         timed_s = float(self._ahead_s[np.searchsorted(self._timed, len(self))])
         return timed_s + BLOCK_S * (self.blocks - len(self))
 
     def expected_s(self, to: int) -> float:
-        """Planned time of the blocks that are not executed yet, up to that one."""
+        """Planned time of the blocks below ``to`` that are not executed yet."""
         first, last = np.searchsorted(self._timed, (len(self), to))
         return float(self._ahead_s[first] - self._ahead_s[last])
 
     def progress(self, accepted: int, buffer_s: float, override: float | None = None) -> RobotProgress:
-        """As the port wants it."""
+        """The answer to ``Robot.progress``."""
         return RobotProgress(
             state=self.state,
             program_sha256=self.sha256,
@@ -129,51 +153,177 @@ class ProgramTracker:
             override=override,
         )
 
+    def go(self, time_s: float, detail: str = "") -> None:
+        """Begin to run at that time of the controller's clock."""
+        self.state, self.detail, self.started = "running", detail, True
+        self.held_at = None
+        self.seen_s, self._commanded_s, self.runs = time_s, self.clock_s, False
+
+    def tick(self, time_s: float) -> None:
+        """Advance the process time: the robot ran until that time of the controller's clock."""
+        self.clock_s += max(time_s - self.seen_s, 0.0)
+        self.seen_s = time_s
+
     def drop(self, reason: str) -> None:
-        """It will not be gone on with."""
+        """End the program before its end."""
         self.dropped, self.detail = True, reason
         if self.state == "running":
             self.state = "held"
 
-    def record(self, ends_s: Sequence[float]) -> None:
-        """The next blocks are executed, and ended at those process times: rising, the last not after ``clock_s``."""
-        self._start_s.extend([self.began_s, *ends_s[:-1]])
-        self._end_s.extend(ends_s)
-        self.began_s = ends_s[-1]
+    def stretch(
+        self,
+        shares_s: FloatArray,
+        *,
+        low_s: float | None = None,
+        high_s: float | None = None,
+        reaches: bool = True,
+        spread: float = 0.0,
+    ) -> None:
+        """Record the next n blocks as executed, each with its share of the time, (n,) s: see ``stretch_ends``.
+
+        ``low_s`` defaults to the begin of the block under way, ``high_s`` to the present process time.
+        """
+        low_s = self.began_s if low_s is None else low_s
+        high_s = self.clock_s if high_s is None else high_s
+        ends = stretch_ends(self.began_s, shares_s, low_s, high_s, reaches=reaches, spread=spread).tolist()
+        self._start_s.extend([self.began_s, *ends[:-1]])
+        self._end_s.extend(ends)
+        self.began_s = ends[-1]
 
 
-# What a controller that has its program as one file has executed of it, and when. Sans-IO.
+def stretch_ends(
+    began_s: float, shares_s: FloatArray, low_s: float, high_s: float, *, reaches: bool = True, spread: float = 0.0
+) -> FloatArray:
+    """Ends of n blocks in a row, (n,) s, rising: by their expected times, within the reports that they lie between.
 
-START_S = 1.0
-"""So long after being told to run a controller may say that it does not."""
+    Args:
+        began_s: When the first block began, at most ``low_s``.
+        shares_s: Expected time of each block, (n,) s. All zero: the blocks share the time evenly.
+        low_s: No block had ended by then.
+        high_s: All blocks have ended by then.
+        reaches: The last block ended at ``high_s``.
+        spread: Share of the time that is spread evenly, so that no block lasts no time at all.
+    """
+    even = np.arange(1, len(shares_s) + 1) / len(shares_s)
+    total_s = float(shares_s.sum())
+    ends = began_s + (np.cumsum(shares_s) if total_s > 0.0 else (high_s - began_s) * even)
+    if total_s > 0.0 and (reaches or ends[-1] > high_s):
+        ends = began_s + np.cumsum(shares_s) * (high_s - began_s) / total_s
+    ends = np.clip(ends, low_s, high_s)
+    if reaches:
+        ends[-1] = high_s
+    return np.asarray((1.0 - spread) * ends + spread * (low_s + (high_s - low_s) * even))
 
 
-class FileProgramTracker(ProgramTracker):
-    """One program from its load to its end; it may stand at the stops of its file."""
+def time_shares(took_s: float, asked_s: FloatArray, asked_total_s: float, rest: np.ndarray) -> FloatArray:
+    """Shares of ``took_s`` for n blocks that one report finds executed, (n,) s.
 
-    def __init__(self, plan: Plan, blocks: int) -> None:
-        super().__init__(plan, blocks)
-        self.started = False
-        self.file: ProgramFile | None = None
-        """What the controller has; None before."""
-        self.held_at: int | None = None
-        """The stop at which it stands; None while it stands elsewhere."""
-        self.runs = False
-        """It was seen running since it was told to."""
-        self.seen_s = self._went_s = 0.0
+    Args:
+        took_s: Time of all n blocks.
+        asked_s: Time that each block asks for, (n,) s; 0 where it asks for none.
+        asked_total_s: Time of all blocks that ask for one; they share it in proportion.
+        rest: Blocks that share the rest evenly, (n,) bool. None: the blocks that ask for a time have it all.
+    """
+    asked_sum_s, shares = float(asked_s.sum()), np.zeros(len(asked_s))
+    if asked_sum_s > 0.0:
+        asked_total_s = min(asked_total_s, took_s) if rest.any() else took_s
+        shares = asked_s * (asked_total_s / asked_sum_s)
+    if rest.any():
+        shares[rest] += max(took_s - float(shares.sum()), 0.0) / np.count_nonzero(rest)
+    return np.asarray(shares)
+
+
+Link = TypeVar("Link")
+Snapshot = TypeVar("Snapshot")
+STANDS = 2
+"""Snapshots in a row that show a standstill. One may be damaged, or from before a command."""
+
+
+class PollingConnection(Background, ABC, Generic[Link, Snapshot]):
+    """A link to a controller from ``open`` to ``close``, read all the time. It can be opened again.
+
+    An adapter fills in ``_connect``, ``_disconnect``, ``_snapshots`` and ``_stands``. All waiters get the error that
+    ended the link.
+    """
+
+    def __init__(self, name: str, open_s: float, on_snapshot: Callable[[Snapshot], Awaitable[None]]) -> None:
+        """``on_snapshot`` is called with each snapshot, before the waiters see it."""
+        super().__init__(name)
+        self._open_s = open_s
+        self._on_snapshot = on_snapshot
+        self._link: Link | None = None
+        self._recent: tuple[Snapshot, ...] = ()
+        """The last ``STANDS``, oldest first."""
+        self.count = 0
+        """Snapshots since the object was made."""
+
+    @abstractmethod
+    async def _connect(self) -> Link:
+        """Open a new link and leave nothing open where that fails. Moves nothing."""
+
+    @abstractmethod
+    async def _disconnect(self, link: Link) -> None:
+        """Close the link; idempotent."""
+
+    @abstractmethod
+    def _snapshots(self, link: Link) -> AsyncIterator[Snapshot]:
+        """Yield snapshots until the link ends: poll and pause, or wait for what the controller sends."""
+
+    @abstractmethod
+    def _stands(self, recent: Sequence[Snapshot]) -> bool:
+        """Whether the last ``STANDS`` snapshots show that no program runs and nothing moves."""
 
     @property
-    def refuses(self) -> bool:
-        """It was told to run, and had the time to."""
-        return self.runs or self.clock_s - self._went_s > START_S
+    def link(self) -> Link:
+        """The open link. LinkError while there is none, and the link's own error once it is lost."""
+        if self._link is None:
+            raise LinkError(f"{self.name}: is not open")
+        self.check()
+        return self._link
 
-    def go(self, time_s: float, detail: str = "") -> None:
-        """It runs, from that time of its own clock."""
-        self.state, self.detail, self.started = "running", detail, True
-        self.held_at = None
-        self.seen_s, self._went_s, self.runs = time_s, self.clock_s, False
+    @property
+    def last(self) -> Snapshot:
+        """The last snapshot; errors as ``link``."""
+        self.check()
+        if not self._recent:
+            raise LinkError(f"{self.name}: is not open")
+        return self._recent[-1]
 
-    def tick(self, time_s: float) -> None:
-        """It ran until that time of its own clock."""
-        self.clock_s += max(time_s - self.seen_s, 0.0)
-        self.seen_s = time_s
+    @property
+    def stands(self) -> bool:
+        """No program runs and nothing moves, by ``STANDS`` snapshots in a row."""
+        return len(self._recent) == STANDS and self._stands(self._recent)
+
+    async def open(self) -> None:
+        """Connect and take ``STANDS`` snapshots."""
+        self._link = await self._connect()
+        try:
+            await self.start(self._follow, self._open_s)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Disconnect; idempotent."""
+        await self.stop()
+        link, self._link = self._link, None
+        self._recent = ()
+        if link is not None:
+            await self._disconnect(link)
+
+    async def standstill(self, command: str, within_s: float, after: int = STANDS) -> None:
+        """Wait until a snapshot at least ``after`` later than now shows a standstill; DeviceFault otherwise."""
+        count = self.count + after
+        if not await self.until(lambda: self.count >= count and self.stands, within_s):
+            raise DeviceFault(f"{self.name}: still moving {within_s:g} s after {command}. Stop it at its controller.")
+
+    async def _follow(self, ready: Ready) -> None:
+        if self._link is None:
+            raise LinkError(f"{self.name}: is not open")
+        async for snapshot in self._snapshots(self._link):
+            self._recent = (*self._recent, snapshot)[-STANDS:]
+            self.count += 1
+            await self._on_snapshot(snapshot)
+            if len(self._recent) == STANDS:
+                ready()
+            self.fire()

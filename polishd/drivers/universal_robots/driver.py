@@ -23,16 +23,13 @@ from polishd.api import (
     LinkError,
     Plan,
     ProtocolError,
-    RobotProgress,
     RobotTimes,
-    Segment,
-    hookimpl,
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.claims import claim_address
-from polishd.drivers.transport.program_robot import ProgramRobot
+from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
 from polishd.drivers.transport.streams import LineReader, open_stream
 from polishd.drivers.universal_robots.rtde import (
     RtdeConnection,
@@ -46,7 +43,6 @@ from polishd.drivers.universal_robots.rtde import (
 from polishd.drivers.universal_robots.script import (
     LIVE,
     LONGEST_LINE,
-    ScriptLine,
     Settings,
     UrProgramTracker,
     assemble,
@@ -228,25 +224,24 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
     """
 
     longest_line = LONGEST_LINE
+    stops_anywhere = True
 
     def __init__(self, addresses: Addresses, settings: Settings, times: RobotTimes, rate_hz: float = 125.0) -> None:
         super().__init__(addresses.rtde.host, times)
         self._addresses = addresses
         self._settings = settings
-        self._link = RtdeConnection(addresses.rtde, rate_hz, settings.registers, times.silence_s)
-        self._link.on_sample = self._seen
-        self._blocks: list[ScriptLine] = []
+        self._link = RtdeConnection(addresses.rtde, rate_hz, settings.registers, times.silence_s, self._seen)
         self._claimed: list[Claim] = []
         """On all of the controller's servers: those that are asked once are connected for that alone."""
 
     @property
-    def _background(self) -> Background:
+    def _connection(self) -> RtdeConnection:
         return self._link
 
     @property
     def buffer_s(self) -> float:
         """See ProgramRobot. The program counts as there from when its script is sent."""
-        return super().buffer_s if self._watch is not None and self._watch.token else 0.0
+        return super().buffer_s if self._tracker is not None and self._tracker.token else 0.0
 
     async def open(self) -> None:
         """See Device. Gives no new order. What ran when the link was lost is followed further."""
@@ -285,135 +280,98 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         )
         return DeviceStatus(ready=not why, safe=self._link.stands, state=state, detail=why)
 
-    async def make_safe(self) -> None:
-        """See Device. Ends whatever runs: what was under way is not gone on with. Connects for it if it has to."""
-        self._stay()
-        try:
-            stopped = False
-            if self._link.alive:
-                with contextlib.suppress(LinkError, ProtocolError):
-                    await self._stop_program()
-                    stopped = True
-            if not stopped:
-                await stop(self._addresses.dashboard, self._times.stop_s)
-        finally:
-            self._drop()
-
-    async def prepare(self, plan: Plan) -> None:
-        """See Robot. DeviceRefused while a program runs, or the robot would not run one as it is written."""
-        why = self._link.last.obstacle() or await self._not_remote()
-        if why:
-            raise DeviceRefused(f"{self._name}: {why}. To do: see to it at the robot, then try again")
-        if self._running():
-            raise DeviceRefused(f"{self._name}: a program is running; hold it first")
-        await self._stop_program()
-        self._blocks = []
-        self._announce(plan, UrProgramTracker)
-
-    async def send(self, segments: Sequence[Segment]) -> None:
-        """See Robot. With the last block the script is sent; it then waits before its first.
-
-        DeviceRefused where it cannot be followed, or the controller cannot read it.
-        """
-        _, watch = self._loaded()
-        if self._collect(segments):
-            self._blocks = blocks_of(self._lines)
-            await self._upload(watch)
-            if self._pending:
-                await self._go(watch)
-
-    async def progress(self) -> RobotProgress:
-        """See Robot."""
-        _ = self._link.last
-        return await super().progress()
-
     async def hold(self) -> None:
-        """See Robot. The program brakes along the path and ends; it can be gone on with from where it stands."""
-        _ = self._link.last
+        """See Robot. The program brakes along the path and ends; ``resume`` continues it from where it stands."""
+        self._link.check()
         self._stay()
-        await self._stop_program()
-
-    async def resume(self, until: int | None = None) -> None:
-        """See Robot. Stops before any block; behind a hold what is left is sent anew."""
-        _, watch = self._loaded()
-        if watch.ended:
-            raise DeviceRefused(f"{self._name}: the program is over ({watch.state}: {watch.detail}); prepare one")
-        sample = self._link.last
-        if until is not None and until <= len(watch):
-            return
-        if why := sample.obstacle():
-            raise DeviceRefused(f"{self._name}: {why}")
-        if self._waits(until):
-            return
-        if watch.live and sample.runtime in (UrRuntimeState.PAUSING, UrRuntimeState.PAUSED):
-            raise DeviceRefused(f"{self._name}: it is paused at the controller: go on there, or prepare it anew")
-        if not watch.live:
-            await self._upload(watch)
-        await self._go(watch)
+        await self._stop()
 
     async def lift(self, distance_mm: float) -> None:
         """See Robot. Out of the motion, by a branch of our own program: so there must be one under way."""
-        link, watch = self._link, self._watch
-        if watch is None or not self._hears(link.last):
+        link, tracker = self._link, self._tracker
+        if tracker is None or not self._hears(link.last):
             raise DeviceRefused(f"{self._name}: no program of ours is under way that could lift")
         self._stay()
-        await link.tell(ScriptInputs(watch.token, watch.until, ScriptCommand.LIFT, round(distance_mm * 1000.0)))
+        await link.tell(ScriptInputs(tracker.token, tracker.until, ScriptCommand.LIFT, round(distance_mm * 1000.0)))
         await link.until(lambda: not self._hears(link.last) and link.last.phase != ScriptPhase.ENDS, self._times.stop_s)
-        watch.drop("lifted off the path")
+        tracker.drop("lifted off the path")
         if link.last.phase != ScriptPhase.LIFTED:
             raise DeviceFault(f"{self._name}: the robot does not lift: {link.last.obstacle() or 'no reason is told'}")
         await link.standstill("the lift", self._times.stop_s)
 
-    async def _upload(self, watch: UrProgramTracker) -> None:
-        """Send what is left of the program, and hear that it waits."""
-        start = len(watch)
+    async def _clear(self) -> None:
+        if why := self._link.last.obstacle() or await self._not_remote():
+            raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again")
+        await self._stop()
+
+    def _track(self, plan: Plan, blocks: int) -> UrProgramTracker:
+        return UrProgramTracker(plan, blocks)
+
+    def _has_to_load(self, tracker: UrProgramTracker) -> bool:
+        return not tracker.live
+
+    async def _load(self, plan: Plan, tracker: UrProgramTracker) -> None:
+        """Send what is left of the program, and see that it waits. DeviceRefused where it cannot be followed."""
+        del plan
+        blocks = blocks_of(self._lines)
         token = secrets.randbelow((1 << 31) - 1) + 1
-        script = assemble(self._blocks, start, watch.spent_s, token, self._settings)
-        watch.sent(token, self._blocks)
+        script = assemble(blocks, len(tracker), tracker.spent_s, token, self._settings)
+        tracker.sent(token, blocks)
         await self._link.tell(ScriptInputs(token))
         within_s = LOAD_S + LOAD_LINE_S * len(script.block_of)
         async with ScriptUpload(self._addresses.primary, script.text) as upload:
 
-            def settled() -> bool:
+            def is_answered() -> bool:
                 upload.check()
-                return watch.live or upload.complaint is not None
+                return tracker.live or upload.complaint is not None
 
-            taken = await self._link.until(settled, within_s)
+            taken = await self._link.until(is_answered, within_s)
         if upload.complaint is not None:
             where, text = script.names(upload.complaint.line), upload.complaint.text
             raise DeviceRefused(f"{self._name}: the controller does not take {where}: {text}")
         if not taken:
             raise DeviceRefused(f"{self._name}: the controller did not start the script within {within_s:g} s")
 
-    async def _go(self, watch: UrProgramTracker) -> None:
+    async def _run(self, tracker: UrProgramTracker, wanted: IsWanted) -> None:
         """To the target."""
-        self._pending = False
-        watch.ordered(watch.blocks if self._target is None else self._target)
-        await self._link.tell(ScriptInputs(watch.token, watch.until))
+        if wanted(self._link.last.time_s):
+            tracker.until = tracker.blocks if self._target is None else self._target
+            await self._link.tell(ScriptInputs(tracker.token, tracker.until))
 
-    async def _stop_program(self) -> None:
-        """Ours by its own order, any other by the dashboard. Returns when nothing runs and the robot stands."""
-        link, watch, stop_s = self._link, self._watch, self._times.stop_s
-        if watch is not None and self._hears(link.last):
-            await link.tell(ScriptInputs(watch.token, 0, ScriptCommand.STOP))
+    async def _stop(self) -> None:
+        """A program of the driver by its own command, any other by the dashboard."""
+        link, tracker, stop_s = self._link, self._tracker, self._times.stop_s
+        if tracker is not None and self._hears(link.last):
+            await link.tell(ScriptInputs(tracker.token, 0, ScriptCommand.STOP))
             await link.until(lambda: link.stands, SOFT_SHARE * stop_s)
         if link.last.runtime != UrRuntimeState.STOPPED:
             await stop(self._addresses.dashboard, stop_s)
         await link.standstill("stop", stop_s)
 
-    def _seen(self, sample: RtdeSample) -> None:
-        """What the controller does is booked; a program that is over is fed no more."""
-        watch = self._watch
-        if watch is None:
+    async def _stop_anew(self) -> None:
+        await stop(self._addresses.dashboard, self._times.stop_s)
+
+    async def _seen(self, sample: RtdeSample) -> None:
+        """Record what the controller does; a program that is over gets no more heartbeats."""
+        tracker = self._tracker
+        if tracker is None:
             return
-        watch.update(sample)
-        if watch.heard and not (sample.token == watch.token and sample.phase in (*LIVE, ScriptPhase.ENDS)):
+        tracker.update(sample)
+        if tracker.heard and not (sample.token == tracker.token and sample.phase in (*LIVE, ScriptPhase.ENDS)):
             self._link.orders = None
 
     def _hears(self, sample: RtdeSample) -> bool:
-        """Our program is there to take orders."""
-        ours = self._watch is not None and sample.token == self._watch.token and sample.phase in LIVE
+        """The program of the driver takes commands."""
+        ours = self._tracker is not None and sample.token == self._tracker.token and sample.phase in LIVE
         return ours and sample.runtime == UrRuntimeState.PLAYING
+
+    def _obstacle(self) -> str:
+        sample, tracker = self._link.last, self._tracker
+        if why := sample.obstacle():
+            return why
+        if tracker is not None and tracker.live and sample.runtime in (UrRuntimeState.PAUSING, UrRuntimeState.PAUSED):
+            return "the program is paused at the controller: continue it there, or prepare it anew"
+        return ""
 
     async def _not_remote(self) -> str:
         remote = await in_remote_control(self._addresses.dashboard)
@@ -422,11 +380,12 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
     def _override(self) -> float:
         return self._link.last.override
 
+    def _moves(self) -> bool:
+        return self._link.last.plays
+
     def _running(self) -> bool:
-        watch, sample = self._watch, self._link.last
-        if watch is not None and watch.live:
-            return watch.state == "running"
-        return sample.plays
+        tracker = self._tracker
+        return tracker.state == "running" if tracker is not None and tracker.live else self._moves()
 
     def _drop(self) -> None:
         self._link.orders = None
@@ -434,8 +393,6 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
 
 
 # The device type ``universal_robots``: a robot on a Universal Robots controller (docs/universal-robots.md).
-
-POLISHD_API = 1
 
 WAY_S = 0.02
 """Longest that a sample is under way."""
@@ -483,7 +440,16 @@ def _takes(blocks: Sequence[bytes]) -> str:
     return ""
 
 
-@hookimpl
-def polishd_device_types() -> Sequence[DeviceType]:
-    """One."""
-    return [DeviceType("universal_robots", "robot", UniversalRobotsOptions, _build, _takes)]
+DEVICE_TYPES = [
+    DeviceType(
+        "universal_robots",
+        "robot",
+        UniversalRobotsOptions,
+        _build,
+        _takes,
+        program_format="urscript",
+        simulated_by="universal_robots",
+        simulation_speed=4.0,
+        usual_address="tcp://robot-controller:30004",
+    )
+]

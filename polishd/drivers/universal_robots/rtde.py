@@ -6,13 +6,14 @@ import asyncio
 import math
 import struct
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from polishd.api import ByteStream, DeviceBusy, DeviceFault, DeviceRefused, LinkError, ProtocolError
+from polishd.api import ByteStream, DeviceBusy, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.transport.address import Tcp
-from polishd.drivers.transport.background import Background, Ready
+from polishd.drivers.transport.background import Ready
+from polishd.drivers.transport.program_tracker import PollingConnection
 from polishd.drivers.transport.streams import open_stream
 
 PROTOCOL = 2
@@ -298,8 +299,6 @@ class RtdeSample:
 CONNECT_S = 0.8
 OPEN_S = 2.0
 BEAT_S = 0.1
-STANDS = 2
-"""So many samples in a row are no accident."""
 
 
 class ScriptCommand(IntEnum):
@@ -321,75 +320,47 @@ class ScriptInputs:
     lift_um: int = 0
 
 
-class RtdeConnection(Background):
-    """From ``open`` to ``close``; may be opened again. Whoever waits hears of the link's end by its error."""
+class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
+    """RTDE of one controller: it sends the samples, and gets the commands with each heartbeat."""
 
-    def __init__(self, address: Tcp, rate_hz: float, registers: UrRegisters, silence_s: float) -> None:
-        super().__init__(str(address))
+    def __init__(
+        self,
+        address: Tcp,
+        rate_hz: float,
+        registers: UrRegisters,
+        silence_s: float,
+        on_sample: Callable[[RtdeSample], Awaitable[None]],
+    ) -> None:
+        super().__init__(str(address), OPEN_S, on_sample)
         self._address = address
         self._rate_hz = rate_hz
         self._registers = registers
         self._silence_s = silence_s
-        self._stream: ByteStream | None = None
         self._inputs: RtdeRecipe | None = None
         self._outputs: RtdeRecipe | None = None
         self._beat = 0
-        self._last: RtdeSample | None = None
-        self._stood = 0
-        """Samples in a row in which nothing moved."""
-        self._count = 0
-        self.on_sample: Callable[[RtdeSample], None] = lambda _sample: None
         self.orders: ScriptInputs | None = None
-        """What is said with each heartbeat; None: nothing is, and a program that hears nothing stops."""
+        """Sent with each heartbeat; None: no heartbeat is sent, and the program stops."""
         self.controller = ""
         """Its software."""
 
-    @property
-    def last(self) -> RtdeSample:
-        """The last sample. The link's own error once it is lost."""
-        self.check()
-        if self._last is None:
-            raise LinkError(f"{self._address}: is not open")
-        return self._last
+    async def _connect(self) -> ByteStream:
+        return await open_stream(self._address, CONNECT_S)
 
-    @property
-    def stands(self) -> bool:
-        """No program runs and nothing moves."""
-        return self._stood >= STANDS
+    async def _disconnect(self, link: ByteStream) -> None:
+        await link.close()
 
-    async def open(self) -> None:
-        """Connect, and hear two samples. Writes no input."""
-        self._stream = await open_stream(self._address, CONNECT_S)
-        try:
-            await self.start(self._run, OPEN_S)
-        except BaseException:
-            await self.close()
-            raise
-
-    async def close(self) -> None:
-        """Hang up; idempotent."""
-        await self.stop()
-        stream, self._stream, self._last = self._stream, None, None
-        self._stood = 0
-        if stream is not None:
-            await stream.close()
+    def _stands(self, recent: Sequence[RtdeSample]) -> bool:
+        return not any(sample.plays for sample in recent)
 
     async def tell(self, orders: ScriptInputs | None) -> None:
-        """Say it now, and with each heartbeat from now on."""
+        """Send it now, and with each heartbeat from now on."""
         self.orders = orders
         await self._say()
 
-    async def standstill(self, after: str, within_s: float) -> None:
-        """Seen in two samples that are later than now; DeviceFault otherwise."""
-        count = self._count
-        if not await self.until(lambda: self._count >= count + STANDS and self.stands, within_s):
-            raise DeviceFault(f"{self._address}: the robot goes on after {after}")
-
-    async def _run(self, ready: Ready) -> None:
-        packages = self._packages()
-        await self._set_up(packages)
+    async def _follow(self, ready: Ready) -> None:
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._listen(packages, ready), name=f"{self._address}: samples")
+            group.create_task(super()._follow(ready), name=f"{self._address}: samples")
             group.create_task(self._feed(), name=f"{self._address}: heartbeats")
 
     async def _set_up(self, packages: AsyncIterator[Package]) -> None:
@@ -412,18 +383,20 @@ class RtdeConnection(Background):
                 return package.payload
         raise LinkError(f"{self._address}: has ended")
 
-    async def _packages(self) -> AsyncIterator[Package]:
+    async def _packages(self, link: ByteStream) -> AsyncIterator[Package]:
         """Packages as they come, texts left out; LinkError after silence."""
         reader, heard_s = PackageReader(), time.monotonic()
-        while self._stream is not None:
-            for package in reader.feed(await self._stream.read(1 << 16, self._silence_s)):
+        while True:
+            for package in reader.feed(await link.read(1 << 16, self._silence_s)):
                 heard_s = time.monotonic()
                 if package.kind != PackageType.TEXT:
                     yield package
             if time.monotonic() - heard_s > self._silence_s:  # a wrong length waits for what never comes
                 raise LinkError(f"{self._address}: no whole package for {self._silence_s:.2g} s")
 
-    async def _listen(self, packages: AsyncIterator[Package], ready: Ready) -> None:
+    async def _snapshots(self, link: ByteStream) -> AsyncIterator[RtdeSample]:
+        packages = self._packages(link)
+        await self._set_up(packages)
         heard_s = time.monotonic()
         async for package in packages:
             values = self._outputs and package.kind == PackageType.DATA and self._outputs.unpack(package.payload)
@@ -433,15 +406,9 @@ class RtdeConnection(Background):
                 continue
             heard_s = time.monotonic()
             sample = RtdeSample.of(values, self._registers)
-            if self._last is not None and sample.time_s <= self._last.time_s:
+            if self._recent and sample.time_s <= self._recent[-1].time_s:
                 raise ProtocolError(f"{self._address}: its clock goes back")
-            self._last = sample
-            self._stood = 0 if sample.plays else self._stood + 1
-            self._count += 1
-            self.on_sample(sample)
-            self.fire()
-            if self._count >= STANDS:
-                ready()
+            yield sample
 
     async def _feed(self) -> None:
         while True:
@@ -457,6 +424,6 @@ class RtdeConnection(Background):
         await self._write(self._inputs.pack(dict(zip(self._registers.inputs(), numbers, strict=True))))
 
     async def _write(self, data: bytes) -> None:
-        if self._stream is None:
+        if self._link is None:
             raise LinkError(f"{self._address}: is not open")
-        await self._stream.write(data)
+        await self._link.write(data)

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polishd.api import DeviceRefused, Plan, ProtocolError
-from polishd.drivers.transport.program_tracker import ProgramTracker
+from polishd.drivers.transport.program_tracker import ProgramTracker, time_shares
 from polishd.drivers.universal_robots.rtde import RtdeSample, ScriptPhase, UrRegisters, UrRuntimeState
-from polishd.model.surface import FloatArray
 
 LONGEST_LINE = 4096
 NAME = "polishd"
@@ -267,10 +266,10 @@ class UrProgramTracker(ProgramTracker):
         self._moves = np.array([block.acts for block in blocks], dtype=bool) & ~self._dwells
         self._dwell_s = np.array([block.dwell_s or 0.0 for block in blocks])
 
-    def ordered(self, until: int) -> None:
-        """Told to go on to there."""
-        self.until, self._ordered_s = until, self._now_s()
-        self.state, self.detail = "running", ""
+    def go(self, time_s: float, detail: str = "") -> None:
+        """Begin to run, or continue, up to ``until``."""
+        super().go(time_s, detail)
+        self._ordered_s = self._now_s()
 
     def drop(self, reason: str) -> None:
         """It will not be gone on with."""
@@ -345,22 +344,13 @@ class UrProgramTracker(ProgramTracker):
         self.state, self.detail, self.live = "fault", why, False
 
     def _advance(self, to: int) -> None:
-        """All blocks below ``to`` are executed by now."""
+        """All blocks below ``to`` are executed. Dwells took what they ask for, moves the rest, others nothing."""
         first = len(self)
         if to <= first:
             return
-        ends = self.began_s + np.cumsum(self._shares(first, to))
-        if (self._moves | self._dwells)[first:to].any():
-            ends[-1] = self.clock_s  # what rounding leaves
-        self.record(ends.tolist())
-
-    def _shares(self, first: int, to: int) -> FloatArray:
-        """(n,) s of each block of one sample: dwells get what they ask for, moves the rest, others nothing."""
-        moves, dwells, asked = self._moves[first:to], self._dwells[first:to], self._dwell_s[first:to]
+        moves, dwells, asked_s = self._moves[first:to], self._dwells[first:to], self._dwell_s[first:to]
         if not (moves | dwells).any():
-            return np.zeros(to - first)
-        took_s = self.clock_s - self.began_s
-        shares = asked * min(1.0, took_s / asked.sum()) if asked.any() else np.zeros(to - first)
-        takers = moves if moves.any() else dwells
-        shares[takers] += (took_s - shares.sum()) / np.count_nonzero(takers)
-        return np.asarray(shares)
+            self.stretch(np.zeros(to - first), high_s=self.began_s)
+            return
+        rest = moves if moves.any() or asked_s.any() else dwells
+        self.stretch(time_shares(self.spent_s, asked_s, float(asked_s.sum()), rest))

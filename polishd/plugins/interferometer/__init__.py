@@ -22,7 +22,23 @@ from polishd.plugins.interferometer.formats.zygo_text import ZYGO_ASCII, ZYGO_XY
 from polishd.plugins.interferometer.watched_folder import WATCHED_FOLDER
 
 POLISHD_API = 1
-READERS = (METROPRO, DATX, FOURD, X3P, SDF, GWY, FITS, TIFF, NPY, ZYGO_ASCII, ZYGO_XYZ, WYKO_TEXT, CODEV, POINTS, TAIL)
+READERS = (
+    METROPRO,
+    DATX,
+    FOURD,
+    X3P,
+    SDF,
+    GWY,
+    FITS,
+    TIFF,
+    NPY,
+    ZYGO_ASCII,
+    ZYGO_XYZ,
+    WYKO_TEXT,
+    CODEV,
+    POINTS,
+    TAIL,
+)
 """Formats with a magic number first, then texts, then those that judge by name."""
 
 

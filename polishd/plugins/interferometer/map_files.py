@@ -1,6 +1,6 @@
-"""Files of a maps folder: which have come to rest, who reads them, and how they leave the folder.
+"""Files of a maps folder: wait until they are stable, read them, and move them out of the folder.
 
-Events are not needed: a full scan at each poll is the truth.
+Each poll scans the whole folder; file system events are not needed.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from polishd.util.files import sync_folder, write_atomic
 
 SNIFFED_BYTES = 4096
 LEAST_LOOKS = 100
-"""So many of the newest files, and so many others, are looked at in a poll, however slow the folder is."""
+"""Least number of the newest files, and of the others, that a poll checks, however slow the folder is."""
 UNFINISHED = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".swp", "~")
-"""Names under which writers keep what they have not finished."""
+"""Names that writers use for unfinished files."""
 
 ZERO_TAIL_BYTES = 4096
-"""So many zeros at the end were not measured: FITS pads with 2880 at most, and readers look closer for their own."""
+"""More zeros at the end mean a preallocated file: FITS pads with at most 2880, and each reader checks more closely."""
 HDF5, HDF5_ZERO_TAIL = b"\x89HDF\r\n\x1a\n", 1 / 16
 """HDF5 may leave room at its end: 3478 bytes of 131,672 in a sound ``.datx``."""
 
 
 class FileIdentity(NamedTuple):
-    """What must not change while a file is trusted."""
+    """Properties that must not change while a file is trusted."""
 
     size: int
     mtime_ns: int
@@ -126,7 +126,7 @@ class FolderListing:
 
 @dataclass(slots=True)
 class FileStability:
-    """A file since it last changed. All times are monotonic: no clock that can be set has a say."""
+    """A file since it last changed. All times are monotonic, so setting the clock has no effect."""
 
     identity: FileIdentity
     since_s: float
@@ -137,7 +137,7 @@ class FileStability:
 
 
 class SettledFiles:
-    """Follows files over polls: at rest means same size, mtime and inode for so many polls and seconds."""
+    """Follow files over polls: at rest means same size, mtime and inode for so many polls and seconds."""
 
     def __init__(self, polls: int, seconds: float) -> None:
         self._polls = polls
@@ -145,9 +145,9 @@ class SettledFiles:
         self._watched: dict[Path, FileStability] = {}
 
     def poll(self, found: Mapping[Path, FileIdentity], now_s: float, others: Collection[Path] = ()) -> list[Path]:
-        """Take in what a scan found; the files at rest, but those that were put off.
+        """Take the result of a scan and return the files at rest, except postponed ones.
 
-        ``others`` are there and were not looked at. Files that were read least often come first, then the scan's order.
+        ``others`` exist but were not checked. Files that were read least often come first, then the scan's order.
         """
         watched = {path: self._watched[path] for path in others if path in self._watched}
         for path, identity in found.items():
@@ -170,7 +170,7 @@ class SettledFiles:
         return min([most_s, *left])
 
     def put_off(self, path: Path, now_s: float) -> None:
-        """It was read and is not whole: look again after as long a rest, or when it changes."""
+        """Postpone an incomplete file: check it again after the same rest, or when it changes."""
         if path in self._watched:
             self._watched[path].not_before_s = now_s + self._seconds
             self._watched[path].reads += 1
@@ -182,7 +182,7 @@ class SettledFiles:
 
 
 def clock_of(folder: Path) -> datetime:
-    """What the clock that dates new files in ``folder`` says: on a share that is the server's, not ours."""
+    """Time of the clock that dates new files in ``folder``: on a share the server's clock."""
     with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock.", suffix=".tmp") as probe:
         probe.write(b"\n")
         probe.flush()
@@ -198,8 +198,8 @@ def sha256_of(path: Path) -> str:
 def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
     """Read with the first reader that knows the format; the map's ``sha256`` is of the file as it was read.
 
-    BadMap where nobody knows the format, the reader refuses, or the file was written to meanwhile. OSError where the
-    file cannot be got at: that says nothing about the map.
+    BadMap where the format is unknown, the reader refuses, or the file was written to meanwhile. OSError where the
+    file cannot be opened; the map may still be good.
     """
     sha256 = sha256_of(path)
     surface = _read(path, readers)
@@ -246,9 +246,9 @@ def _zeros_at_end(handle: int, block: int = 1 << 16) -> int:
 
 
 def claim_file(path: Path, seen: FileIdentity, target: Path, sha256: str) -> bool:
-    """Move a file at one stroke, if it is still the one that was read: False where it changed, and stays watched.
+    """Move a file atomically if it is still the file that was read; False where it changed (it stays watched).
 
-    OSError as it comes; whether the file was moved then shows in what lies at ``target``.
+    OSError is passed on; the presence of ``target`` then shows whether the file was moved.
     """
     target.parent.mkdir(exist_ok=True)
     if identity(path) != seen or os.path.lexists(target):
@@ -259,7 +259,7 @@ def claim_file(path: Path, seen: FileIdentity, target: Path, sha256: str) -> boo
 
 
 def is_unchanged(target: Path, sha256: str, path: Path) -> bool:
-    """Whether a claimed file holds what its name says. Where somebody wrote on, it goes back to be watched."""
+    """Check a claimed file against the hash in its name; return a file that was changed to the folder."""
     if sha256_of(target) == sha256:
         return True
     target.rename(release_file(path))
@@ -267,7 +267,7 @@ def is_unchanged(target: Path, sha256: str, path: Path) -> bool:
 
 
 def quarantine_file(path: Path, folder: Path, reason: str) -> Path | None:
-    """Move a refused file to ``folder``, its reason beside it first; None where it is gone. OSError as it comes."""
+    """Write the reason into ``folder``, then move the refused file there; None where the file is gone."""
     folder.mkdir(exist_ok=True)
     if not os.path.lexists(path):
         return None
@@ -279,7 +279,7 @@ def quarantine_file(path: Path, folder: Path, reason: str) -> Path | None:
 
 
 def release_file(path: Path) -> Path:
-    """The path, or where it is taken already the first of ``name-1``, ``name-2``, … that is not."""
+    """The path, or the first free one of ``name-1``, ``name-2``, … where it exists."""
     number = 0
     found = path
     while os.path.lexists(found):
@@ -289,49 +289,49 @@ def release_file(path: Path) -> Path:
 
 
 def _settle(*folders: Path) -> None:
-    """Make a move durable. Some shares cannot: the record tells what was meant."""
+    """Make a move durable. Where a share cannot, the record holds the intended state."""
     for folder in folders:
         with suppress(OSError):
             sync_folder(folder)
 
 
-# Which maps were asked for, claimed, handed on and taken, by content; outlives restarts and lost renames.
+# Record of requested, claimed, delivered and taken maps, by content; it survives restarts and lost renames.
 
 SHA256_DIGITS = 64
 
 
 def heights_digest(surface: SurfaceMap) -> str:
-    """Of shape and heights to 0.01 nm, whatever the file says beside them: noise makes each measurement's another."""
+    """Hash of shape and heights to 0.01 nm, without the rest of the file: noise makes each measurement unique."""
     hundredths = np.nan_to_num(np.round(surface.height_nm * 100.0), nan=-(2.0**60)) + 0.0  # no negative zero
     return hashlib.sha256(f"{surface.height_nm.shape}".encode() + hundredths.astype("<f8").tobytes()).hexdigest()
 
 
 class DeliveredMap(BaseModel):
-    """A file that is to be handed on, recorded before it is moved."""
+    """A file to be delivered, recorded before it is moved."""
 
     model_config = ConfigDict(frozen=True)
 
     sha256: str
     name: str
-    """As it lay in the folder."""
+    """Its name in the folder."""
     claimed: str
     """Its name among the claimed files."""
     source: str
-    """Part and instrument: what ``measured`` may be compared within."""
+    """Part and instrument; ``measured`` is comparable only within one source."""
     measured: datetime | None
     """By the instrument's clock."""
     heights: str = ""
     """``heights_digest`` of the map."""
     times: int = 0
-    """How often it was handed on."""
+    """Number of deliveries."""
 
 
 class MapRequest(BaseModel):
-    """What is waited for; the same until another map has been taken, also across restarts."""
+    """The request for a map; it is kept until another map is taken, also across restarts."""
 
     after: str | None
     token: str
-    """A file with this in its name is an answer, whatever the clocks say."""
+    """A file with this token in its name answers the request, independent of the clocks."""
     since: datetime | None
     """By the folder's clock: maps measured earlier are stale; None: any map will do."""
     present: dict[str, FileIdentity] = Field(default_factory=dict)
@@ -426,7 +426,7 @@ class TakenMaps:
         return ask
 
     def pending(self, ask: MapRequest) -> list[DeliveredMap]:
-        """What was claimed for this ask, and has not come into the daemon's hands. OSError where that cannot be told.
+        """Files claimed for this request that the daemon has not received. OSError where the folder cannot be read.
 
         One that an earlier process handed on counts, for the journal does not name it; not so where the journal names
         no map at all: it may be a new one.

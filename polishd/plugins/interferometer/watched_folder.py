@@ -51,7 +51,7 @@ class MapAcceptanceRules:
     """What every map is held against."""
 
     part_id: str
-    accept_unnamed: bool
+    accept_without_part_id: bool
     clock_tolerance_s: float
     instrument: Instrument | None
 
@@ -63,7 +63,7 @@ def source_of(surface: SurfaceMap) -> str:
 
 def require_plausible(surface: SurfaceMap, rules: MapAcceptanceRules) -> None:
     """WrongPart where it shows another part; BadMap where the profile, or none, cannot be applied to it."""
-    if not surface.part_id and not rules.accept_unnamed:
+    if not surface.part_id and not rules.accept_without_part_id:
         raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
     if surface.part_id and surface.part_id != rules.part_id:
         raise WrongPart(f"it shows part {surface.part_id!r}, the part is {rules.part_id!r}")
@@ -131,7 +131,7 @@ ANSWER_S = 2.0
 WITHDRAW_S = 1.0
 """Longest that the end of a wait is held up by the request that it takes back, s."""
 SILENT_S = 10.0
-"""A file system that does not answer for so long is said to be silent."""
+"""Time without an answer after which a file system counts as silent, s."""
 
 log = logging.getLogger(__name__)
 
@@ -147,7 +147,7 @@ class FolderOptions(BaseModel):
     folder: ConfigPath
     """Where maps appear. Relative to the config file's folder."""
     request_file: ConfigPath | None = None
-    """Written to ask the instrument for a map; relative to ``folder``. None: nobody listens."""
+    """Written to request a map from the instrument; relative to ``folder``. None: no request is written."""
     poll_s: Seconds = 0.25
     """How often the folder is looked into."""
     stable_polls: Annotated[int, Field(ge=2, le=1000)] = 3
@@ -159,12 +159,12 @@ class FolderOptions(BaseModel):
     """How long to wait for a map."""
     clock_tolerance_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 2.0
     """How far the instrument's clock may lag behind the folder's; files hold whole seconds only."""
-    accept_unnamed: bool = False
-    """Accept files that do not say whose map they hold. One of the last part, measured again after this one was asked
-    for, or without a date of its own, is then taken for this one's (docs/maps-folder.md): name maps where you can."""
-    claimed: ConfigPath = Path("taken")
+    accept_without_part_id: bool = False
+    """Accept files that do not name their part. A map of the last part without a date, or measured again after the
+    request, is then taken for this part's (docs/maps-folder.md): name maps where you can."""
+    claimed_dir: ConfigPath = Path("taken")
     """Where taken maps are kept, under their sha256; relative to ``folder``, same file system."""
-    refused: ConfigPath = Path("quarantine")
+    refused_dir: ConfigPath = Path("quarantine")
     """Where refused files are kept, each with a ``.reason.txt``; relative to ``folder``, same file system."""
 
 
@@ -213,9 +213,7 @@ class FolderThread:
             await self._ended(self._call, end_s)
         loop, context = asyncio.get_running_loop(), copy_context()
         call: asyncio.Future[T] = loop.create_future()
-        call.add_done_callback(
-            lambda done: done.cancelled() or done.exception()
-        )  # also where nobody awaits it any more
+        call.add_done_callback(lambda done: done.cancelled() or done.exception())  # also after the wait has ended
         self._call, self._began_s = call, time.monotonic()
 
         def tell(result: T | None, error: BaseException | None) -> None:
@@ -270,11 +268,11 @@ class WatchedFolder:
         self._options = options
         self._readers = context.readers
         self._rules = MapAcceptanceRules(
-            context.part_id, options.accept_unnamed, options.clock_tolerance_s, instrument=context.instrument
+            context.part_id, options.accept_without_part_id, options.clock_tolerance_s, instrument=context.instrument
         )
         self._folder = context.base_dir / options.folder
-        self._claimed = self._folder / options.claimed
-        self._refused = self._folder / options.refused
+        self._claimed = self._folder / options.claimed_dir
+        self._refused = self._folder / options.refused_dir
         self._request = self._folder / options.request_file if options.request_file else None
         self._taken: TakenMaps | None = None
         self._record = context.state_dir / "maps_taken.json"
@@ -367,15 +365,15 @@ class WatchedFolder:
             if self._request is not None:
                 with suppress(TimeoutError):  # it is done when the file system answers again
                     await self._ends.run(self._withdraw, within_s=WITHDRAW_S)
-        told = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
+        reason = "; ".join([*wait.refused, *([wait.trouble] if wait.trouble else [])]) or "no file came"
         kind = WrongPart if wait.another_part else SurfaceError
         raise kind(
-            f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {told}. "
-            f"To do: look at the instrument{f' and into {self._refused}' if wait.refused else ''}."
+            f"{self._folder}: no map of part {self._rules.part_id!r} in {options.timeout_s:g} s: {reason}. "
+            f"To do: check the instrument{f' and {self._refused}' if wait.refused else ''}."
         )
 
     def _withdraw(self) -> None:
-        """A request that was not served must not be when its map is not waited for any more."""
+        """Delete a request that was not served, so that it is not served after the wait."""
         with self._polling, suppress(OSError):
             if self._request is not None and self._waits == 0:
                 self._request.unlink(missing_ok=True)
@@ -384,7 +382,7 @@ class WatchedFolder:
         return f"{self._folder}: the file system has not answered for {silent_s:.0f} s"
 
     def _notice(self, wait: MapWait, trouble: str) -> None:
-        """Keep it for ``status``; the log has each kind once a wait."""
+        """Keep the trouble for ``status``; log it once a wait."""
         if not wait.trouble:
             log.warning("%s", trouble)
         wait.trouble = self._trouble = trouble
@@ -407,9 +405,9 @@ class WatchedFolder:
         return self._taken
 
     def _poll(self, wait: MapWait, now_s: float) -> SurfaceMap | None:
-        """One full scan: the first trusted map, claimed; what is refused is put away and noted.
+        """Scan the folder once: claim the first trusted map; quarantine and note refused files.
 
-        A wait that is cancelled leaves its last poll running: the lock keeps the next one out of its way.
+        A cancelled wait leaves its last poll running; the lock makes the next poll wait for it.
         """
         with self._polling:
             wait.trouble = ""
@@ -429,10 +427,10 @@ class WatchedFolder:
                 self._trouble = wait.trouble
 
     def _asked(self, wait: MapWait) -> MapRequest:
-        """What is asked for; the same as before where no map has been taken since. The request is written last."""
+        """The request; unchanged where no map was taken since. The request file is written last."""
         if wait.ask is None:
             taken, part = self._load(), self._rules.part_id
-            unnamed = self._options.accept_unnamed and taken.any  # one of the last part's may lie there
+            unnamed = self._options.accept_without_part_id and taken.any  # one of the last part's may lie there
             demanding = self._request is not None or wait.after is not None or unnamed
             wait.ask = taken.ask(wait.after, part)
             if wait.ask is None:
@@ -457,7 +455,7 @@ class WatchedFolder:
         return map_files.candidates(self._folder, [self._request] if self._request else [])
 
     def _claimed_before(self, wait: MapWait, ask: MapRequest) -> SurfaceMap | None:
-        """A map that was claimed and has not come further: the daemon was killed, or the share lost the answer."""
+        """A map that was claimed and not delivered: the daemon was killed, or the share lost the answer."""
         for given in self._load().pending(ask):
             path = self._claimed / given.claimed
             if not map_files.is_unchanged(path, given.sha256, self._folder / given.name):
@@ -475,7 +473,7 @@ class WatchedFolder:
         return None
 
     def _put_away_claimed(self, other: MapRequest, wait: MapWait) -> None:
-        """What was claimed for another part and never came further is not this part's, whatever it says."""
+        """Refuse files that were claimed for another part and never delivered, whatever they state."""
         for given in self._load().pending(other):
             path = self._claimed / given.claimed
             if not map_files.is_unchanged(path, given.sha256, self._folder / given.name):
@@ -487,7 +485,7 @@ class WatchedFolder:
                 self._put_away(path, error, wait)
 
     def _scan(self, wait: MapWait, ask: MapRequest, now_s: float) -> SurfaceMap | None:
-        """The trusted map that was measured first, claimed."""
+        """Claim the trusted map that was measured first."""
         self._demand(wait, ask)
         if wait.listing is None:
             wait.listing = map_files.FolderListing(self._folder, [self._request] if self._request else [])
@@ -509,23 +507,23 @@ class WatchedFolder:
         return self._claim(best[1], found[best[1]], best[2], ask) if best else None
 
     def _say_crowded(self, wait: MapWait, unread: int) -> None:
-        """Say that files which are no maps delay one that is."""
+        """Warn that files which are not maps delay the map."""
         count = len(wait.listing or ())
         if not unread and count <= CROWDED:
             return
-        said = (
+        warning = (
             f"{self._folder}: holds {count} files, which delay a map: they are read a few at a time, the newest first. "
             "Move files that are no maps out of it"
         )
-        wait.trouble = wait.trouble or said
+        wait.trouble = wait.trouble or warning
         if not wait.crowded:
-            log.warning("%s", said)
+            log.warning("%s", warning)
         wait.crowded = True
 
     def _judged(
         self, path: Path, seen: map_files.FileIdentity, wait: MapWait, ask: MapRequest, now_s: float
     ) -> SurfaceMap | None:
-        """The map where it is to be taken; None where it is put away, or cannot be told yet."""
+        """The map if it is acceptable; None where it is refused or not complete yet."""
         try:
             surface = map_files.read_map(path, self._readers)
         except MapError as error:
@@ -590,12 +588,12 @@ class WatchedFolder:
 
 def _advice(error: SurfaceError, rules: MapAcceptanceRules) -> str:
     match error:
-        case WrongPart() if rules.accept_unnamed:
-            return f"Put part {rules.part_id!r} on and measure it; files of other parts do not belong into the folder."
+        case WrongPart() if rules.accept_without_part_id:
+            return f"Mount part {rules.part_id!r} and measure it. Keep files of other parts out of the folder."
         case WrongPart():
             return (
                 f"Measure part {rules.part_id!r} and export it under that name; where the instrument names no part, "
-                "set metrology.accept_unnamed = true."
+                "set metrology.accept_without_part_id = true."
             )
         case StaleMap():
             return "Measure again: the map is older than the request, or was taken before."
@@ -603,4 +601,6 @@ def _advice(error: SurfaceError, rules: MapAcceptanceRules) -> str:
             return "Correct what the reason names, then measure and export again."
 
 
-WATCHED_FOLDER = DeviceType(name="watched_folder", port="metrology", options=FolderOptions, build=WatchedFolder)
+WATCHED_FOLDER = DeviceType(
+    "watched_folder", "metrology", FolderOptions, WatchedFolder, simulated_by="interferometer", substitute={}
+)

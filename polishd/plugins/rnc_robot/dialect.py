@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePath
 from typing import Any
 
 from pydantic import ValidationError
 
-from polishd.api import ConfigError
+from polishd.api import ConfigError, ProgramError
 from polishd.plugins.rnc_robot.gcode.dialect import DwellWord, GcodeDialect, tables
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
 from polishd.util.files import toml_text
@@ -78,3 +80,141 @@ def _laid_over(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
         old = merged.get(key)
         merged[key] = _laid_over(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
     return merged
+
+
+# Dialect of a program, by its content and the ending of its name.
+
+HEAD_BYTES = 1 << 20
+"""What is looked at of a program."""
+LINES = 400
+"""Of which the first line that is a sign of a language decides."""
+
+
+@dataclass(frozen=True, slots=True)
+class Language:
+    """A language of programs, and what only its programs have."""
+
+    title: str
+    dialect: str
+    """Shipped for it; empty: polishd reads no such programs."""
+    endings: tuple[str, ...]
+    sign: re.Pattern[bytes]
+    """At the start of a line."""
+
+
+def _sign(text: bytes, flags: int = re.IGNORECASE) -> re.Pattern[bytes]:
+    return re.compile(rb"[ \t]*(?:" + text + rb")", flags)
+
+
+KRL = (
+    rb"&(?:ACCESS|REL|PARAM)\b|(?:GLOBAL[ \t]+)?DEF[ \t]+\w+[ \t]*\([^)]*\)(?![ \t]*:)|;FOLD\b|"
+    rb"\$(?:VEL|APO|ACC|TOOL|BASE)\b|S?(?:LIN|PTP)[ \t]+[\w{$]"
+)
+RAPID = (
+    rb"MODULE[ \t]+\w+|(?:LOCAL[ \t]+)?(?:CONST|PERS|VAR|TASK)[ \t]+\w+[ \t]+\w+[ \t]*(?::=|\{)|"
+    rb"Move(?:L|J|C|AbsJ)[ \t]+[\w\[]|%%%[ \t]*\r?$"
+)
+URSCRIPT = rb"def[ \t]+\w+\([^)]*\)[ \t]*:|(?:move[ljcp]|set_tcp|servo[jc])\("
+HEIDENHAIN = rb"(?:\d+[ \t]+)?(?:BEGIN PGM|TOOL CALL|BLK FORM|CYCL DEF)\b"
+KNOWN = (
+    Language("KUKA KRL", "krl", (".src", ".sub"), _sign(KRL)),
+    Language("ABB RAPID", "rapid", (".mod", ".modx", ".sysx"), _sign(RAPID)),
+    Language("FANUC TP", "fanuc-tp", (".ls",), _sign(rb"/(?:PROG|ATTR|APPL|MN|POS)\b")),
+    Language("URScript", "urscript", (".script", ".urscript"), _sign(URSCRIPT, 0)),
+    Language("Yaskawa INFORM", "", (".jbi",), _sign(rb"/JOB\b|//(?:NAME|POS|INST)\b|MOV[LJC][ \t]+[CP]\d")),
+    Language("Heidenhain dialogue", "", (".h",), _sign(HEIDENHAIN)),
+    Language("Staubli VAL3", "", (".pgx", ".pjx", ".dtx"), _sign(rb"<\?xml\b|<Programs?\b|<Project\b")),
+)
+SIEMENS = _sign(rb";\$PATH=|%_N_")
+SIEMENS_ENDINGS = (".mpf", ".spf")
+SIEMENS_ISO = re.compile(rb"(?:^|\s)G0*291(?!\d)", re.IGNORECASE)
+O_NUMBER = re.compile(rb"^[ \t]*[Oo:]\d{1,8}[ \t]*(?:\(|\r?$)", re.MULTILINE)
+DWELL = re.compile(rb"^[^(;\n]*G0?4(?!\d)[^(;\n]*[PXU][ \t]*[\d.]", re.MULTILINE | re.IGNORECASE)
+O_DIALECTS = ("fanuc", "haas", DEFAULT)
+
+
+@dataclass(frozen=True, slots=True)
+class DialectDetection:
+    """The dialect that a program is in, and why."""
+
+    dialect: str
+    why: str
+
+
+def detect(head: bytes, name: str) -> DialectDetection:
+    """The dialect of a program by the beginning of its text and its name.
+
+    Raises:
+        ProgramError: it is in a language that polishd does not read, or several dialects fit; it says what to do.
+    """
+    found = language(head, name)
+    if found is not None:
+        known, line = found
+        where = f"{name}:{line}" if line else name
+        if not known.dialect:
+            raise ProgramError(
+                f"{where}: the file looks like {known.title}, which polishd does not read. To do: have the program "
+                "posted as G-code, or in the language of another robot (polishd program dialects lists them)."
+            )
+        by = f"line {line} of its text" if line else "the ending of its name"
+        return DialectDetection(known.dialect, f"{known.title} by {by}")
+    lines = head.splitlines()[:LINES]
+    if name.lower().endswith(SIEMENS_ENDINGS) or any(SIEMENS.match(line) for line in lines):
+        iso = SIEMENS_ISO.search(head) is not None
+        return DialectDetection(
+            "siemens-iso" if iso else "siemens", f"Sinumerik {'with G291 ' if iso else ''}by name or header"
+        )
+    numbered = O_NUMBER.search(head)
+    dwell = DWELL.search(head)
+    if numbered is not None and dwell is not None:
+        line = head.count(b"\n", 0, dwell.start()) + 1
+        flags = " or ".join(f"--dialect {one}" for one in O_DIALECTS)
+        raise ProgramError(
+            f"{name}:{line}: {', '.join(O_DIALECTS)} fit a program with an O number, and read the time of this dwell "
+            f"in different units. To do: which controller is it for? Say {flags}."
+        )
+    return DialectDetection(DEFAULT, "G-code without the mark of a dialect: assumed")
+
+
+def language(head: bytes, name: str) -> tuple[Language, int] | None:
+    """The language that a program is in, and the line that says so, 0 where only its name does; None for G-code.
+
+    The text decides; the name, only where no line of it is a G-code block.
+    """
+    for number, line in enumerate(head.lstrip(b"\xef\xbb\xbf").splitlines()[:LINES], 1):
+        for known in KNOWN:
+            if known.sign.match(line):
+                return known, number
+    ending = PurePath(name).suffix.lower()
+    if not _G_CODE.search(head):
+        return next(((known, 0) for known in KNOWN if ending in known.endings), None)
+    return None
+
+
+_G_CODE = re.compile(rb"^[ \t]*(?:/\d?[ \t]*)?(?:N\d+[ \t]*)?[GM]\d", re.MULTILINE | re.IGNORECASE)
+
+
+def require_language(profile: AnyDialect, head: bytes, name: str) -> None:
+    """ProgramError where the text is of another language than the dialect: it would be misread."""
+    found = language(head, name)
+    if found is None or found[1] == 0:
+        if isinstance(profile, GcodeDialect) or profile.name not in LANGUAGES or not _G_CODE.search(head):
+            return
+        raise ProgramError(
+            f"{name}: not {_title(profile.name)}: the file looks like G-code. To do: use the dialect of its controller "
+            f'(--dialect {DEFAULT}, or program.format = "{DEFAULT}" in a cell).'
+        )
+    known, line = found
+    if profile.name == known.dialect or not (isinstance(profile, GcodeDialect) or profile.name in LANGUAGES):
+        return
+    what = "G-code" if isinstance(profile, GcodeDialect) else _title(profile.name)
+    advice = (
+        f'use --dialect {known.dialect} (program.format = "{known.dialect}" in a cell)'
+        if known.dialect
+        else "have it posted in a dialect that polishd reads (polishd program dialects lists them)"
+    )
+    raise ProgramError(f"{name}:{line}: not {what}: the file looks like {known.title}. To do: {advice}.")
+
+
+def _title(dialect: str) -> str:
+    return next(known.title for known in KNOWN if known.dialect == dialect)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
@@ -13,13 +14,75 @@ from polishd.api import OwnLines, Program, ProgramError, ProgramFormat
 from polishd.model.program import Encoding
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot import languages
-from polishd.plugins.rnc_robot.dialect import DEFAULT, DIALECTS, LANGUAGES, AnyDialect, GcodeDialect, dialect
+from polishd.plugins.rnc_robot.dialect import (
+    DEFAULT,
+    DIALECTS,
+    HEAD_BYTES,
+    LANGUAGES,
+    AnyDialect,
+    GcodeDialect,
+    dialect,
+    require_language,
+)
 from polishd.plugins.rnc_robot.dialect import dialect as profile_of
-from polishd.plugins.rnc_robot.dialect_detection import HEAD_BYTES, require_language
 from polishd.plugins.rnc_robot.gcode import rewrite as nc
 from polishd.plugins.rnc_robot.gcode.recode import recode
-from polishd.plugins.rnc_robot.own_lines import misread
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.process.frames import angles_from_axis
+
+# Lines that a robot's driver adds to a program, read in the program's dialect.
+
+_UNIT_S = {"s": 1.0, "ms": 1e-3}
+_OFF_S = 1e-6
+_WORD = r"[A-Z]\s*[-+]?(?:\d+\.?\d*|\.\d+)"
+_NC = re.compile(rf"(?:\s*{_WORD})+\s*|%", re.IGNORECASE)
+"""A block of letters with numbers."""
+_STOP = re.compile(r"(?:N\d+\s*)?M0*(?:0|2|30)|%", re.IGNORECASE)
+_DWELL = re.compile(
+    r"(?:N\d+\s*)?G\s*0*(?P<code>\d+(?:\.\d+)?)\s*(?P<word>[A-Z#=]+)\s*(?P<number>\d+\.?\d*|\.\d+)", re.IGNORECASE
+)
+
+
+def find_misread_line(dialect: AnyDialect, lines: OwnLines) -> str:
+    """Return the first line that means something else in this dialect, and what; empty where none does."""
+    for seconds, line in lines.dwells.items():
+        rests = _nc_dwell_s(dialect, line) if isinstance(dialect, GcodeDialect) else _language_dwell_s(dialect, line)
+        if rests is None:
+            return f"{line!r} is no dwell in {dialect.name}"
+        if abs(rests - seconds) > _OFF_S:
+            return f"{line!r} rests for {rests:g} s in {dialect.name}, not for {seconds:g} s"
+    for line in filter(None, lines.stops):
+        if isinstance(dialect, GcodeDialect):
+            if not _STOP.fullmatch(_bare(dialect, line)):
+                return f"{line!r} is no stop and no end of a program in {dialect.name}"
+        elif _NC.fullmatch(line) or _NC.fullmatch(re.sub(r"\(.*?\)|;.*", "", line)):
+            return f"{line!r} is G-code, and {dialect.name} is none"
+    return ""
+
+
+def _bare(dialect: GcodeDialect, line: str) -> str:
+    """Return the line without the comments that this dialect knows."""
+    for comment in dialect.text.comments:
+        line = re.sub(r"\([^()]*\)" if comment == "()" else r";.*", "", line)
+    return line.strip()
+
+
+def _nc_dwell_s(dialect: GcodeDialect, line: str) -> float | None:
+    """Seconds of a block that is nothing but a dwell; None: it is something else."""
+    if (found := _DWELL.fullmatch(_bare(dialect, line))) is None or float(found["code"]) not in dialect.dwell.codes:
+        return None
+    word = dialect.dwell.words.get(found["word"].upper())
+    unit = None if word is None else word.decimal if "." in found["number"] else word.whole
+    return None if unit is None or unit not in _UNIT_S else float(found["number"]) * _UNIT_S[unit]
+
+
+def _language_dwell_s(profile: LanguageProfile, line: str) -> float | None:
+    """Seconds of a statement that is a dwell of this language; None: it is something else."""
+    for pattern in profile.patterns:
+        if pattern.kind.startswith("dwell") and (found := pattern.regex.fullmatch(line.strip().encode())):
+            return float(found["time"]) * profile.dwell.unit_s
+    return None
+
 
 # Writes a program from points and tool axes: for tests, the demo, and users without a planner.
 
@@ -45,7 +108,7 @@ def path_program(
     """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
 
     Args:
-        points_mm: (n, 3) tool tip, mm, program frame; the first is where the tool lands, without a time of its own.
+        points_mm: (n, 3) tool tip, mm, program frame; the first is the landing point and has no time.
         axis: (n, 3) unit tool axis at each point, from the tip into the spindle.
         feed_mm_min: Feed of the block that ends at each point but the first: one value, or (n - 1,).
         name: Goes into the header's comment.
@@ -268,9 +331,9 @@ def make_shipped(name: str, points_mm: FloatArray, axis: FloatArray, feed_mm_min
     return make(cast(GcodeDialect, shipped(name)), points_mm, axis, feed_mm_min, of)
 
 
-def misread_shipped(name: str, lines: OwnLines) -> str:
-    """As `misread`, in the shipped dialect of that name."""
-    return misread(shipped(name), lines)
+def find_misread_line_shipped(name: str, lines: OwnLines) -> str:
+    """As `find_misread_line`, in the shipped dialect of that name."""
+    return find_misread_line(shipped(name), lines)
 
 
 def shipped_formats() -> list[ProgramFormat]:
@@ -281,7 +344,7 @@ def shipped_formats() -> list[ProgramFormat]:
             partial(read_shipped, name),
             partial(rewrite_shipped, name),
             None if name in LANGUAGES else partial(make_shipped, name),
-            partial(misread_shipped, name),
+            partial(find_misread_line_shipped, name),
         )
         for name in DIALECTS
     ]
@@ -291,5 +354,5 @@ def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
     made = partial(make, dialect) if isinstance(dialect, GcodeDialect) else None
     return ProgramFormat(
-        dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(misread, dialect)
+        dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(find_misread_line, dialect)
     )

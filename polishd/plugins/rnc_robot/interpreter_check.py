@@ -1,4 +1,4 @@
-"""Two programs as LinuxCNC's interpreter runs them: the same motion call by call, and the times that we read."""
+"""Compare two programs as LinuxCNC's interpreter runs them: motion call by call, and times as polishd reads them."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 
 _SILENT = frozenset((b"COMMENT", b"MESSAGE", b"SET_FEED_RATE", b"SET_FEED_MODE", b"DWELL"))
-"""Calls that move nothing: what a change of times may change."""
+"""Calls that move nothing; a change of times may change them."""
 _ROUNDING = 1e-9
-"""Relative: two ways of working out one time in doubles."""
+"""Relative difference of two computations of one time in doubles."""
 
 
 @dataclass(frozen=True, slots=True)
-class Interpreted:
-    """What LinuxCNC's interpreter made of two programs."""
+class InterpreterResult:
+    """Result of running two programs through LinuxCNC's interpreter."""
 
     difference: str | None
-    """The first difference in motion, or between a time and what we read; None: there is none."""
+    """The first difference in motion, or between a time and the time that polishd reads; None: there is none."""
     calls: int
     """Calls compared: everything but dwells, feeds and comments."""
     times: int
     """Times of points, of both programs, that were compared with what polishd reads."""
     digits: str
-    """How exactly, in words."""
+    """Description of the accuracy."""
 
 
 @dataclass(slots=True)
 class _Timed:
-    """What a program's calls say about time: kept while they stream past."""
+    """Times of a program's calls, collected while the calls are streamed."""
 
     line: array[int] = field(default_factory=lambda: array("q"))
     time_s: array[float] = field(default_factory=lambda: array("d"))
@@ -51,8 +51,7 @@ class _Timed:
     def move(self, call: Call) -> None:
         """The time of a feed move: 60 L / F over X, Y, Z.
 
-        Where the tool only turns it is not told (NaN): F is then deg/min, scaled like a length or not by units that
-        the calls do not name.
+        NaN where the tool only turns: F is then deg/min, and the calls do not state whether units scale it.
         """
         to = tuple(call.numbers())
         if call.name == b"STRAIGHT_FEED" and self.at and to != self.at:
@@ -71,13 +70,13 @@ def readable(dialect: AnyDialect) -> GcodeDialect:
     )
 
 
-def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> Interpreted:
+def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> InterpreterResult:
     """Run both programs through LinuxCNC's interpreter at the same time, and compare call by call.
 
-    Compared are all calls but DWELL, SET_FEED_RATE, SET_FEED_MODE and comments; their order counts. Dwells are then
-    compared with ``time_s`` of the programs; where time sits in the feed, so are the times of the moves (only with
-    doubles: four decimals say too little about short moves). No times are compared where the dialect's numbers mean
-    something else to LinuxCNC. ProgramError where LinuxCNC is missing or refuses.
+    All calls except DWELL, SET_FEED_RATE, SET_FEED_MODE and comments are compared, in order. Dwells are then compared
+    with ``time_s`` of the programs. If the feed carries the time, the times of the moves are compared too (only with
+    doubles: four decimals are too coarse for short moves). Times are not compared where the dialect's numbers mean
+    something else in LinuxCNC. ProgramError where LinuxCNC is missing or refuses.
     """
     exact = exact_python() is not None
     timed = _Timed(), _Timed()
@@ -92,7 +91,7 @@ def interpreted(old: Program, new: Program, dialect: GcodeDialect) -> Interprete
             checked += program.n - sum(map(math.isnan, found.time_s))
             difference = _times_differ(program, found, exact=exact)
     digits = "doubles" if exact else "the four decimals that rs274 prints"
-    return Interpreted(None if difference is None else f"LinuxCNC: {difference}", count, checked, digits)
+    return InterpreterResult(None if difference is None else f"LinuxCNC: {difference}", count, checked, digits)
 
 
 def _means_the_same(program: Program, dialect: GcodeDialect) -> bool:
@@ -104,7 +103,7 @@ def _means_the_same(program: Program, dialect: GcodeDialect) -> bool:
 
 
 def _motion(calls: Iterator[Call], program: Program, timed: _Timed) -> Iterator[Call]:
-    """The calls that move something; the rest goes into ``timed``."""
+    """Yield the calls that move something; add the times of the others to ``timed``."""
     feeds = program.encoding != "dwell"
     for call in calls:
         if call.name not in _SILENT:
@@ -134,7 +133,7 @@ def _shown(call: Call | None) -> str:
 
 
 def _times_differ(program: Program, found: _Timed, *, exact: bool) -> str | None:
-    """The first point whose time LinuxCNC sees differently, in words; None where all agree."""
+    """Describe the first point whose time differs in LinuxCNC; None where all agree."""
     times = np.frombuffer(found.time_s, dtype=np.float64) if found.time_s else np.zeros(0)
     if exact:
         lines = np.frombuffer(found.line, dtype=np.int64) if found.line else np.zeros(0, dtype=np.int64)
@@ -155,7 +154,7 @@ def _times_differ(program: Program, found: _Timed, *, exact: bool) -> str | None
 
 
 def _subsequence(times: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Of the dwells, those that are the points' as far as they can be told apart without line numbers."""
+    """Return the dwells of the points, as far as they can be distinguished without line numbers."""
     if len(times) <= len(wanted):
         return times
     found: list[float] = []

@@ -1,4 +1,4 @@
-"""Proves that two programs move alike and differ only in their times, and says by how much these differ."""
+"""Prove that two programs move alike and differ only in their times, and report by how much these differ."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
 from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.checks import Checks
-from polishd.plugins.rnc_robot.gcode.rewrite import look_through
+from polishd.plugins.rnc_robot.gcode.rewrite import scan_program
 from polishd.plugins.rnc_robot.gcode.time_words import Points, ProgramChunk
 from polishd.plugins.rnc_robot.interpreter_check import interpreted, readable
 from polishd.plugins.rnc_robot.languages.columns import numbers
 from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 
-# All that a program moves, and where its times stand: what two programs are compared by.
+# The motion of a program and the positions of its times, by which two programs are compared.
 
 COLUMNS = ("x", "y", "z", "a", "b", "c", "i", "j", "k")
 """Of NC text: mm, degrees, and the tool vector as written."""
@@ -41,9 +41,9 @@ class ProgramMotion:
     line: IntArray
     """(m,) 1-based."""
     kind: IntArray
-    """(m,) rapid, straight, arc: what the dialect tells apart; the same numbers for both programs."""
+    """(m,) rapid, straight or arc, as the dialect distinguishes them; both programs use the same numbers."""
     places: FloatArray
-    """(m, k) where each move ends, as far as the program has said it (NaN)."""
+    """(m, k) end of each move; NaN where the program does not state it."""
     point: IntArray
     """(n,) 0-based move that each timed point belongs to."""
     spans: IntArray
@@ -64,12 +64,12 @@ def _of_nc(program: Program, dialect: GcodeDialect) -> ProgramMotion:
         nonlocal begin
         moves.append(piece.moves)
         places.append(piece.places[:, : c.AXES])
-        mine = timed.start >= 0  # an F of an earlier line carries no time of its own
+        mine = timed.start >= 0  # an F of an earlier line is counted there
         spans.append(np.column_stack([timed.start, timed.end])[mine] + begin)
         owners.append(piece.dwells[piece.dwells[:, c.D_MOVE] >= 0, c.D_MOVE])
         begin += len(piece.text)
 
-    look_through(dialect, BytesIO(program.text), program.name, each=keep)
+    scan_program(dialect, BytesIO(program.text), program.name, each=keep)
     line = np.concatenate([rows[:, c.M_LINE] for rows in moves])
     return ProgramMotion(
         program=program,
@@ -82,7 +82,7 @@ def _of_nc(program: Program, dialect: GcodeDialect) -> ProgramMotion:
 
 
 def _of_language(program: Program, profile: LanguageProfile) -> ProgramMotion:
-    """Moves without a dwell are left to the text: what they say may stand in positions declared elsewhere."""
+    """Compare only moves with a dwell; the text comparison covers the others (their positions may be elsewhere)."""
     timed = scan(profile, program.text, program.name).points
     return ProgramMotion(
         program=program,
@@ -94,13 +94,13 @@ def _of_language(program: Program, profile: LanguageProfile) -> ProgramMotion:
     )
 
 
-# Which lines of two programs differ in more than the numbers that carry time, and whether such a change may be.
+# Lines of two programs that differ in more than the numbers that carry time, and which changes are allowed.
 
 Kind = Literal["comment", "timing", "other"]
 TIME = b"\0"
-"""Stands for a number that carries time; no program holds this byte."""
+"""Replaces a number that carries time; no program contains this byte."""
 AHEAD = 64
-"""Lines looked ahead for the place where two texts agree again."""
+"""Lines searched ahead for the point where two texts agree again."""
 
 _NUMBER = rb"[-+]?[ \t]*+(?:[0-9][0-9 \t]*+\.?[0-9 \t]*+|\.[ \t]*+[0-9][0-9 \t]*+)"
 # Possessive, and from the first blank of a run on: a long run of blanks is gone over once
@@ -129,12 +129,12 @@ class LineChange:
     """A line that differs in more than its time."""
 
     kind: Kind
-    """``comment``: only what a controller skips. ``timing``: F words or dwells of points, as a change of encoding
-    brings and takes them. ``other``: anything else, so motion is not proved."""
+    """``comment``: only text that a controller skips. ``timing``: F words or dwells of points, which a change of
+    encoding adds and removes. ``other``: anything else, so motion is not proved."""
     old_line: int | None
     """1-based; None where the line was added."""
     new_line: int | None
-    """1-based; None where it was taken out."""
+    """1-based; None where it was removed."""
     old: str
     new: str
 
@@ -142,7 +142,7 @@ class LineChange:
         if self.old_line is None:
             return f'line {self.new_line} was added: "{self.new}"'
         if self.new_line is None:
-            return f'line {self.old_line} was taken out: "{self.old}"'
+            return f'line {self.old_line} was removed: "{self.old}"'
         return f'line {self.old_line} "{self.old}" became line {self.new_line} "{self.new}"'
 
 
@@ -166,13 +166,13 @@ class _Side:
 
 @dataclass(frozen=True)
 class ChangeRules:
-    """What may differ besides the numbers that carry time."""
+    """Differences that are allowed besides the numbers that carry time."""
 
     comments: Sequence[str]
-    """How comments are written: ``()``, or what begins one that runs to the end of the line."""
+    """Comment syntax: ``()``, or the mark that begins a comment up to the end of the line."""
     encoding_changed: bool
-    """Time moved from dwells to feeds or back: F words, G93, G94 and the points' dwell blocks may differ. Else only F
-    words that carry time may come and go."""
+    """Time moved from dwells to feeds or back: F words, G93, G94 and the points' dwell blocks may differ. Otherwise
+    only F words that carry time may be added or removed."""
 
     @cached_property
     def _comment(self) -> re.Pattern[bytes]:
@@ -184,7 +184,7 @@ class ChangeRules:
         return self._comment.sub(b"", line).rstrip()
 
     def bare(self, line: bytes) -> bytes:
-        """What is left of a line without comments and timing."""
+        """A line without its comments and timing."""
         timing = _TIMING if self.encoding_changed else _ADDED_F
         return timing.sub(b"", self.code(line)).strip()
 
@@ -198,8 +198,8 @@ def changes(
         old: The one program.
         new: The other.
         old_spans: (m, 2) byte offsets of its numbers that carry time, rising.
-        new_spans: The same of the other.
-        rules: What of the rest may differ: it says the kind of each change.
+        new_spans: (m, 2) likewise of the other.
+        rules: Allowed differences in the rest; they give the kind of each change.
     """
     bones = skeleton(old, old_spans), skeleton(new, new_spans)
     if bones[0] == bones[1]:
@@ -222,12 +222,12 @@ def changes(
 
 
 def _lines(text: bytes) -> list[bytes]:
-    """The lines with their ends: a last line that has none differs from one that has."""
+    """The lines with their line ends: a last line without one differs from a line that has one."""
     return BytesIO(text).readlines()
 
 
 def _step(old: Sequence[bytes], i: int, new: Sequence[bytes], j: int, rules: ChangeRules) -> tuple[Kind, bool, bool]:
-    """What the difference at lines i and j is, and on which side a line is consumed."""
+    """Return the kind of the difference at lines i and j, and the sides on which a line is consumed."""
     one = old[i] if i < len(old) else None
     other = new[j] if j < len(new) else None
     if one is not None and other is not None:
@@ -263,23 +263,23 @@ def _indent(line: bytes) -> bytes:
 
 
 def _only(line: bytes | None, rules: ChangeRules) -> Kind | None:
-    """The kind of a whole line that may come or go; None for lines that do something else."""
+    """The kind of a whole line that may be added or removed; None for any other line."""
     if line is None or rules.bare(line):
         return None
     return "timing" if rules.code(line).strip() else "comment"
 
 
 LISTED = 1000
-"""Most changes beside times that are listed."""
+"""Longest list of changes other than times."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What two programs have in common, and in what they differ."""
+    """Comparison of two programs: motion, times, and other changes."""
 
     identical_motion: bool
     difference: str | None
-    """The first difference that speaks against identical motion, in words; None where there is none."""
+    """Description of the first difference in motion; None where there is none."""
     points: int
     """Timed points of the new program."""
     changed_points: int

@@ -1,42 +1,390 @@
 """Alternating directions for an effect without a matrix: a large part, a large spot, a tool that moves.
 
-One dwell minimises the objective, another keeps to the bounds, and a multiplier draws them together (ADMM; Boyd et al.,
-Found. Trends Mach. Learn. 3 (2011) 1). The first is never solved for: from where it was it takes one step down, in the
-metric of the mean spot under a path that is everywhere as dense, which transforms invert in closed form. A step costs
-one product and one adjoint of the effect on a coarser grid, which knows how the objective bends well enough; where it
-stands is found with the effect itself, every so many steps, and what the coarser one was off by is put right (defect
-correction). Projected Newton-CG needs many times as many where the spot is large.
+One dwell minimizes the objective, another keeps to the bounds, and a multiplier draws them together (ADMM; Boyd et al.,
+Found. Trends Mach. Learn. 3 (2011) 1). The first is never solved exactly: it takes one step down, in the metric of the
+mean spot under a path of constant density, which transforms invert in closed form. A step costs one product and one
+adjoint of the effect on a coarser grid, whose curvature is accurate enough. Every LOOK_EVERY steps the effect gives the
+gradient, and the error of the coarser grid is corrected (defect correction). Projected Newton-CG needs many times as
+many products where the spot is large.
 
-Nothing here is trusted: the certificate is computed anew.
+The certificate does not rely on this solver: it is computed anew.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import newton_cg
-from polishd.process.dwell.alternating_step import AlternatingStep, metric
-from polishd.process.dwell.certificate import certified, gap_at
+from polishd.process.dwell.certificate import certify_dwell, gap_at
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.time_limit import TimeLimit
-from polishd.process.removal import multi_tool_effect
+from polishd.process.fft.simd import COUNT, load, store
+from polishd.process.fft.transforms import (
+    FftPlanArrays,
+    columns_back,
+    columns_forth,
+    inline,
+    kernel,
+    rows_back,
+    rows_forth,
+)
+from polishd.process.removal import combined_effect, spread_effect_compiled
 from polishd.process.removal.spread_effect import SpreadEffect
+from polishd.process.removal.spread_effect_compiled import (
+    BlockWeights,
+    CompiledSpread,
+    Floats,
+    Nodes,
+    collect,
+    compiled_spread,
+    remove,
+    restore,
+    spread_blocks,
+)
+
+# A step of `spectral`: of two dwells that are drawn together, one goes down and the other keeps to its bounds.
+
+RELAXATION = 1.7
+PULL, HARDER = 1.0, 1.5
+"""Initial coupling of the two dwells, over the geometric mean of the objective's least and most curvature, and its
+factor where they do not approach each other. A weaker coupling needs fewer steps, down to a value between 0.5 and 2
+(by path, part and spot) below which the steps do not converge."""
+LOOK_APART = 20
+"""Steps between two checks of the distance between them."""
+LEAST_REGULARISATION = 1e-5
+"""Least regularization for the pull, as a share of the most curvature."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepMetric:
+    """About the objective's curvature and so much more, inverted; made by `step_metric`."""
+
+    effect: SpreadEffect
+    """Effect in float32."""
+    least: float
+    """Curvature that no spot gives: the regularisation's."""
+    square: FloatArray
+    """(ny, nx // 2 + 1) curvature that a point on a node gives each frequency; on nodes of the effect's layout."""
+    density: float
+    """Points to a node."""
+    pull: float
+    """Curvature that the coupling adds."""
+
+    @property
+    def held(self) -> float:
+        """Curvature that no spot gives, and the pull."""
+        return self.least + self.pull
+
+    @property
+    def share(self) -> NDArray[np.float32]:
+        """Return the spots' share of the curvature at each frequency, over ``held``."""
+        return (self.square / (self.held + self.density * self.square)).astype(np.float32)
+
+    def inverse(self, slope: FloatArray) -> FloatArray:
+        """(n,) -> (n,): ``(held + S K* K S')^-1``, exact where the path lays down the same on every node."""
+        where, weights, share = self.effect.where, self.effect.weights, self.share
+        nodes = (weights.T @ slope.astype(share.dtype)).reshape(where.lattice)
+        spectrum = scipy.fft.rfft2(nodes, where.size)
+        back = scipy.fft.irfft2(share * spectrum, where.size)[: where.lattice[0], : where.lattice[1]]
+        return np.asarray((slope - weights @ back.ravel()) / self.held, dtype=np.float64)
+
+
+@dataclass(slots=True)
+class AlternatingStep:
+    """State of the two dwells; (n,) each, s."""
+
+    problem: DwellProblem
+    """Whose curvature steps are found with."""
+    f: QuadraticObjective
+    """Its objective."""
+    near: StepMetric
+    bounded: FloatArray
+    free: FloatArray
+    """Without bounds."""
+    slope: FloatArray
+    """(n,) nm^2/s: the objective's gradient at ``free``."""
+    multiplier: FloatArray
+    way: FloatArray
+    """Direction of the last step."""
+    bend: FloatArray
+    """(n,) nm^2/s: what it did to the slope."""
+    steps: int = 0
+    _apart: float = np.inf
+
+    def correct_slope(self, gradient: FloatArray) -> None:
+        """Correct the slope by the exact gradient of the objective at ``bounded``."""
+        # float32 products of the small difference: their rounding error is relative to it
+        self.slope = gradient + self.f.rough_curvature(self.free - self.bounded)
+
+    def step(self) -> None:
+        """Take one step down in the metric and one towards each other; increase the pull where they do not approach."""
+        self._go()
+        self.steps += 1
+        if self.steps % LOOK_APART == 0:
+            apart = float(np.linalg.norm(self.free - self.bounded))
+            if apart > self._apart:
+                self._draw(HARDER * self.near.pull)
+                apart = np.inf
+            self._apart = apart
+
+    def _draw(self, pull: float) -> None:
+        self.multiplier *= self.near.pull / pull
+        self.near = replace(self.near, pull=pull)
+
+    def _go(self) -> None:
+        """Minimize over all combinations of the metric's direction and the last step's."""
+        pull = self.near.pull
+        uphill = self.slope + pull * (self.free - self.bounded + self.multiplier)
+        way = self.near.inverse(-uphill)
+        bend = self.f.rough_curvature(way)
+        sizes = step_sizes(
+            (float(uphill @ way), float(uphill @ self.way)),
+            (
+                float(way @ bend + pull * (way @ way)),
+                float(way @ self.bend + pull * (way @ self.way)),
+                float(self.way @ self.bend + pull * (self.way @ self.way)),
+            ),
+        )
+        self.way, self.bend = (sizes[0] * new + sizes[1] * old for new, old in ((way, self.way), (bend, self.bend)))
+        self.free = self.free + self.way
+        self.slope = self.slope + self.bend
+        drawn = RELAXATION * self.free + (1 - RELAXATION) * self.bounded + self.multiplier
+        self.bounded = np.clip(drawn, self.problem.lower_s, self.problem.upper_s)
+        self.multiplier = drawn - self.bounded
+
+
+def step_sizes(slopes: tuple[float, float], curvatures: tuple[float, float, float]) -> tuple[float, float]:
+    """Step sizes along two directions to the minimum of a quadratic.
+
+    ``slopes`` along each, and ``curvatures``: of the first, of both, of the second. Only along the first where the
+    second does not differ from it.
+    """
+    (a, b), (p, q, r) = slopes, curvatures
+    across = p * r - q * q
+    if across <= 1e-6 * p * r:
+        return -a / p, 0.0
+    return (q * b - r * a) / across, (q * a - p * b) / across
+
+
+def step_metric(problem: DwellProblem, effect: SpreadEffect) -> StepMetric:
+    """The metric of a problem of that effect, with the pull that is tried first."""
+    kernel = np.tensordot(effect.coefficients.mean(axis=0), effect.spectra, axes=1)
+    mask, weight = (
+        problem.solve_mask,
+        1.0 if problem.weight is None else float(problem.weight[problem.solve_mask].mean()),
+    )
+    flat = float(np.median(effect.removal_nm(np.ones(effect.n))[mask]))
+    density = flat / float(kernel[0, 0].real)  # points to a node
+    square = np.abs(kernel) ** 2 * (2 * weight / (np.count_nonzero(mask) * effect.finer**2))
+    least, most = 2 * problem.regularisation, density * float(square.max())
+    pull = PULL * float(np.sqrt(max(least, LEAST_REGULARISATION * most) * most))
+    return StepMetric(effect.single(), least, square, density, pull)
+
+
+# A step of `spectral` in compiled code: blocks and nodes are each gone over as rarely as can be.
+
+sizes = inline(step_sizes)
+
+_NONE = np.float32(0)
+
+
+class DwellBuffers(NamedTuple):
+    """The walk's, (n,) each, float64, and what a step finds."""
+
+    lower: FloatArray
+    upper: FloatArray
+    bounded: FloatArray
+    free: FloatArray
+    slope: FloatArray
+    multiplier: FloatArray
+    last_way: FloatArray
+    last_bend: FloatArray
+    uphill: FloatArray
+    way: FloatArray
+    bend: FloatArray
+
+
+class NodeBuffers(NamedTuple):
+    """Arrays of a step beside the effect's nodes, in the layout of `plane`."""
+
+    metric: Floats
+    """Nodes of the metric."""
+    flat: Floats
+    """Alias of the same memory."""
+    share: Floats
+    """(blocks, ny, COUNT) the metric's, of each frequency."""
+    weight: Floats
+    """Weight of a sample in the curvature; 0 outside the mask."""
+
+
+class AlternatingStepScalars(NamedTuple):
+    """Scalars of a step."""
+
+    relaxation: float
+    pull: float
+    held: float
+    regularisation: float
+
+
+@dataclass(slots=True)
+class CompiledAlternatingStep(AlternatingStep):
+    """A Walk whose steps are compiled; its effect has nodes as wide as samples."""
+
+    _spread: CompiledSpread | None = None
+    _fields: NodeBuffers | None = None
+    _bounds: tuple[FloatArray, FloatArray] | None = None
+    """Copies, because numba compiles a second version for read-only arrays."""
+
+    def _go(self) -> None:
+        """See Walk."""
+        self._spread = spread = self._spread or compiled_spread(self.near.effect)
+        self._fields = fields = self._fields or self._made(spread)
+        numbers = AlternatingStepScalars(RELAXATION, self.near.pull, self.near.held, self.problem.regularisation)
+        found = (np.empty_like(self.free) for _ in range(3))
+        self._bounds = bounds = self._bounds or (self.problem.lower_s.copy(), self.problem.upper_s.copy())
+        dwells = DwellBuffers(
+            *bounds, self.bounded, self.free, self.slope, self.multiplier, self.way, self.bend, *found
+        )
+        kernel(_step, spread_effect_compiled.__file__, __file__)(
+            dwells, spread.laid, spread.nodes, fields, numbers, spread.plane.order
+        )
+
+    def _draw(self, pull: float) -> None:
+        """See Walk."""
+        super(CompiledAlternatingStep, self)._draw(pull)
+        self._fields = None
+
+    def _made(self, spread: CompiledSpread) -> NodeBuffers:
+        mask, on = self.problem.solve_mask, spread.plane
+        weight = np.zeros(on.size)
+        weight[self.near.effect.on_grid] = np.where(
+            mask, 1.0 if self.problem.weight is None else self.problem.weight, 0.0
+        )
+        metric = on.packed(np.zeros(on.size))
+        counts = on.packed(weight * (2 / np.count_nonzero(mask)))
+        return NodeBuffers(metric, metric.reshape(-1), on.spectrum(self.near.share)[0], counts)
+
+
+def _step(
+    dwells: DwellBuffers,
+    laid: BlockWeights,
+    nodes: Nodes,
+    fields: NodeBuffers,
+    numbers: AlternatingStepScalars,
+    order: FftPlanArrays,
+) -> None:
+    _lay_uphill(dwells, laid, fields, numbers)
+    _measure(nodes, fields, order)
+    _lay_way(dwells, laid, nodes, fields, numbers)
+    remove(nodes, order)
+    _weigh(nodes, fields, order)
+    restore(nodes, order)
+    new, old = _bend(dwells, laid, nodes, numbers)
+    for i in range(len(dwells.free)):
+        way = new * dwells.way[i] + old * dwells.last_way[i]
+        bend = new * dwells.bend[i] + old * dwells.last_bend[i]
+        free, lower, upper = dwells.free[i] + way, dwells.lower[i], dwells.upper[i]
+        drawn = numbers.relaxation * free + (1 - numbers.relaxation) * dwells.bounded[i] + dwells.multiplier[i]
+        bounded = min(max(drawn, lower), upper)
+        dwells.free[i], dwells.bounded[i], dwells.multiplier[i] = free, bounded, drawn - bounded
+        dwells.slope[i] += bend
+        dwells.last_way[i], dwells.last_bend[i] = way, bend
+
+
+@inline
+def _lay_uphill(dwells: DwellBuffers, laid: BlockWeights, fields: NodeBuffers, numbers: AlternatingStepScalars) -> None:
+    """Spread the uphill direction onto the metric's nodes."""
+    fields.flat[:] = 0
+    for i in range(len(dwells.free)):
+        apart = dwells.free[i] - dwells.bounded[i] + dwells.multiplier[i]
+        uphill = dwells.slope[i] + numbers.pull * apart
+        dwells.uphill[i] = uphill
+        for j in range(laid.first[i], laid.first[i + 1]):
+            fields.flat[laid.node[j]] += laid.weight[j] * np.float32(uphill)
+
+
+@inline
+def _measure(nodes: Nodes, fields: NodeBuffers, order: FftPlanArrays) -> None:
+    """The metric's nodes, by its share of each frequency."""
+    columns = nodes.columns[0]
+    for slab in range(order.slabs):
+        rows_forth(fields.metric, slab, order)
+    for block in range(order.blocks):
+        columns_forth(fields.metric, block, columns, order)
+        for row in range(order.column.n):
+            i = row * COUNT
+            share = nodes.scale * load(fields.share[block], i)
+            store(columns[0], i, share * load(columns[0], i))
+            store(columns[1], i, share * load(columns[1], i))
+        columns_back(fields.metric, block, columns, order)
+    for slab in range(order.slabs):
+        rows_back(fields.metric, slab, order)
+
+
+@inline
+def _lay_way(
+    dwells: DwellBuffers, laid: BlockWeights, nodes: Nodes, fields: NodeBuffers, numbers: AlternatingStepScalars
+) -> None:
+    """The way down in the metric, onto each convolution's nodes."""
+    nodes.flat[:] = 0
+    for i in range(len(dwells.way)):
+        near = _NONE
+        for j in range(laid.first[i], laid.first[i + 1]):
+            near += laid.weight[j] * fields.flat[laid.node[j]]
+        dwells.way[i] = (near - dwells.uphill[i]) / numbers.held
+        spread_blocks(i, dwells.way[i], laid, nodes)
+
+
+@inline
+def _weigh(nodes: Nodes, fields: NodeBuffers, order: FftPlanArrays) -> None:
+    """Sample by sample: what the removal there counts."""
+    removal = nodes.fields[0]
+    for slab in range(order.slabs):
+        rows_back(removal, slab, order)
+        for half in range(2):
+            for x in range(order.row.n):
+                i = x * COUNT
+                store(removal[half, slab], i, load(fields.weight[half, slab], i) * load(removal[half, slab], i))
+        rows_forth(removal, slab, order)
+
+
+@inline
+def _bend(
+    dwells: DwellBuffers, laid: BlockWeights, nodes: Nodes, numbers: AlternatingStepScalars
+) -> tuple[float, float]:
+    """Compute the change of the slope and the step sizes along this and the last direction."""
+    down = last_down = p = q = r = 0.0
+    for i in range(len(dwells.way)):
+        way, last = dwells.way[i], dwells.last_way[i]
+        bend = collect(i, laid, nodes) + 2 * numbers.regularisation * way
+        last_bend = dwells.last_bend[i] + numbers.pull * last
+        dwells.bend[i] = bend
+        down += dwells.uphill[i] * way
+        last_down += dwells.uphill[i] * last
+        p += way * (bend + numbers.pull * way)
+        q += way * last_bend
+        r += last * last_bend
+    return sizes((down, last_down), (p, q, r))
+
 
 NAME = "spectral"
 MAX_STEPS = 5000
 LOOK_EVERY = 60
-"""Steps between two looks with the effect itself: each costs as much as two to thirty of them, and in so many the
-objective comes four to ten times as near to the least."""
+"""Steps between two checks with the effect itself. A check costs as much as two to thirty steps; in so many steps the
+distance of the objective from the minimum falls to a quarter or a tenth."""
 ACCEPTED = 5e-5
 """KKT residual at which a gap that is small enough ends it: a cell accepts 1e-4."""
 FINELY = 1e-6, 1e-5
-"""KKT residual and gap below which looks that may be the last are in float64; float32 tells as much in less time."""
+"""KKT residual and gap below which checks that may be the last are in float64. Above, float32 is as good and faster."""
 STALLED, LOOKS = 0.9, 5
 """A residual above this share of what it was so many looks ago has met float32's floor."""
 
@@ -69,10 +417,10 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5, g
     if stopped == "stalled":
         last = newton_cg.solve(problem, limit.left_s, kkt_tolerance, found)
         return replace(last, certificate=replace(last.certificate, seconds=limit.cpu_s))
-    return certified(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped, f=f)
+    return certify_dwell(problem, found, solver=NAME, iterations=steps, seconds=limit.cpu_s, stopped=stopped, f=f)
 
 
-def stepping(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
+def coarse_problem(problem: DwellProblem, effect: SpreadEffect) -> DwellProblem:
     """The problem whose curvature steps are found with: on the effect's coarser grid, where it has one.
 
     A cell counts by the share of its samples that count, and their weights; its target is nothing.
@@ -99,7 +447,7 @@ def _minimise(
     bounded = problem.lower_s.copy() if start is None else np.clip(start, problem.lower_s, problem.upper_s)
     look = _Look(problem, f, finely=kkt_tolerance < FINELY[0] or gap < FINELY[1])
     value, gradient, left = look.at(bounded)
-    way = _walk(stepping(problem, effect), effect.coarse or effect, bounded, gradient)
+    way = _walk(coarse_problem(problem, effect), effect.coarse or effect, bounded, gradient)
     best, least, history, next_look = bounded, np.inf, list[float](), 0
     for steps in range(MAX_STEPS):
         late = limit.expired()
@@ -117,7 +465,7 @@ def _minimise(
             next_look = steps + LOOK_EVERY
             if len(history) > LOOKS and least > STALLED * min(history[:-LOOKS]):
                 return best, steps, "stalled"
-            way.seen(gradient)
+            way.correct_slope(gradient)
         way.step()
     return best, MAX_STEPS, "iterations"
 
@@ -127,19 +475,18 @@ def _walk(problem: DwellProblem, effect: SpreadEffect, start: FloatArray, gradie
 
     ``problem`` is one of ``effect``, whose curvature is to find steps with.
     """
-    near = metric(problem, effect)
+    near = step_metric(problem, effect)
     lower, upper = problem.lower_s, problem.upper_s
     held_back = ((start <= lower) & (gradient > 0)) | ((start >= upper) & (gradient < 0))
     multiplier = -np.where(held_back, gradient, 0.0) / near.pull
-    kind: type[AlternatingStep] = AlternatingStep
-    if effect.n >= multi_tool_effect.COMPILED_BLOCKS and effect.finer == 1:
-        from polishd.process.dwell.alternating_step import CompiledWalk as kind  # noqa: N813
+    compiled = effect.n >= combined_effect.COMPILED_BLOCKS and effect.finer == 1
+    kind = CompiledAlternatingStep if compiled else AlternatingStep
     none, same = np.zeros_like(start), start.copy
     return kind(problem, quadratic(problem), near, same(), same(), same(), multiplier, none, none.copy())
 
 
 class _Look:
-    """Where a dwell stands, by the effect itself: in float64 where float32 does not tell enough."""
+    """Objective and KKT residual of a dwell by the effect itself, in float64 where float32 is too coarse."""
 
     def __init__(self, problem: DwellProblem, f: QuadraticObjective, *, finely: bool) -> None:
         self._f, self._finely = f, finely

@@ -10,11 +10,10 @@ from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import QuadraticObjective, conditioning_note, projected_gradient, quadratic
 from polishd.process.metrology.spectra import band_rms
-from polishd.process.removal.multi_tool_effect import note as effect_note
-from polishd.process.removal.multi_tool_effect import off
+from polishd.process.removal.combined_effect import effect_error, effect_note
 
 
-def certified(
+def certify_dwell(
     problem: DwellProblem,
     time_s: FloatArray,
     *,
@@ -27,7 +26,7 @@ def certified(
 ) -> DwellSolution:
     """A dwell with its certificate and the surface that it predicts.
 
-    Nothing that the solver believes enters: objective, gradient and bound violations are those of ``time_s`` on the
+    No result of the solver enters: objective, gradient and bound violations are those of ``time_s`` on the
     problem as given. ``residual_nm`` is target less removal, less its mean in the clear aperture.
 
     Args:
@@ -57,7 +56,7 @@ def certified(
     f = f or quadratic(problem)
     objective, slope = f.at(t)
     gap = gap_at(problem, t, objective, slope)
-    told = [note for note in (conditioning_note(problem, f), *_effect_notes(problem, removal)) if note is not None]
+    computed = [note for note in (conditioning_note(problem, f), *_effect_notes(problem, removal)) if note is not None]
     certificate = OptimalityCertificate(
         solver=solver,
         objective=objective,
@@ -72,7 +71,7 @@ def certified(
         iterations=iterations,
         seconds=seconds,
         stopped=stopped,
-        notes=(*notes, *told),
+        notes=(*notes, *computed),
         gap=_finite(gap / objective if objective > 0 else 0.0),
         gap_nm=None if np.isinf(gap) else objective**0.5 - max(objective - gap, 0.0) ** 0.5,
         predicted_band_rms_nm=band,
@@ -81,11 +80,11 @@ def certified(
 
 
 def _effect_notes(problem: DwellProblem, removal: FloatArray) -> tuple[str, ...]:
-    """What the effect is off by, of this removal in nm, too: beside the gap, which is of the effect as given."""
-    told, share = effect_note(problem.effect), off(problem.effect)
-    if told is None or not share > 0:
-        return () if told is None else (told,)
-    return told, f"without a matrix this removal is off by up to {share * removal.max():.2g} nm"
+    """Error of the effect, also in nm of this removal. The gap does not contain it."""
+    note, share = effect_note(problem.effect), effect_error(problem.effect)
+    if note is None or not share > 0:
+        return () if note is None else (note,)
+    return note, f"without a matrix this removal is off by up to {share * removal.max():.2g} nm"
 
 
 def _finite(value: float) -> float | None:
@@ -96,7 +95,7 @@ def largest_gap(problem: DwellProblem, time_s: FloatArray, f: QuadraticObjective
     """By how much the objective at ``time_s`` (n,) is above the least one within the bounds, at most, nm^2.
 
     The objective curves by twice the regularisation P at least: ``f(s) >= f(t) + g (s - t) + P |s - t|^2``, whose least
-    value within the bounds is that of each point by itself. A dwell that is better than this one also has
+    value within the bounds follows point by point. A dwell that is better than this one also has
     ``P s^2 <= f(t)`` at each point. With next to no regularisation it is far too much, and says little; without it and
     an upper bound, infinite. It costs one gradient.
     """

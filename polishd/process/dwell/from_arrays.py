@@ -11,18 +11,212 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
 
 from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import ComputeError
-from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.checks import require_number
+from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.process.checks import refuse_where, require_number
 from polishd.process.dwell import douglas_rachford, interior_point, newton_cg
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
-from polishd.process.dwell.residual_curve import CurvePoint, Goal, Row, Solve, solved, to_goal, to_target, within_budget
-from polishd.process.removal.convolution import ConvolutionEffect
-from polishd.process.removal.multi_tool_effect import split, together
-from polishd.process.removal.sampled_tif import MapAxes, check_points, check_tif, map_axes, sampled_effect
+from polishd.process.dwell.residual_curve import (
+    CurvePoint,
+    ResidualGoal,
+    Row,
+    Solve,
+    solve_once,
+    solve_to_goal,
+    solve_to_target,
+    solve_within_budget,
+)
+from polishd.process.removal.combined_effect import combine_effects, split_by_tool
+from polishd.process.removal.convolution import ConvolutionEffect, sum_of_convolutions
+from polishd.process.removal.effect import Effect, SparseEffect
+
+# The effect of dwells at arbitrary points from samples of a TIF, on a map given by its axes.
+
+Indices = NDArray[np.int64]
+
+UNEVEN = 1e-3
+"""Largest deviation of a sample from an even axis, over the pitch."""
+ON_NODE = 1e-6
+MATRIX_ENTRIES = 20_000_000
+"""Above it (half a GB with its transpose), points on the map's own samples are a convolution instead of a matrix."""
+MOST_ENTRIES = 150_000_000
+CHUNK = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class MapAxes:
+    """Axes of a map's samples; ``grid`` gives only number and pitch, not the coordinates."""
+
+    x_mm: FloatArray
+    """(nx,)"""
+    y_mm: FloatArray
+    """(ny,)"""
+    grid: Grid
+
+    @property
+    def first_mm(self) -> FloatArray:
+        """(2,) x and y of the first sample."""
+        return np.array([self.x_mm[0], self.y_mm[0]])
+
+    @property
+    def step_mm(self) -> FloatArray:
+        """(2,) from column to column and from row to row, with its sign."""
+        return np.array([self.x_mm[-1] - self.x_mm[0], self.y_mm[-1] - self.y_mm[0]]) / (
+            self.grid.nx - 1,
+            self.grid.ny - 1,
+        )
+
+    def box(self, mask: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Least and largest (x, y) of the samples in (ny, nx) ``mask``, mm."""
+        x, y = self.x_mm[mask.any(axis=0)], self.y_mm[mask.any(axis=1)]
+        return np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
+
+
+def map_axes(x_mm: FloatArray, y_mm: FloatArray, shape: tuple[int, ...]) -> MapAxes:
+    """The axes of a map of this shape, from vectors or from meshgrids.
+
+    Raises:
+        ComputeError: they do not fit the map, are uneven, or not of one pitch.
+    """
+    if len(shape) != 2 or min(shape) < 2:
+        raise ComputeError(f"height_nm has the shape {shape}, it must be (ny, nx) with two samples each way at least")
+    x = _axis("x_mm", np.asarray(x_mm, dtype=np.float64), shape, 1)
+    y = _axis("y_mm", np.asarray(y_mm, dtype=np.float64), shape, 0)
+    pitch = abs(x[-1] - x[0]) / (x.size - 1)
+    other = abs(y[-1] - y[0]) / (y.size - 1)
+    if abs(pitch - other) > UNEVEN * pitch or pitch == 0:
+        raise ComputeError(f"the samples are {pitch:.6g} mm apart in x and {other:.6g} mm in y: resample to one pitch")
+    return MapAxes(x, y, Grid(shape[0], shape[1], float(pitch)))
+
+
+def _axis(name: str, value: FloatArray, shape: tuple[int, ...], axis: int) -> FloatArray:
+    if value.shape == shape:
+        line = value[0] if axis == 1 else value[:, 0]
+        if not np.allclose(value, line if axis == 1 else line[:, None], rtol=0, atol=UNEVEN * abs(line[1] - line[0])):
+            raise ComputeError(f"{name} is no meshgrid: it must be the same in each {'row' if axis == 1 else 'column'}")
+        value = line
+    if value.shape != (shape[axis],):
+        raise ComputeError(f"{name} is {value.shape}, it must be ({shape[axis]},) or {shape}, as height_nm")
+    even = np.linspace(value[0], value[-1], value.size)
+    refuse_where(
+        ~(np.abs(value - even) <= UNEVEN * np.abs(even[1] - even[0])), value, name, "mm", "it must be finite and even"
+    )
+    return value
+
+
+def check_tif(tif_nm_s: FloatArray, pitch_mm: float) -> FloatArray:
+    """The samples as float64; ComputeError names the one that is no rate of removal."""
+    require_number("tif_pitch_mm", pitch_mm, "mm", above=0)
+    tif = np.asarray(tif_nm_s, dtype=np.float64)
+    if tif.ndim != 2 or min(tif.shape) < 4:
+        raise ComputeError(f"tif_nm_s has the shape {tif.shape}, it must be two-dimensional, 4 x 4 samples at least")
+    for trouble, wrong in (("is not finite", ~np.isfinite(tif)), ("is negative", tif < 0)):
+        if wrong.any():
+            row, column = np.argwhere(wrong)[0]
+            raise ComputeError(
+                f"tif_nm_s {trouble} at row {row}, column {column}: {tif[row, column]:.6g} nm/s "
+                f"({int(wrong.sum())} such samples); it is a rate of removal, clean its rim first"
+            )
+    if not tif.any():
+        raise ComputeError("tif_nm_s is zero everywhere: such a tool removes nothing")
+    return tif
+
+
+def check_points(points_mm: FloatArray) -> FloatArray:
+    """The (n, 2) points as float64; ComputeError where they are none, or not finite."""
+    points = np.asarray(points_mm, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
+        raise ComputeError(
+            f"points_mm has the shape {points.shape}, it must be (n, 2), x and y, with one point at least"
+        )
+    for axis, name in enumerate(("x of points_mm", "y of points_mm")):
+        refuse_where(~np.isfinite(points[:, axis]), points[:, axis], name, "mm", "it must be finite")
+    return points
+
+
+def sampled_effect(axes: MapAxes, tif_nm_s: FloatArray, tif_pitch_mm: float, points_mm: FloatArray) -> Effect:
+    """The effect of dwells at (n, 2) points: the TIF's cubic spline at each sample of the map, less the point.
+
+    The TIF is taken at the samples, not integrated over their cells: where it bends much within a cell, give the map a
+    finer pitch. The spline is cut at 0 below, and is 0 beyond the outermost samples and where all samples about are 0.
+    A matrix, unless the points are many samples of the map itself: then a convolution with the same values.
+
+    Raises:
+        ComputeError: the matrix would not fit into memory.
+    """
+    coefficients = ndimage.spline_filter(tif_nm_s, order=3, mode="mirror")
+    spline = _Spline(coefficients, (tif_nm_s > 0).astype(np.float64), tif_pitch_mm)
+    reach = spline.reach_mm
+    place = (points_mm - axes.first_mm) / axes.step_mm
+    width = np.floor(2 * reach / axes.grid.pitch_mm + 2 * ON_NODE).astype(int) + 1
+    entries = len(points_mm) * int(width.prod())
+    if entries > MATRIX_ENTRIES and bool((np.abs(place - np.rint(place)) < ON_NODE).all()):
+        return _convolution(axes.grid, np.rint(place).astype(np.int64), spline)
+    if entries > MOST_ENTRIES:
+        raise ComputeError(
+            f"{len(points_mm)} points of {width[1]} x {width[0]} samples each are too many for a matrix: "
+            "put them on samples of the map, or resample it to a coarser pitch"
+        )
+    pitch = axes.grid.pitch_mm
+    first = np.ceil(place - reach / pitch - ON_NODE).astype(np.int64)
+    size = max(1, CHUNK // int(width.prod()))
+    parts = []
+    for k in range(0, len(place), size):
+        here = slice(k, k + size)
+        row, column = (first[here, axis, None] + np.arange(width[axis]) for axis in (1, 0))
+        dx, dy = (column - place[here, 0, None]) * pitch, (row - place[here, 1, None]) * pitch
+        patch = spline.at(dx[:, None, :], dy[:, :, None])
+        parts.append(_columns(axes.grid, row, column, patch))
+    return SparseEffect(axes.grid, sparse.csr_array(sparse.hstack(parts, format="csr")))
+
+
+@dataclass(frozen=True, slots=True)
+class _Spline:
+    """A TIF between its samples."""
+
+    coefficients: FloatArray
+    support: FloatArray
+    """1 where a sample is above 0: where none near is, a spline would ring about a TIF that is cut off."""
+    pitch_mm: float
+
+    @property
+    def reach_mm(self) -> FloatArray:
+        """(2,) from the middle to the outermost sample, in x and y."""
+        return np.asarray((np.array(self.support.shape[::-1]) - 1) / 2 * self.pitch_mm)
+
+    def at(self, dx_mm: FloatArray, dy_mm: FloatArray) -> FloatArray:
+        """nm/s at these distances from the dwell point along rows and columns, broadcast against each other."""
+        place = []
+        for distance, samples in ((dy_mm, self.support.shape[0]), (dx_mm, self.support.shape[1])):
+            at = distance / self.pitch_mm + (samples - 1) / 2
+            beyond = (at < -ON_NODE) | (at > samples - 1 + ON_NODE)
+            place.append(np.where(beyond, -1.0, np.clip(at, 0, samples - 1)))  # rounding costs no sample on the rim
+        where = np.stack(np.broadcast_arrays(*place))
+        value = ndimage.map_coordinates(self.coefficients, where, order=3, mode="constant", prefilter=False)
+        near = ndimage.map_coordinates(self.support, where, order=1, mode="constant")
+        return np.where(near > ON_NODE, np.maximum(value, 0.0), 0.0)
+
+
+def _columns(grid: Grid, row: Indices, column: Indices, patch: FloatArray) -> sparse.csc_array:
+    """The columns of c points: ``patch`` (c, rows, columns) at these rows and columns (c, .) of the grid."""
+    inside = ((row >= 0) & (row < grid.ny))[:, :, None] & ((column >= 0) & (column < grid.nx))[:, None, :]
+    keep = inside & (patch > 0)
+    sample = (row[:, :, None] * grid.nx + column[:, None, :])[keep]
+    return sparse.csc_array((patch[keep], (sample, np.nonzero(keep)[0])), shape=(grid.ny * grid.nx, len(patch)))
+
+
+def _convolution(grid: Grid, node: Indices, spline: _Spline) -> ConvolutionEffect:
+    """Return the effect for points on (n, 2) samples, column and row, of the map's lattice."""
+    half = np.floor(spline.reach_mm / grid.pitch_mm + ON_NODE).astype(int)
+    dx, dy = (np.arange(-n, n + 1) * grid.pitch_mm for n in half)
+    kernel = spline.at(dx[None, :], dy[:, None])
+    return sum_of_convolutions(grid, (node[:, 1], node[:, 0]), kernel[None], np.ones((len(node), 1)))
+
 
 RHO = 1e-8
 """Default of rho = regularisation N_r / sigma_max^2: on real maps within 0.3 % of the residual RMS without it."""
@@ -49,7 +243,7 @@ class DwellCase:
     points_mm: FloatArray | None = None
     """(n, 2) x and y where the tool dwells, anywhere in the map's coordinates; None: a square lattice."""
     step_mm: float = 1.0
-    """Of that lattice, see `dwell_lattice`."""
+    """Index on that lattice, see `dwell_lattice`."""
     mask: BoolArray | None = None
     """(ny, nx) samples that count; None: all that have data."""
     clear: BoolArray | None = None
@@ -63,17 +257,17 @@ class DwellCase:
     piston_nm: float | None = 0.0
     """Removal wanted everywhere beside ``height_nm``; None: chosen by `choose_piston_nm`."""
     rho: float = RHO
-    """Of the regularisation: ``regularisation N_r / sigma_max^2``."""
+    """Relative regularization: ``regularisation N_r / sigma_max^2``."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayDwell:
-    """What `dwell_from_arrays` gives."""
+    """Result of `dwell_from_arrays`."""
 
     points_mm: FloatArray
     """(n, 2) x and y of the dwell points, in the map's coordinates."""
     problem: DwellProblem
-    """What was solved, with its price of time, regularisation and piston."""
+    """The solved problem, with its price of time, regularization and piston."""
     solution: DwellSolution
 
     @property
@@ -122,12 +316,12 @@ def dwell_from_arrays(
     problem = replace(problem, price_nm2_per_s=price_nm2_per_s)
     run = partial(default_solve, within_s=within_s) if solve is None else solve
     if budget_s is not None:
-        found = within_budget(problem, budget_s, run)
+        found = solve_within_budget(problem, budget_s, run)
     elif target_rms_nm is not None:
-        found = to_target(problem, target_rms_nm, run)
+        found = solve_to_target(problem, target_rms_nm, run)
     else:
         check(problem)
-        found = solved(problem, run)
+        found = solve_once(problem, run)
     return ArrayDwell(points, found.problem, _noted(found.problem, found.solution))
 
 
@@ -268,7 +462,7 @@ class ArrayTool:
 
 @dataclass(frozen=True, slots=True)
 class ToolDwell:
-    """What one tool does."""
+    """Dwell of one tool."""
 
     tool: ArrayTool
     points_mm: FloatArray
@@ -281,14 +475,14 @@ class ToolDwell:
 
 @dataclass(frozen=True, slots=True)
 class ToolsDwell:
-    """What `dwell_of_tools` gives."""
+    """Result of `dwell_of_tools`."""
 
     passes: tuple[ToolDwell, ...]
-    """Of the tools taken, in the order in which they were given."""
+    """Dwells of the chosen tools, in the given order."""
     problem: DwellProblem
     """The one that was solved, of their points one after another."""
     certificate: OptimalityCertificate
-    """Of all together."""
+    """Removal of all tools together."""
     residual_nm: FloatArray
     """(ny, nx) after the last of them, mean removed in the clear aperture; NaN outside the mask."""
     total_s: float
@@ -325,7 +519,7 @@ def dwell_of_tools(
     Raises:
         ComputeError: as `dwell_from_arrays`; a goal that no choice of tools reaches, with what each came to.
     """
-    goal = Goal(target_rms_nm, target_slope_urad)
+    goal = ResidualGoal(target_rms_nm, target_slope_urad)
     if budget_s is not None and goal.wanted:
         raise ComputeError("budget_s and a target are two ways to the same thing: give one")
     if not 0 < len(tools) <= MOST_TOOLS:
@@ -349,8 +543,8 @@ def dwell_of_tools(
         if best is None or score < best[0]:
             best = score, chosen, found, change_s
     if best is None:
-        told = "\n".join(f"  {', '.join(row['tools'])}: {row['refused']}" for row in rows)  # type: ignore[arg-type]
-        raise ComputeError(f"no choice of tools gets there:\n{told}")
+        reasons = "\n".join(f"  {', '.join(row['tools'])}: {row['refused']}" for row in rows)  # type: ignore[arg-type]
+        raise ComputeError(f"no choice of tools reaches the target:\n{reasons}")
     _, chosen, found, change_s = best
     own = [(tools[k], *alone[k]) for k in chosen]
     return ToolsDwell(
@@ -382,7 +576,7 @@ def _choices(count: int) -> Iterator[tuple[int, ...]]:
 
 def _joined(problems: Sequence[DwellProblem], case: DwellCase) -> DwellProblem:
     """One problem of all; the same map for each, so that the piston of the highest floor holds for all."""
-    effect = together([problem.effect for problem in problems])
+    effect = combine_effects([problem.effect for problem in problems])
     first = problems[0]
     highest = max(problems, key=lambda problem: float(problem.target_nm[first.solve_mask].mean()))
     return replace(
@@ -394,10 +588,10 @@ def _joined(problems: Sequence[DwellProblem], case: DwellCase) -> DwellProblem:
     )
 
 
-def _found(problem: DwellProblem, run: Solve, goal: Goal, budget_s: float | None) -> CurvePoint:
+def _found(problem: DwellProblem, run: Solve, goal: ResidualGoal, budget_s: float | None) -> CurvePoint:
     if goal.wanted:
-        return to_goal(problem, goal, run)
-    return solved(problem, run) if budget_s is None else within_budget(problem, budget_s, run)
+        return solve_to_goal(problem, goal, run)
+    return solve_once(problem, run) if budget_s is None else solve_within_budget(problem, budget_s, run)
 
 
 def _row(found: CurvePoint, names: list[str], change_s: float) -> Row:
@@ -412,6 +606,6 @@ def _row(found: CurvePoint, names: list[str], change_s: float) -> Row:
 
 
 def _passes(own: Sequence[tuple[ArrayTool, DwellProblem, FloatArray]], time_s: FloatArray) -> Iterator[ToolDwell]:
-    times = split(time_s, [len(points) for _, _, points in own])
+    times = split_by_tool(time_s, [len(points) for _, _, points in own])
     for (tool, problem, points), own_s in zip(own, times, strict=True):
         yield ToolDwell(tool, points, own_s, problem.effect.removal_nm(own_s))

@@ -20,9 +20,9 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem, check
-from polishd.process.dwell.quadratic import QuadraticObjective, narrow, projected_gradient, quadratic
+from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, use_32_bit_indices
 from polishd.process.dwell.time_limit import TimeLimit
 from polishd.process.removal.effect import SparseEffect
 
@@ -69,7 +69,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-8) -
         hessian = BandedHessian.of(problem, free)
         inside = _Interior(f, hessian, lower, upper)
         best, rounds, stopped, gap = inside.run(kkt_tolerance, limit.expired)
-    return certified(
+    return certify_dwell(
         problem,
         best,
         solver=NAME,
@@ -103,7 +103,7 @@ class BandedHessian:
         rows = sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(problem.solve_mask.ravel())][:, where])
         _refuse_above(MAX_PRODUCTS, float((np.diff(rows.indptr).astype(np.float64) ** 2).sum()), where.size)
         weight = np.ones(rows.shape[0]) if problem.weight is None else problem.weight[problem.solve_mask]
-        rows = narrow(sparse.csr_array(sparse.diags_array(np.sqrt(2 * weight / weight.size)) @ rows))
+        rows = use_32_bit_indices(sparse.csr_array(sparse.diags_array(np.sqrt(2 * weight / weight.size)) @ rows))
         product = sparse.csr_array(rows.T @ rows)
         order, row, column = _in_order(product)
         width = int(np.abs(row - column).max(initial=0)) + 1
@@ -256,7 +256,7 @@ class _Interior:
         return now.along(way, min(1.0, REACH * self._longest(now, way)))
 
     def _longest(self, now: _State, way: _State) -> float:
-        """How far along ``way``, 1 at most, everything stays above 0."""
+        """Return the largest step along ``way``, at most 1, that keeps everything above 0."""
         shares = [-way.below / now.below, -way.above / now.above, -way.low / now.low]
         shares.append(-way.high[self._closed] / now.high[self._closed])
         return 1 / max(1.0, *(float(share.max(initial=0.0)) for share in shares))

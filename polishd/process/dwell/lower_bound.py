@@ -23,7 +23,7 @@ import numpy as np
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.dwell.alternating_directions import stepping
+from polishd.process.dwell.alternating_directions import coarse_problem
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import Product, QuadraticObjective, quadratic
 from polishd.process.dwell.time_limit import TimeLimit
@@ -33,16 +33,16 @@ ROUNDS, STEPS = 8, 60
 """Tangents that are tried, and steps of conjugate residuals before each, at most: few long ways see late which points a
 bound holds, many short ones forget what they know of how the objective bends."""
 MULTIPLIERS = 0.25 ** np.arange(12)
-"""Of the removal's bound that are tried, over the one that holds every point."""
+"""Factors on the removal's bound to try, over the one that holds every point."""
 ROUNDING = 1e-12
-"""Of the objective, that sums in float64 may be off by."""
+"""Largest relative rounding error of sums in float64."""
 SPARE = 0.1
 """Part of what is to be proved that the gradient is to be worth at the end of the steps."""
 
 
 @dataclass(frozen=True, slots=True)
 class LowerBound:
-    """What every dwell keeps to that is no worse than one of this objective."""
+    """Limits of every dwell that is no worse than a given objective."""
 
     low: FloatArray
     """(n,) s"""
@@ -51,11 +51,11 @@ class LowerBound:
     removes: FloatArray
     """(n,) nm/s: all that a second removes from samples that count, summed."""
     most_nm: float
-    """Of that, over all points."""
+    """Limit of the sum over all points."""
 
     @classmethod
     def of(cls, problem: DwellProblem, f: QuadraticObjective, value: float) -> LowerBound:
-        """Of dwells whose objective is ``value`` (nm^2) at most; one product with R transposed."""
+        """Return the limits for an objective of at most ``value`` (nm^2); one product with R transposed."""
         high, m = problem.upper_s, f.target.size
         if problem.regularisation > 0:
             high = np.minimum(high, np.sqrt(max(value, 0.0) / problem.regularisation))
@@ -84,7 +84,7 @@ class LowerBound:
         return float(value + (slope * way + p * way**2).sum() + held)
 
 
-def proved(problem: DwellProblem, solution: DwellSolution, enough: float, within_s: float) -> DwellSolution:
+def prove_lower_bound(problem: DwellProblem, solution: DwellSolution, enough: float, within_s: float) -> DwellSolution:
     """The same dwell, its certificate with the smallest gap that could be proved.
 
     Args:
@@ -137,7 +137,7 @@ def _bend(problem: DwellProblem, f: QuadraticObjective) -> Product:
     """The Hessian's product, roughly: of the effect on a coarser grid where it has one."""
     effect = problem.effect
     if isinstance(effect, SpreadEffect) and effect.coarse is not None:
-        return quadratic(stepping(problem, effect)).rough_curvature
+        return quadratic(coarse_problem(problem, effect)).rough_curvature
     return f.rough_curvature
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.time_limit import TimeLimit
 
@@ -62,7 +62,7 @@ def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) 
         step = np.divide(effect.adjoint(weight * ratio), reached, out=np.ones_like(time_s), where=reached > 0)
         time_s = np.clip(time_s * np.maximum(step, 0.0), problem.lower_s, problem.upper_s)
         done += 1
-    return certified(
+    return certify_dwell(
         problem,
         best_s,
         solver=NAME,

@@ -14,7 +14,7 @@ import numpy as np
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem, check
 from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.time_limit import TimeLimit
@@ -69,7 +69,7 @@ def solve(
         return "deadline" if limit.expired() else None
 
     t, rounds, stopped = minimise(f, (lower, upper), start, stop, limit.expired)
-    return certified(problem, t, solver=NAME, iterations=rounds, seconds=limit.cpu_s, stopped=stopped)
+    return certify_dwell(problem, t, solver=NAME, iterations=rounds, seconds=limit.cpu_s, stopped=stopped)
 
 
 def minimise(

@@ -35,7 +35,7 @@ class DwellProblem:
     weight: FloatArray | None = None
     """(ny, nx) how much a sample counts, not negative; None: all alike."""
     price_nm2_per_s: float = 0.0
-    """What a second of total time costs: the multiplier of a time budget, and what walks a residual-time curve."""
+    """Price of a second of total time: the multiplier of a time budget and the parameter of a residual curve."""
     band_period_mm: float | None = None
     """The certificate states the RMS of periods above it, too."""
     warm: Start | None = field(default=None, repr=False)
@@ -48,7 +48,7 @@ NEGLIGIBLE = 1e-3
 """Share of the strongest by which an effect without a matrix may be wrong where it has nothing."""
 
 
-def negligible(effect: Effect) -> float:
+def negligible_share(effect: Effect) -> float:
     """Share of the strongest removal up to which it is taken for none: 0 of a matrix, which is exact."""
     return 0.0 if isinstance(effect, SparseEffect) else NEGLIGIBLE
 
@@ -138,7 +138,7 @@ def _check_effect(problem: DwellProblem) -> None:
     if strength.shape != (effect.n,):
         raise ComputeError(f"the effect's adjoint answers {strength.shape} for {effect.n} dwell points")
     entries = effect.matrix.data if isinstance(effect, SparseEffect) else strength
-    least = -negligible(effect) * float(np.abs(strength).max())
+    least = -negligible_share(effect) * float(np.abs(strength).max())
     if not np.isfinite(entries).all():
         raise ComputeError("the effect is not finite")
     if (entries < least).any():

@@ -12,8 +12,8 @@ from scipy import sparse
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.problem import DwellProblem
+from polishd.process.removal.combined_effect import to_float32
 from polishd.process.removal.effect import Effect, SparseEffect
-from polishd.process.removal.multi_tool_effect import single
 from polishd.process.removal.spread_effect import SpreadEffect
 
 Product = Callable[[FloatArray], FloatArray]
@@ -42,7 +42,7 @@ class QuadraticObjective:
     regularisation: float
     """The P of eq. 50, nm^2/s^2."""
     price: float = 0.0
-    """Of a second of total time, nm^2/s."""
+    """Price of a second of total time, nm^2/s."""
     gram: Product | None = None
     """(n,) s -> (n,): R'R, where that is quicker than R and R' one after the other."""
     roughly: tuple[Product, Product] | None = None
@@ -61,7 +61,7 @@ class QuadraticObjective:
         return self._at(time_s, self.forward, self.backward)
 
     def rough_at(self, time_s: FloatArray) -> tuple[float, FloatArray]:
-        """The same to float32, some 1e-6 of what they are at the lower bound, where that is quicker."""
+        """Value and gradient in float32 where that is faster; error some 1e-6 of the values at the lower bound."""
         return self._at(time_s, *(self.roughly or (self.forward, self.backward)))
 
     def _at(self, time_s: FloatArray, forward: Product, backward: Product) -> tuple[float, FloatArray]:
@@ -94,7 +94,7 @@ class QuadraticObjective:
         return self._bent(backward(forward(direction)), direction)
 
     def _bent(self, image: FloatArray, direction: FloatArray) -> FloatArray:
-        """What R'R makes of a direction, in place made what the Hessian makes of it."""
+        """Turn R'R of a direction into the Hessian's product, in place."""
         image *= 2 / self.target.size
         image += 2 * self.regularisation * direction
         return image
@@ -111,15 +111,15 @@ def quadratic(problem: DwellProblem) -> QuadraticObjective:
     target = root * problem.target_nm[mask]
     rest = (problem.regularisation, problem.price_nm2_per_s)
     if isinstance(effect, SparseEffect):
-        rows = narrow(sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(mask.ravel())]))
+        rows = use_32_bit_indices(sparse.csr_array(sparse.csr_array(effect.matrix)[np.flatnonzero(mask.ravel())]))
         if problem.weight is not None:
-            rows = narrow(sparse.csr_array(sparse.diags_array(root) @ rows))
-        columns = narrow(sparse.csr_array(rows.T))
+            rows = use_32_bit_indices(sparse.csr_array(sparse.diags_array(root) @ rows))
+        columns = use_32_bit_indices(sparse.csr_array(rows.T))
         return QuadraticObjective(
             rows.__matmul__, columns.__matmul__, target, effect.n, *rest, gram=_gram(rows, columns)
         )
 
-    rough = single(effect)
+    rough = to_float32(effect)
     roughly = None if rough is effect else _products(rough, mask, root)
     return QuadraticObjective(*_products(effect, mask, root), target, effect.n, *rest, roughly=roughly)
 
@@ -129,7 +129,7 @@ def _gram(rows: sparse.csr_array, columns: sparse.csr_array) -> Product | None:
     met = float((np.diff(rows.indptr).astype(np.float64) ** 2).sum()) / max(rows.nnz, 1)
     if met > min(GRAM_MOST, GRAM_SHARE * rows.nnz / max(rows.shape[1], 1)):
         return None
-    made = cache(lambda: narrow(sparse.csr_array(columns @ rows)))
+    made = cache(lambda: use_32_bit_indices(sparse.csr_array(columns @ rows)))
     return lambda direction: np.asarray(made() @ direction, dtype=np.float64)
 
 
@@ -144,8 +144,8 @@ def _products(effect: Effect, mask: BoolArray, root: FloatArray) -> tuple[Produc
     return lambda time_s: root * effect.removal_nm(time_s)[mask], backward
 
 
-def narrow(matrix: sparse.csr_array) -> sparse.csr_array:
-    """The same matrix with 32-bit indices where they suffice: a third less to read for each product."""
+def use_32_bit_indices(matrix: sparse.csr_array) -> sparse.csr_array:
+    """Return the matrix with 32-bit indices where they suffice: a third less memory traffic for each product."""
     if max(matrix.nnz, *matrix.shape) >= np.iinfo(np.int32).max:
         return matrix
     parts = (matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32))
@@ -180,12 +180,12 @@ ILL_CONDITIONED = 1e12
 
 
 def choose_piston_nm(
-    height_nm: FloatArray, solve_mask: BoolArray, least_removal_nm: FloatArray, unreached: float = 0.005
+    height_nm: FloatArray, solve_mask: BoolArray, least_removal_nm: FloatArray, unreachable: float = 0.005
 ) -> float:
     """The mean removal to add to a surface so that it can be reached by removing only.
 
     The rule: the smallest piston p such that the removal wanted, ``height + p``, is not below what motion at the lower
-    bound removes by itself, save at the fraction ``unreached`` of the samples (the deepest pits: to wait for a single
+    bound already removes, save at the fraction ``unreachable`` of the samples (the deepest pits: to wait for a single
     scratch costs time over the whole part). How much to remove overall moves the residual more than any solver does:
     more piston buys more reach, and costs time in proportion.
 
@@ -193,7 +193,7 @@ def choose_piston_nm(
         height_nm: (ny, nx) surface, positive = high, finite in ``solve_mask``.
         solve_mask: (ny, nx) samples that count.
         least_removal_nm: (ny, nx) removal at the lower bound, ``effect.removal_nm(lower_s)``.
-        unreached: fraction of the samples that may lie too deep, 0 <= unreached < 1.
+        unreachable: fraction of the samples that may lie too deep, 0 <= unreachable < 1.
 
     Returns:
         nm to add to ``height_nm`` to get the target.
@@ -201,14 +201,14 @@ def choose_piston_nm(
     Raises:
         ComputeError: no samples, heights that are not finite, or a fraction out of range.
     """
-    if not 0 <= unreached < 1:
-        raise ComputeError(f"the fraction left unreached must be at least 0 and below 1, not {unreached}")
+    if not 0 <= unreachable < 1:
+        raise ComputeError(f"the fraction left unreachable must be at least 0 and below 1, not {unreachable}")
     needed = (least_removal_nm - height_nm)[solve_mask]
     if needed.size == 0:
         raise ComputeError("solve_mask is empty: no surface sample to polish")
     if not np.isfinite(needed).all():
         raise ComputeError("the surface is not finite everywhere in solve_mask")
-    return float(np.quantile(needed, 1 - unreached, method="inverted_cdf"))
+    return float(np.quantile(needed, 1 - unreachable, method="inverted_cdf"))
 
 
 def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, tolerance: float = 1e-4) -> float:
@@ -224,7 +224,7 @@ def sigma_max(effect: Effect, solve_mask: BoolArray, rounds: int = 200, toleranc
     if isinstance(effect, SpreadEffect) and effect.coarse is not None:
         vector, _ = _largest(effect.coarse, effect.coarsely(solve_mask.astype(np.float64)), rounds, tolerance)
         return float(np.linalg.norm(effect.removal_nm(vector)[solve_mask]))
-    return float(np.sqrt(_largest(single(effect), solve_mask.astype(np.float64), rounds, tolerance)[1]))
+    return float(np.sqrt(_largest(to_float32(effect), solve_mask.astype(np.float64), rounds, tolerance)[1]))
 
 
 def _largest(effect: Effect, counts: FloatArray, rounds: int, tolerance: float) -> tuple[FloatArray, float]:
@@ -266,7 +266,7 @@ def condition(problem: DwellProblem, f: QuadraticObjective | None = None) -> flo
 
 
 def conditioning_note(problem: DwellProblem, f: QuadraticObjective | None = None) -> str | None:
-    """What a certificate has to say of a regularisation that is too small for float64; None where it is not."""
+    """Return the certificate's note on a regularization that is too small for float64; None where it is not."""
     number = condition(problem, f)
     if number <= ILL_CONDITIONED:
         return None

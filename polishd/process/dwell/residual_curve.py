@@ -23,7 +23,7 @@ PRICES = (*np.logspace(-1, -8, 15).tolist(), 0.0)
 
 
 CERTIFIED = ("objective", "kkt_residual", "at_lower", "at_upper", "solver", "iterations", "seconds", "stopped")
-"""Of the certificate, as it is."""
+"""As in the certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class CurvePoint:
         return slope(np.where(clear, residual, 0.0), clear, self.problem.effect.grid.pitch_mm).rms_urad
 
     def row(self) -> Row:
-        """What JSON can hold of it: figures, certificate, and what was asked for; units in the keys."""
+        """Return figures, certificate and request as JSON values; units in the keys."""
         c = self.solution.certificate
         return {
             "total_s": c.dwell_total_s,
@@ -66,8 +66,8 @@ class CurvePoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """A path of solved problems, in the order they were solved, each certified by itself."""
+class ResidualCurve:
+    """Solved problems in the order of solution, each with its certificate."""
 
     points: tuple[CurvePoint, ...]
 
@@ -118,7 +118,7 @@ class Curve:
         return knee
 
 
-def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[float] | None = None) -> Curve:
+def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[float] | None = None) -> ResidualCurve:
     """Walk the price of time down: the Pareto front itself.
 
     Where ``min residual + regularisation |t|^2 + price sum(t)`` is solved, no dwell of the same regularisation takes
@@ -140,10 +140,10 @@ def price_curve(problem: DwellProblem, solve: Solve, prices_nm2_per_s: Sequence[
     for price in prices:
         step = replace(problem, price_nm2_per_s=float(price))
         check(step)
-        points.append(solved(step, solve, points[-1].solution if points else problem.warm))
+        points.append(solve_once(step, solve, points[-1].solution if points else problem.warm))
     if not points:
         raise ComputeError("a curve needs at least one point")
-    return Curve(tuple(points))
+    return ResidualCurve(tuple(points))
 
 
 def highest_price(problem: DwellProblem) -> float:
@@ -152,7 +152,7 @@ def highest_price(problem: DwellProblem) -> float:
     return max(float(downhill.max()), 0.0)
 
 
-def solved(problem: DwellProblem, solve: Solve, warm: Start | None = None) -> CurvePoint:
+def solve_once(problem: DwellProblem, solve: Solve, warm: Start | None = None) -> CurvePoint:
     """Solve once, from ``warm`` (default: the problem's own)."""
     return CurvePoint(replace(problem, warm=None), solve(problem if warm is None else replace(problem, warm=warm)))
 
@@ -166,13 +166,13 @@ MAX_SOLVES = 60
 LEAST_PRICE = 1e-13
 
 
-def within_budget(
+def solve_within_budget(
     problem: DwellProblem, budget_s: float, solve: Solve, tolerance: float = BUDGET_TOLERANCE
 ) -> CurvePoint:
     """The best residual with ``sum(t) <= budget_s``: the price of time at which the budget is just used up.
 
     Args:
-        problem: the problem; a price of its own is the least that is tried.
+        problem: the problem. The search starts no lower than its price.
         budget_s: total time, s.
         solve: the solver; each solve starts from the last.
         tolerance: how much of the budget may stay unused, as a fraction of it, where it binds.
@@ -187,7 +187,7 @@ def within_budget(
     least = float(problem.lower_s.sum())
     if not least <= budget_s:
         raise ComputeError(f"the budget is {budget_s:.6g} s, but the dwell floor alone takes {least:.6g} s")
-    cheap = solved(problem, solve)
+    cheap = solve_once(problem, solve)
     if cheap.total_s <= budget_s:
         return _noted(cheap, f"the budget of {budget_s:.6g} s does not bind")
     aim = (1 - tolerance / 2) * budget_s
@@ -199,11 +199,11 @@ def within_budget(
         feasible=lambda point: point.total_s <= budget_s,
     )
     binds = f"the budget of {budget_s:.6g} s binds at {found.problem.price_nm2_per_s:.6g} nm^2/s"
-    better = better_within_nm(found, budget_s)
+    better = possible_gain_nm(found, budget_s)
     return _noted(found, binds if better is None else f"{binds}: no dwell within it leaves {better:.2g} nm less")
 
 
-def better_within_nm(found: CurvePoint, budget_s: float) -> float | None:
+def possible_gain_nm(found: CurvePoint, budget_s: float) -> float | None:
     """By how much less any dwell that takes no more than ``budget_s`` can leave at most, nm of the objective's root.
 
     The price is the budget's multiplier: whatever keeps to the budget costs no less than the priced least, less the
@@ -219,7 +219,7 @@ def better_within_nm(found: CurvePoint, budget_s: float) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Goal:
+class ResidualGoal:
     """A residual to reach in the clear aperture: its RMS, the RMS of its slope, or both."""
 
     rms_nm: float | None = None
@@ -231,7 +231,7 @@ class Goal:
         return self.rms_nm is not None or self.slope_urad is not None
 
     def share(self, point: CurvePoint) -> float:
-        """What a residual has of what it may have, the worst of both: 1 just reaches it."""
+        """Return the residual over its limit, the worse of both: 1 just reaches the goal."""
         shares = []
         if self.rms_nm is not None:
             shares.append(point.rms_nm / self.rms_nm)
@@ -244,22 +244,26 @@ class Goal:
         return " with ".join([*asked, *([] if self.slope_urad is None else [f"a slope of {self.slope_urad:.6g} urad"])])
 
 
-def to_target(problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> CurvePoint:
-    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``; see `to_goal`."""
-    return to_goal(problem, Goal(rms_nm), solve, tolerance)
+def solve_to_target(
+    problem: DwellProblem, rms_nm: float, solve: Solve, tolerance: float = TARGET_TOLERANCE
+) -> CurvePoint:
+    """The least total time whose residual RMS in the clear aperture is at most ``rms_nm``; see `solve_to_goal`."""
+    return solve_to_goal(problem, ResidualGoal(rms_nm), solve, tolerance)
 
 
-def to_goal(problem: DwellProblem, goal: Goal, solve: Solve, tolerance: float = TARGET_TOLERANCE) -> CurvePoint:
+def solve_to_goal(
+    problem: DwellProblem, goal: ResidualGoal, solve: Solve, tolerance: float = TARGET_TOLERANCE
+) -> CurvePoint:
     """The least total time whose residual reaches the goal.
 
-    As `within_budget`: the highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
+    The highest price of time at which the goal is met, to ``tolerance`` of it. A slope is no part
     of the objective: of the dwells that are shortest for their residual the shortest is found whose slope is met.
 
     Raises:
         ComputeError: the problem is malformed, or even without a price of time the residual stays above the goal.
     """
     check(problem)
-    cheap = solved(problem, solve)
+    cheap = solve_once(problem, solve)
     if not cheap.rms_nm > 0 or not goal.share(cheap) <= 1:
         least = f"{cheap.rms_nm:.6g} nm" + ("" if goal.slope_urad is None else f" and {cheap.slope_urad:.6g} urad")
         raise ComputeError(f"{goal} is out of reach: the least is {least} in {cheap.total_s:.6g} s")
@@ -282,7 +286,7 @@ class FloorCost:
     raised: CurvePoint
 
     def row(self) -> Row:
-        """What JSON can hold of it; a cost is what the floor adds to the free dwell's (0.02 is 2 %)."""
+        """Return JSON values; a cost is the floor's increase of the free dwell's figure (0.02 is 2 %)."""
         bounded, free, raised = self.bounded, self.free, self.raised
         return {
             "floor_s": float(bounded.problem.lower_s.sum()),
@@ -311,10 +315,10 @@ def floor_cost(problem: DwellProblem, solve: Solve) -> FloorCost:
         ComputeError: the problem is malformed, or the solver fails.
     """
     check(problem)
-    bounded = solved(problem, solve)
-    free = solved(replace(problem, lower_s=0 * problem.lower_s), solve, bounded.solution)
+    bounded = solve_once(problem, solve)
+    free = solve_once(replace(problem, lower_s=0 * problem.lower_s), solve, bounded.solution)
     dug = float(problem.effect.removal_nm(problem.lower_s)[problem.solve_mask].max())
-    raised = solved(replace(problem, target_nm=problem.target_nm + dug), solve, bounded.solution)
+    raised = solve_once(replace(problem, target_nm=problem.target_nm + dug), solve, bounded.solution)
     return FloorCost(bounded, free, raised)
 
 
@@ -335,7 +339,7 @@ def _search(
         return cheap
     top = highest_price(cheap.problem)
     low, high = np.log(max(cheap.problem.price_nm2_per_s, LEAST_PRICE * top)), np.log(top)
-    dear = solved(replace(cheap.problem, price_nm2_per_s=float(np.exp(high))), solve)
+    dear = solve_once(replace(cheap.problem, price_nm2_per_s=float(np.exp(high))), solve)
     seen, last = [cheap, dear], cheap
     at_low, at_high, side = miss(cheap), miss(dear), 0
     for _ in range(MAX_SOLVES):
@@ -343,7 +347,7 @@ def _search(
             break
         share = -at_low / (at_high - at_low)
         where = low + min(max(share, 0.02), 0.98) * (high - low)
-        last = solved(replace(cheap.problem, price_nm2_per_s=float(np.exp(where))), solve, last.solution)
+        last = solve_once(replace(cheap.problem, price_nm2_per_s=float(np.exp(where))), solve, last.solution)
         seen.append(last)
         here = miss(last)
         if here < 0:

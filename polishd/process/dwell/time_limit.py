@@ -1,4 +1,4 @@
-"""How long a solve may take: CPU seconds, which a busy machine does not use up, and in the end wall seconds."""
+"""Time limit of a solve: CPU seconds, which a busy machine does not use up, and a wall-clock backstop."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class TimeLimit:
         return 0.0 if self.expired() else self._within_s - self.cpu_s
 
     def expired(self) -> bool:
-        """Whether the limit is over."""
+        """Return whether the limit is over."""
         return self.cpu_s >= self._within_s or self.wall_s >= backstop_s(self._within_s)
 
     def __str__(self) -> str:
-        """What was used, in words."""
+        """Return the used times as text."""
         return f"{self.cpu_s:.1f} s of CPU time and {self.wall_s:.1f} s of wall time"

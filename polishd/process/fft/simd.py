@@ -1,8 +1,8 @@
 """Sixteen float32 side by side as one value that numba knows; LLVM makes of it what the processor has.
 
-numba leaves it to LLVM to find what can be done side by side, and in a butterfly that works in place it finds nothing:
-it cannot know that the rows which are read and written do not overlap. Here it is said. With AVX-512 a value is one
-register, on other processors two or four.
+numba leaves vectorization to LLVM, which does not vectorize a butterfly that works in place: LLVM cannot know that the
+rows which are read and written do not overlap. This module states it. With AVX-512 a value is one register, on
+other processors two or four.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FUSED = ("contract", "nsz")
 """A product and a sum may become one instruction."""
 
 Maker = Any
-"""What numba asks an intrinsic for: its signature, and code that builds it."""
+"""Result of a numba intrinsic: its signature, and the code that builds it."""
 
 
 class Lanes(types.Type):
@@ -112,7 +112,7 @@ gather_sum = _gathering("fadd")
 """(array, base, first, second, at): a square tile, transposed, of rows ``base + first[at:at + COUNT]`` of an array of
 (rows, COUNT), plus that of ``base + second[...]``."""
 gather_difference = _gathering("fsub")
-"""The same, minus."""
+"""Subtraction."""
 
 
 @_intrinsic
@@ -148,7 +148,7 @@ def splats(_typing: Any, array: Any, _index: Any, like: Any) -> Maker:
 
 
 @_intrinsic
-def turned(_typing: Any, x: Any, y: Any, cos: Any, sin: Any) -> Maker:
+def rotate_complex(_typing: Any, x: Any, y: Any, cos: Any, sin: Any) -> Maker:
     """Tuples (x, y) of complex values, all but the first turned by the angles of which (cos, sin) are given."""
 
     def code(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
@@ -256,7 +256,7 @@ least, most = _of_two(_chosen_by("<")), _of_two(_chosen_by(">"))
 
 
 def _means(sign: Any, name: str) -> None:
-    """What a sign means between two values, or a number and a value."""
+    """Define an operator between two values, or a number and a value."""
     made = _of_two(_signed(name))
 
     @overload(sign, strict=False)

@@ -15,8 +15,17 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from polishd.process.fft import simd
-from polishd.process.fft.simd import COUNT, gather_difference, gather_sum, loads, scatter, splats, stores, turned
-from polishd.util.jit import compiled, uncounted
+from polishd.process.fft.simd import (
+    COUNT,
+    gather_difference,
+    gather_sum,
+    loads,
+    rotate_complex,
+    scatter,
+    splats,
+    stores,
+)
+from polishd.util.jit import compile_cached, no_refcount_option
 
 # Transforms along one axis of COUNT columns at once, in place.
 
@@ -28,18 +37,18 @@ def inline(function: F) -> F:
     return _njit(function)
 
 
-def within(function: F) -> F:
-    """The same for what is called for each block: within its caller, as a call hands over each array's every number."""
+def inline_deep(function: F) -> F:
+    """Inline a function called for each block into its caller, because numba calls pass every field of each array."""
     return _njit(function, forceinline=True)
 
 
 def _njit(function: F, **options: Any) -> F:
-    made: F = njit(error_model="numpy", nogil=True, **uncounted(), **options)(function)
+    made: F = njit(error_model="numpy", nogil=True, **no_refcount_option(), **options)(function)
     return made
 
 
 RADICES = (8, 5, 3, 4, 2)
-"""In the order in which they are taken: large ones first, as they read and write least often."""
+"""Radices in the order of use: large ones first, because they need the fewest passes."""
 _TWO, _THREE, _FOUR, _FIVE, _EIGHT = ((0,) * radix for radix in (2, 3, 4, 5, 8))
 
 _HALF, _SIN_60, _SIN_45 = (np.float32(value) for value in (0.5, math.sqrt(0.75), math.sqrt(0.5)))
@@ -51,12 +60,12 @@ Lanes = Any
 
 
 class Length(NamedTuple):
-    """What a transform of so many values needs; made by `length`."""
+    """Tables of a transform of one length; made by `length`."""
 
     n: int
     radices: NDArray[np.int64]
     at: NDArray[np.int64]
-    """Where each radix' turns begin."""
+    """Start of each radix' twiddle factors."""
     cos: NDArray[np.float32]
     sin: NDArray[np.float32]
 
@@ -136,7 +145,7 @@ def _stage_forth(
         )
         for row in range(q, plan.n, whole):
             x, y = butterfly(loads(re, row, step, like), loads(im, row, step, like))
-            x, y = turned(x, y, cos, sin)
+            x, y = rotate_complex(x, y, cos, sin)
             stores(re, row, step, x)
             stores(im, row, step, y)
 
@@ -153,7 +162,7 @@ def _stage_back(
             splats(plan.sin, at + q * (radix - 1), like),
         )
         for row in range(q, plan.n, whole):
-            x, y = turned(loads(re, row, step, like), loads(im, row, step, like), cos, sin)
+            x, y = rotate_complex(loads(re, row, step, like), loads(im, row, step, like), cos, sin)
             x, y = butterfly(x, y)
             stores(re, row, step, x)
             stores(im, row, step, y)
@@ -225,7 +234,7 @@ _TILE = (0,) * COUNT
 
 
 class FftPlanArrays(NamedTuple):
-    """What compiled functions need of a plane."""
+    """Arguments of the compiled functions for a plane."""
 
     row: Length
     column: Length
@@ -234,7 +243,7 @@ class FftPlanArrays(NamedTuple):
     at: NDArray[np.int64]
     """(blocks * COUNT,) where each column's frequency is along a row."""
     mirrored: NDArray[np.int64]
-    """The same of the frequency's negative."""
+    """Index of the negative frequency."""
 
 
 @dataclass(frozen=True)
@@ -329,4 +338,4 @@ def columns_back(field: Field, block: int, columns: Columns, order: FftPlanArray
 def kernel(function: Callable[..., Any], *others: str) -> Callable[..., Any]:
     """The function by numba; ``others``: files of what it calls, but for this package and its own."""
     own = (function.__code__.co_filename, __file__, simd.__file__, __file__)
-    return compiled(function, map(Path, (*own, *others)), error_model="numpy")
+    return compile_cached(function, map(Path, (*own, *others)), error_model="numpy")

@@ -1,4 +1,4 @@
-"""What is done about a shift that was found: corrected in the next plan where it is small and certain, else stopped."""
+"""Decision about an identified shift: corrected in the next plan where it is small and certain, else a stop."""
 
 from __future__ import annotations
 
@@ -12,27 +12,37 @@ from polishd.model.errors import ComputeError
 from polishd.model.estimates import Estimate, MachineEstimates
 from polishd.model.surface import FloatArray
 from polishd.model.text import with_error
-from polishd.process.identification.identify import IdentificationResult, conditioned, length_error, without
-from polishd.process.identification.parameters import PriorKnowledge, advanced, unlearned, usual_parameters
+from polishd.process.identification.identify import (
+    IdentificationResult,
+    condition_on_zero,
+    indices_without,
+    length_error,
+)
+from polishd.process.identification.parameters import (
+    PriorKnowledge,
+    initial_knowledge,
+    knowledge_before_pass,
+    usual_parameters,
+)
 from polishd.process.identification.removal_check import MAX_SHIFT_MM
 
 CERTAIN = 3.0
-"""Standard errors that what is corrected must be away from none."""
+"""Standard errors by which a corrected shift must differ from 0."""
 LIMITS = {"rate": 0.4, "turn": 5.0, "width": 0.2, "compliance": 0.5}
-"""Largest correction that needs no person, by extension, in its parameters' units."""
+"""Largest correction without the operator, by extension, in its parameters' units."""
 UPWARDS = ("compliance",)
-"""Limited only where it is more than configured, too: an actuator may take up all that the robot gives way."""
+"""Extensions that are only limited upwards: an actuator may compensate all of the robot's compliance."""
 PLACE = ("offset", "shift", "rotation")
 LOGARITHMS = ("rate", "width", "compliance")
-"""Extensions whose parameter is a natural logarithm: told as what it stands for, in percent."""
+"""Extensions whose parameter is a natural logarithm; messages state the change in percent."""
 PLAIN = ("exponent",)
-"""Those that are no share of anything."""
-LOOK = "look at tool, seat and map before the next pass"
+"""Parameters without a percentage."""
+LOOK = "check tool, seat and map before the next pass"
 
 
 @dataclass(frozen=True, slots=True)
 class EstimatedShift:
-    """One extension, or the rate, of what is applied."""
+    """An applied extension, or the rate."""
 
     name: str
     size: float
@@ -41,22 +51,22 @@ class EstimatedShift:
     """Standard error of the length."""
     unit: str
     new: float
-    """Length of what the pass's plan did not count with, as far as that is limited."""
+    """Length of the change against the pass's plan, as far as it is limited."""
     parts: Mapping[str, float] = field(default_factory=dict)
     """The vector, by parameter."""
     error: float = 0.0
-    """Standard error of the length that is stated: with all extensions in, and with what leaving some out has moved."""
+    """Stated standard error of the length: with all extensions, and with the change by leaving some out."""
     errors: Mapping[str, float] = field(default_factory=dict)
-    """The same of each parameter."""
+    """Values of each parameter."""
 
     @property
     def stated_error(self) -> float:
-        """Standard error of the length in words: never less than that of what is applied."""
+        """Stated standard error of the length, at least that of the applied one."""
         return max(self.error, self.sigma)
 
     @property
     def words(self) -> str:
-        """With sign, unit and error; of a vector its length and each of its parameters, each with its error."""
+        """Return size, unit and error as text; of a vector its length and each parameter."""
         if len(self.parts) == 1:
             (value,) = self.parts.values()
             slope = float(np.exp(value)) if self.name in LOGARITHMS else 1.0
@@ -70,7 +80,7 @@ class EstimatedShift:
         return f"{self.name} of {size} {self._unit} ({listed})"
 
     def words_of(self, limit: float) -> str:
-        """A limit in the unit of the words."""
+        """Return a limit in the unit of ``words``."""
         return f"{self._value(limit):.3g} {self._unit}".rstrip()
 
     @property
@@ -82,17 +92,17 @@ class EstimatedShift:
         return 100.0 if self._unit == "%" else 1.0
 
     def _value(self, value: float) -> float:
-        """What a natural logarithm stands for; else itself."""
+        """Return the relative change of a logarithmic parameter, else the value itself."""
         return (float(np.expm1(value)) if self.name in LOGARITHMS else value) * self._scale
 
 
 @dataclass(frozen=True, slots=True)
 class ShiftDecision:
-    """What the next plan corrects, what it leaves, and why there is none before a person has looked."""
+    """Shifts that the next plan corrects, those that it ignores, and the reasons to stop."""
 
     corrected: tuple[EstimatedShift, ...]
     left: tuple[EstimatedShift, ...]
-    """Found, and not certain."""
+    """Identified, but not certain."""
     stops: tuple[str, ...]
 
 
@@ -102,13 +112,12 @@ def decide(
     certain: float = CERTAIN,
     misses_mm: float = MAX_SHIFT_MM,
 ) -> ShiftDecision:
-    """What is done about each extension that is applied, and about the rate.
+    """Decide about each applied extension and the rate.
 
-    What is further from what the plan counted with than its limit, by more than chance, stops; else what is ``certain``
-    standard errors from none is corrected. What has no limit is corrected where it is certain. What is left must be
-    compatible with none of it being there, all together: else what is corrected would have to make up for it. Of
-    offset, shift and rotation it is what they come to together that stops, beyond ``misses_mm``: a robot or a picture
-    that is distorted reads as a large one of each, against one another.
+    A change against the plan that exceeds its limit by more than chance stops. Any other shift is corrected where it is
+    ``certain`` standard errors from 0. The ignored shifts together must be compatible with 0, or the corrected ones
+    would have to compensate them. Offset, shift and rotation stop by their sum, beyond ``misses_mm``: a distorted robot
+    or image gives large values of each with opposite signs.
     """
     corrected, left, stops = [], [], []
     sizes = _sizes(found)
@@ -117,7 +126,7 @@ def decide(
         place = [one for one in sizes if one.name in PLACE]
         by = " and ".join(one.words + _or_else(found, one.name) for one in place)
         stated = with_error(miss, max(sigma, found.displaced_error_mm))
-        word = f"the spot acts {stated} mm off where the plan had it, more than {misses_mm:g}"
+        word = f"the spot acts {stated} mm off the planned position, more than {misses_mm:g}"
         stops.append(f"{word}, by {by}: {LOOK}")
     for one in sizes:
         limit = limits.get(one.name, np.inf)
@@ -134,10 +143,10 @@ def decide(
 
 
 def _most_needed(found: IdentificationResult, left: list[EstimatedShift], certain: float) -> EstimatedShift | None:
-    """The one of these extensions that is least likely none; None where all of them together may be none.
+    """Return the extension that is least likely 0; None where all of them together may be 0.
 
-    The chance that counts is that of a number ``certain`` standard errors off. By length alone each of two may be
-    uncertain that are certain together: left out, they would draw a compliance of -0.2 to +1.4.
+    The threshold is the chance of a number ``certain`` standard errors off. Two shifts may be uncertain alone and
+    certain together: ignored, they would move a compliance of -0.2 to +1.4.
     """
     own = [one for one in left if one.name in found.extensions]
     chance = 2 * stats.norm.sf(certain)
@@ -147,7 +156,7 @@ def _most_needed(found: IdentificationResult, left: list[EstimatedShift], certai
 
 
 def _log_chance_of_none(found: IdentificationResult, these: list[EstimatedShift]) -> float:
-    """Natural logarithm of the chance that chance alone makes as much of them, their errors' correlation included."""
+    """Return the log probability of these values if all are 0, with their correlation."""
     applied = found.applied
     own = [applied.at(name) for one in these for name in one.parts]
     mean, covariance = applied.mean[own], applied.covariance[np.ix_(own, own)]
@@ -155,10 +164,10 @@ def _log_chance_of_none(found: IdentificationResult, these: list[EstimatedShift]
 
 
 def _or_else(found: IdentificationResult, name: str) -> str:
-    """Extensions that rivals without this one have and the best model has not."""
+    """Return the extensions of rivals without this one that the best model lacks."""
     best, rivals = found.comparison.best.extensions, found.comparison.rivals
     others = {other for one in rivals if name not in one.extensions for other in one.extensions - best}
-    return f" (or {', '.join(sorted(others))}: this pass cannot tell)" if others else ""
+    return f" (or {', '.join(sorted(others))}: this pass cannot separate them)" if others else ""
 
 
 def _sizes(found: IdentificationResult) -> list[EstimatedShift]:
@@ -184,33 +193,33 @@ def _sizes(found: IdentificationResult) -> list[EstimatedShift]:
     return sizes
 
 
-# What is known of a machine as the record that a job keeps, and as the knowledge that the next pass begins with.
+# Conversion between the record that a job keeps and the prior of the next pass.
 
 
-def knowledge_of(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
-    """As the next pass's prior (`usual_parameters`); ComputeError where another polishd kept other parameters."""
-    known = unlearned(usual_parameters(turns=turns))
+def knowledge_from_estimates(beliefs: MachineEstimates, *, turns: bool) -> PriorKnowledge:
+    """Return the next pass's prior (`usual_parameters`); ComputeError where the stored parameters differ."""
+    known = initial_knowledge(usual_parameters(turns=turns))
     if not beliefs.mean:
         return known
     if tuple(beliefs.mean) != known.names:
         raise ComputeError(
-            f"what was kept of the machine has the parameters {', '.join(beliefs.mean)}, and this polishd knows "
-            f"{', '.join(known.names)}: finish the job with the polishd that began it, or give job.id a new name"
+            f"the stored estimates have the parameters {', '.join(beliefs.mean)}, this polishd has "
+            f"{', '.join(known.names)}. Finish the job with the polishd that began it, or set a new job.id"
         )
     return PriorKnowledge(
         known.parameters, np.array(list(beliefs.mean.values())), np.array(beliefs.covariance), dict(beliefs.odds)
     )
 
 
-def on_the_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates:
-    """What a job begins with, so many days after the pass that taught it: what belongs to a mounted part is forgotten.
+def estimates_for_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates:
+    """Return the estimates for a job ``days`` after the last pass, without those of a mounted part.
 
-    ComputeError as of `knowledge_of`.
+    ComputeError as of `knowledge_from_estimates`.
     """
-    known = knowledge_of(beliefs, turns="turn" in beliefs.mean)
+    known = knowledge_from_estimates(beliefs, turns="turn" in beliefs.mean)
     if not beliefs.mean:
         return beliefs
-    after = advanced(known, 0.0, max(days, 0.0), anew=("mount",))
+    after = knowledge_before_pass(known, 0.0, max(days, 0.0), anew=("mount",))
     of_part = {p.name for p in known.parameters if p.scope in {"map", "mount"}}
     walked = known.parameters[known.at("rate")].rest * max(days, 0.0) ** 0.5
     sigma = None if beliefs.rate.sigma is None else float(np.hypot(beliefs.rate.sigma, beliefs.rate.value * walked))
@@ -224,25 +233,25 @@ def on_the_next_part(beliefs: MachineEstimates, days: float) -> MachineEstimates
     )
 
 
-def beliefs_of(
+def estimates_after_pass(
     learned: PriorKnowledge, taken: Iterable[str], contact_h: float, rates: tuple[float, float], volume: FloatArray
 ) -> MachineEstimates:
-    """What is believed after a pass of so many hours in contact.
+    """Return the estimates after a pass of ``contact_h`` in contact.
 
     Args:
-        learned: by the pass.
-        taken: extensions that plans are to count with; the others' parameters are 0 then, and the rest follows.
+        learned: knowledge after the pass.
+        taken: extensions for the plans; the parameters of the others are 0, and the rest is conditioned on that.
         contact_h: of the pass.
-        rates: least and largest rate that may be believed.
-        volume: (k,) of `Identified`: the rate's stated error is that of all that the next pass removes.
+        rates: limits of the rate.
+        volume: (k,) of `IdentificationResult`: the rate's stated error is that of the next pass's total removal.
 
-    The next pass may be another program's: on the tracks of a first touch rate and field cancel, over a part they do
-    not. So the stated error is that of an even pass, too, with all extensions in, and what leaving some out has moved.
+    The next pass may have another program: on the tracks of a first touch rate and field cancel, over a part they do
+    not. So the stated error also covers an even pass with all extensions, and the change by leaving some out.
     """
-    out = without(learned.parameters, frozenset(taken))
-    mean, covariance = conditioned(learned.mean, learned.covariance, out)
-    known = advanced(learned, contact_h)
-    plan = advanced(PriorKnowledge(learned.parameters, mean, covariance), contact_h)
+    out = indices_without(learned.parameters, frozenset(taken))
+    mean, covariance = condition_on_zero(learned.mean, learned.covariance, out)
+    known = knowledge_before_pass(learned, contact_h)
+    plan = knowledge_before_pass(PriorKnowledge(learned.parameters, mean, covariance), contact_h)
     applied = {
         p.name: float(value)
         for p, value in zip(plan.parameters, plan.mean, strict=True)

@@ -1,6 +1,6 @@
-"""Which of many tracks teach most of a machine in the least contact time: an optimal design, track by track.
+"""Optimal design of track times: the most information on a machine in the least contact time.
 
-What a pass teaches is the Fisher information of its removal (`forward.Forward.columns`), and what is known after it
+The information of a pass is the Fisher information of its removal (`ForwardModel.columns`), and the covariance after it
 the inverse of that and the prior's. Tracks are given time where that takes most off the errors that are still larger
 than wanted, for each second in contact (a greedy A-optimal design; V. V. Fedorov, Theory of Optimal Experiments, 1972).
 """
@@ -21,15 +21,15 @@ from polishd.process.identification.parameters import ABERRATIONS, PriorKnowledg
 WANTED: Mapping[str, float] = MappingProxyType(
     {"rate": 0.005, "offset_x": 0.02, "offset_y": 0.02, "turn": 0.5, "width": 0.005, "compliance": 0.05}
 )
-"""Standard errors that a first touch is to bring, in the parameters' units, ..."""
+"""Standard errors wanted of a first touch, in the parameters' units, ..."""
 FIELD_WANTED = 0.003
 """... and for each term of the rate's field."""
 WORTH = 0.01
-"""A step that takes less than this share off what is still wanted is not worth its contact."""
+"""Least relative progress of a step towards the goal."""
 MOST_STEPS = 400
 
 
-def design(
+def design_track_times(
     model: ForwardModel,
     track: IntArray,
     known: PriorKnowledge,
@@ -41,7 +41,7 @@ def design(
     most_nm: float,
     within_s: float,
 ) -> FloatArray:
-    """(C,) seconds of C tracks, 0 where one is not worth its time.
+    """Return (C,) seconds of C tracks, 0 where a track is not worth its time.
 
     Args:
         model: of the blocks of all tracks, each with the time that it has of a second on its track.
@@ -80,22 +80,22 @@ def design(
     return seconds
 
 
-def after(model: ForwardModel, known: PriorKnowledge, noise_nm: float) -> PriorKnowledge:
-    """What is known after a pass of the model's blocks that shows the machine as it was believed."""
+def knowledge_after_pass(model: ForwardModel, known: PriorKnowledge, noise_nm: float) -> PriorKnowledge:
+    """Return the knowledge after a pass of the model's blocks that confirms the present estimate."""
     theta = np.zeros(len(known.mean))
     columns = model.columns(theta, model.lay(theta))
     return replace(known, covariance=_inverse(_inverse(known.covariance) + columns.T @ columns / noise_nm**2))
 
 
 def _goals(known: PriorKnowledge, wanted: Mapping[str, float]) -> FloatArray:
-    """(k,) variance wanted of each parameter, inf where nothing is."""
+    """(k,) variance wanted of each parameter, inf where none is."""
     fields = {name: FIELD_WANTED for name in known.names if name.startswith("field_")}
     every = {**fields, **wanted}
     return np.array([every.get(name, np.inf) for name in known.names]) ** 2
 
 
 def _left(columns: FloatArray, precision: FloatArray, noise_nm: float, goal: FloatArray) -> float:
-    """What is still wanted: of each parameter its variance over the goal, as far as that is above 1; 0 is reached."""
+    """Return the distance from the goal: log of variance over goal where above 1, summed; 0 is reached."""
     variance = np.diag(_inverse(precision + columns.T @ columns / noise_nm**2))
     return float(np.log(np.maximum(variance / goal, 1.0)).sum())
 

@@ -1,6 +1,6 @@
-"""What passes say together: converging slower than predicted, a rate that drifts, a tool that wears, another spot.
+"""Findings from several passes: slower convergence than predicted, rate drift, tool wear, a changed spot.
 
-How large each must be to be seen, and how often one is found where there is none: docs/wear.md.
+Detection limits and false-alarm rates: docs/wear.md.
 """
 
 from __future__ import annotations
@@ -14,39 +14,39 @@ import scipy
 
 from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, levelled, regressed
+from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, regress_signals, remove_plane
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
-# What a planned pass is expected to leave, as a distribution, before it is made; and how far off passes have been.
+# Forecast of the residual of a planned pass as a distribution, and the errors of earlier forecasts.
 
 LEVEL = 0.9
 UNEXPLAINED = 0.009
-"""Of the removal, RMS, before a pass has shown it: so that most first passes in each of this package's scenarios
-come as expected, those with a ripple that no touch tells among them (docs/scenarios.md)."""
+"""Prior of the unexplained share of the removal, RMS: most first passes of the scenarios then agree with the forecast,
+also those with a ripple that no touch shows (docs/scenarios.md)."""
 WITHIN = 0.6
-"""Standard deviation of the natural logarithm of how large it is in the next pass."""
+"""Standard deviation of the log of that share from pass to pass."""
 MODES = 12
-"""Independent parts of the field that no rate explains: a part is so many of its correlation lengths."""
+"""Independent parts of the unexplained field: the part's area in correlation areas."""
 SURE_NOISE = 3.0
-"""A removal that varies by less than so many times its noise shows nothing of what no rate explains."""
+"""Least removal over noise to measure the unexplained share."""
 SAMPLES = 4000
 
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """RMS that the next map is expected to show on its own samples, in the clear aperture, aligned as it is."""
+    """Forecast RMS of the next map on its samples, in the clear aperture, aligned alike."""
 
     low_nm: float
     median_nm: float
     high_nm: float
     level: float
-    """Chance that it comes between the two."""
+    """Probability of the interval."""
     better: float
-    """Chance that it is less than what was measured before the pass."""
+    """Probability that it is below the RMS before the pass."""
 
     @property
     def words(self) -> str:
-        """For people."""
+        """Return the interval as text."""
         return f"{self.low_nm:.2f} to {self.high_nm:.2f} nm ({100 * self.level:.0f} %)"
 
 
@@ -61,19 +61,19 @@ def forecast(
     finer_nm: float = 0.0,
     ripple: float = 0.0,
 ) -> Forecast:
-    """Of a pass.
+    """Forecast the RMS after a pass.
 
     Args:
         now_nm: (n,) surface in the clear aperture as measured, aligned.
-        removal_nm: (n,) what the pass is expected to remove there, aligned likewise.
-        removed_nm: RMS of the removal, all of it.
+        removal_nm: (n,) expected removal there, aligned alike.
+        removed_nm: RMS of the total removal.
         rate_sigma: standard error of the removal rate, relative.
-        unexplained: RMS of what no rate explains, relative to that.
-        noise_nm: RMS of the next map's noise beyond what ``now_nm`` has of it, in quadrature.
-        finer_nm: RMS of what the map shows beyond ``now_nm`` and its noise: it stays.
-        ripple: what a pass adds to that, relative to ``removed_nm``, known as well as ``unexplained`` is.
+        unexplained: RMS of the unexplained removal, relative to that.
+        noise_nm: RMS of the next map's noise beyond that in ``now_nm``, in quadrature.
+        finer_nm: RMS of the map's finer structure beyond ``now_nm`` and noise, which stays.
+        ripple: increase of that by a pass, relative to ``removed_nm``, as uncertain as ``unexplained``.
     """
-    rng = np.random.default_rng(0)  # the same question has the same answer
+    rng = np.random.default_rng(0)  # reproducible
     left, removal = now_nm - removal_nm, removal_nm - removal_nm.mean()
     left = left - left.mean()
     own, across, square = (float(np.mean(a * b)) for a, b in ((left, left), (left, removal), (removal, removal)))
@@ -83,7 +83,7 @@ def forecast(
     field = size**2 * rng.chisquare(MODES, SAMPLES) / MODES
     mixed = 2 * np.sqrt(by_rate * field / MODES) * rng.standard_normal(SAMPLES)
     after = np.sqrt(np.maximum(by_rate + field + mixed, 0.0))
-    alike = rng.uniform(size=SAMPLES)  # of the same tracks all of it, of others it is beside what is there
+    alike = rng.uniform(size=SAMPLES)  # 1: the same tracks add up; 0: independent
     finer = finer_nm + ripple * removed_nm * alike * np.exp(WITHIN * rng.standard_normal(SAMPLES))
     seen = np.hypot(np.hypot(after, noise_nm), finer)
     low, median, high = np.quantile(seen, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
@@ -91,16 +91,18 @@ def forecast(
     return Forecast(float(low), float(median), float(high), LEVEL, better)
 
 
-def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, noise_nm: float) -> float | None:
-    """What no rate explains of a pass, relative to all that it removed; None where the pass is too weak to tell.
+def unexplained_share(
+    predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, noise_nm: float
+) -> float | None:
+    """Return the share of a pass's removal that no rate explains; None where the pass is too weak.
 
     Args:
-        predicted_nm: (ny, nx) removal by the model, of what was executed, all of it.
+        predicted_nm: (ny, nx) total removal by the model of the executed blocks.
         measured_nm: (ny, nx) map before less map after.
         mask: (ny, nx) the clear aperture.
         noise_nm: RMS of one map's noise on these samples.
     """
-    predicted, measured = (levelled(np.where(mask, v, 0.0), mask)[mask] for v in (predicted_nm, measured_nm))
+    predicted, measured = (remove_plane(np.where(mask, v, 0.0), mask)[mask] for v in (predicted_nm, measured_nm))
     size = float(np.sqrt(np.mean(predicted**2)))
     change_nm = 2**0.5 * noise_nm
     if size < max(MIN_SIGNAL_NM, SURE_NOISE * change_nm):
@@ -110,38 +112,38 @@ def unexplained(predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArr
     return float(np.sqrt(max(rest - change_nm**2, 0.0) / np.mean(predicted_nm[mask] ** 2)))
 
 
-def pooled(known: float, shown: float | None) -> float:
-    """What is expected of the next pass: the last one counts as much as all before it."""
+def pool_unexplained(known: float, shown: float | None) -> float:
+    """Pool the unexplained shares of the passes; the last pass counts as much as all before it."""
     return known if shown is None else float(np.sqrt((known**2 + shown**2) / 2))
 
 
 SIGMAS = 4.0
-"""Standard errors by which a change must be other than none: a cell makes thousands of passes."""
+"""Standard errors by which a change must differ from 0: a cell makes thousands of passes."""
 REFERENCE = 3
-"""Passes that make the rate that later ones are held against."""
+"""Passes whose mean rate is the reference for later ones."""
 LEAST_PROMISE = 0.05
-"""Of the RMS: a plan that expects less of a gain expects none."""
+"""Least gain of a plan, as a share of the RMS; a smaller one counts as none."""
 STALLED = 2
 """Passes in a row that gain too little."""
 BY_REACH = 0.5
-"""Share of what is left that the spot must be able to correct, for more passes to be worth a thought."""
+"""Least share of the residual that the spot can correct, for more passes to help."""
 BY_WEAR = 0.5
-"""Share of a fall that what was lost within the passes must make, for the fall to be wear."""
+"""Least share of a fall that must occur within the passes to count as wear."""
 WORTH = 0.05
-"""Chance of a gain below which a pass is not made."""
+"""Least probability of a gain for a pass."""
 DIVERGED_RATIO, DIVERGED_NM = 1.3, 1.0
-"""A surface that is worse than the best one so far by this ratio, and by more than noise and ripple, ends the job."""
+"""A surface worse than the best one by this ratio, and by more than noise and ripple, ends the job."""
 
 
 def has_diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
-    """Whether a surface is clearly worse than it has been: RMS of the earlier measurements, and of this one."""
+    """Return whether a surface is clearly worse than before: RMS of the earlier measurements, and of this one."""
     best = min(earlier_nm, default=math.inf)
     return now_nm > max(DIVERGED_RATIO * best, best + DIVERGED_NM)
 
 
 def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
-    """A pass that is not worth making: it will hardly leave the surface better than it is."""
-    if not limits.least_gain or expected.better >= WORTH:
+    """Return a finding where the next pass will probably not improve the surface."""
+    if not limits.min_improvement or expected.better >= WORTH:
         return None
     chance = f"with a chance of {100 * expected.better:.0f} % that it is less than now"
     todo = "it is not made. Take another tool, or tolerance, or a quieter map"
@@ -149,7 +151,7 @@ def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
 
 
 def extend_series(series: PassSeries, shown: PassIndicators) -> PassSeries:
-    """The series with one more pass."""
+    """Return the series with one more pass."""
     hours = shown.contact_s / 3600
     longer = replace(series, passes=series.passes + 1, contact_h=series.contact_h + hours)
     if shown.rate is not None:
@@ -166,21 +168,21 @@ def extend_series(series: PassSeries, shown: PassIndicators) -> PassSeries:
 
 
 def findings(series: PassSeries, job: Sequence[PassIndicators], limits: FindingLimits) -> tuple[Finding, ...]:
-    """What is found after the last pass of a job; none where all is as it should be.
+    """Return the findings after the last pass of a job.
 
     Args:
-        series: with that pass (`followed`).
-        job: what this job's passes showed, in time order; those that were interrupted are not among them.
-        limits: how far each may go.
+        series: with that pass (`extend_series`).
+        job: indicators of this job's passes in time order, without interrupted ones.
+        limits: limit of each indicator.
     """
     shown = job[-1]
     of_tool = [found for found in (_rate(series, shown, limits), _spot(shown, limits)) if found is not None]
-    stall = None if of_tool else _stall(job, limits)  # a tool that changed is why
+    stall = None if of_tool else _stall(job, limits)  # a changed tool explains a stall
     return tuple(of_tool) if stall is None else (stall,)
 
 
 def _rate(series: PassSeries, shown: PassIndicators, limits: FindingLimits) -> Finding | None:
-    """A rate that changed within the pass, or since the series' first passes."""
+    """Return a finding on a rate change within the pass, or since the series' first passes."""
     since = _change(series, shown)
     if shown.fade is not None and _beyond(shown.fade, limits.max_rate_drift):
         word = f"the removal rate changed by {_percent(shown.fade)} during one pass of {_hours(shown.contact_s / 3600)}"
@@ -205,7 +207,7 @@ def _tool(word: str, *, falls: bool, within: bool | None) -> Finding:
 
 
 def _by_wear(series: PassSeries, change: float) -> bool | None:
-    """Whether what was lost within the passes explains a fall between them; None: they do not show it."""
+    """Return whether wear within the passes explains a fall between them; None: undetermined."""
     if change >= 0:
         return False
     if not series.faded_h:
@@ -222,7 +224,7 @@ def _spot(shown: PassIndicators, limits: FindingLimits) -> Finding | None:
     if shown.width is None or not _beyond(shown.width, limits.max_spot_change):
         return None
     if abs(shown.width.value) - 2 * _sigma(shown.width) <= limits.max_spot_change:
-        return None  # a part of few spots across reads widths that scatter as far as the limit
+        return None  # on a part of few spots across, the widths scatter up to the limit
     word = "wider" if shown.width.value > 0 else "narrower"
     size = f"{100 * abs(shown.width.value):.0f} +- {100 * _sigma(shown.width):.0f} %"
     advice = "look at tool, pressure and dip, and calibrate the spot"
@@ -231,7 +233,7 @@ def _spot(shown: PassIndicators, limits: FindingLimits) -> Finding | None:
 
 def _stall(job: Sequence[PassIndicators], limits: FindingLimits) -> Finding | None:
     last = job[-STALLED:]
-    if not limits.least_gain or len(last) < STALLED or not all(_gains_little(one, limits) for one in last):
+    if not limits.min_improvement or len(last) < STALLED or not all(_gains_little(one, limits) for one in last):
         return None
     first, shown = last[0], last[-1]
     word = (
@@ -249,11 +251,11 @@ def _gains_little(shown: PassIndicators, limits: FindingLimits) -> bool:
     if shown.predicted_nm is None:
         return False
     promised, gained = shown.before_nm - shown.predicted_nm, shown.before_nm - shown.after_nm
-    return promised < LEAST_PROMISE * shown.before_nm or gained < limits.least_gain * promised
+    return promised < LEAST_PROMISE * shown.before_nm or gained < limits.min_improvement * promised
 
 
 def _change(series: PassSeries, shown: PassIndicators) -> Estimate | None:
-    """Of the rate against the series' reference, relative."""
+    """Relative change of the rate against the series' reference."""
     if shown.rate is None or series.reference is None:
         return None
     ratio = shown.rate.value / series.reference.value
@@ -262,7 +264,7 @@ def _change(series: PassSeries, shown: PassIndicators) -> Estimate | None:
 
 
 def _beyond(change: Estimate, limit: float) -> bool:
-    """Beyond its limit, and surely no chance."""
+    """Return whether a change exceeds its limit significantly."""
     return abs(change.value) > limit and abs(change.value) > SIGMAS * _sigma(change)
 
 
@@ -285,18 +287,18 @@ def _hours(hours: float) -> str:
     return f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.0f} min"
 
 
-# What a pass's removal shows of the tool beside its rate: that it wore while it polished, or that its spot changed.
+# Tool indicators from a pass's removal beside the rate: wear within the pass, and a change of the spot.
 
 
 @dataclass(frozen=True, slots=True)
 class WearIndicators:
-    """Each relative, with its standard error; infinite where the pass does not show it."""
+    """Relative indicators with standard errors, infinite where the pass does not show them."""
 
     fade: float = 0.0
-    """By how much the removal rate changed from the pass's begin to its end, of its mean."""
+    """Change of the removal rate from the pass's begin to its end, over its mean."""
     fade_sigma: float = float("inf")
     width: float = 0.0
-    """By how much the spot is wider than the predicted one, volume aside."""
+    """Relative excess of the spot's width over the predicted one, at equal volume."""
     width_sigma: float = float("inf")
 
 
@@ -309,21 +311,21 @@ def traces(
     pitch_mm: float,
     spot_mm: float,
 ) -> WearIndicators:
-    """Both by least squares, beside rate, shift and plane: ``measured = rate (predicted + fade late + width s^2 L)``.
+    """Fit both by least squares with rate, shift and plane: ``measured = rate (predicted + fade late + width s^2 L)``.
 
-    A spot that is wider by a little smooths what it removes, as diffusion does: L is the prediction's Laplacian. All
-    are smoothed by the spot's size first: what is shorter is noise, and ripple of the raster, which grids take unlike.
+    A slightly wider spot smooths its removal like diffusion: L is the prediction's Laplacian. All maps are smoothed by
+    the spot's size first, because shorter periods are noise and raster ripple, which depends on the grid.
 
     Args:
         predicted_nm: (ny, nx) removal predicted of what was executed, positive = removed; also beside the mask.
-        late_nm: (ny, nx) the same, each point's time weighted with its place in the pass, -1/2 at the begin, 1/2 at the
-            end.
+        late_nm: (ny, nx) the same, each point's time weighted by its position in the pass, -1/2 at the begin, 1/2 at
+            the end.
         measured_nm: (ny, nx) map before less map after.
         mask: (ny, nx) samples to compare.
         pitch_mm: of the grid.
         spot_mm: the spot's RMS half width along one direction, s.
     """
-    signal = levelled(predicted_nm, mask)[mask]
+    signal = remove_plane(predicted_nm, mask)[mask]
     if mask.sum() < FEWEST or np.sqrt(np.mean(signal**2)) < MIN_SIGNAL_NM:
         return WearIndicators()
     reach = spot_mm / pitch_mm
@@ -336,7 +338,7 @@ def traces(
     def figures(factors: FloatArray) -> FloatArray:
         return np.asarray(factors[..., 1:3] / factors[..., :1], dtype=np.float64)
 
-    found = regressed([predicted, late, bent, *slopes], measured, mask, figures)
+    found = regress_signals([predicted, late, bent, *slopes], measured, mask, figures)
     (fade, width), (fade_sigma, width_sigma) = figures(found.factors), found.sigma
     return WearIndicators(float(fade), float(fade_sigma), float(width), float(width_sigma))
 

@@ -1,4 +1,4 @@
-"""All parameters fitted to one map: outliers left out, with the noise that the map and the model really have."""
+"""Robust fit of all parameters to one map: without outliers, with the estimated noise of map and model."""
 
 from __future__ import annotations
 
@@ -14,31 +14,30 @@ from polishd.process.identification.forward_model import BlockEffects, ForwardMo
 from polishd.process.identification.parameters import PriorKnowledge, RemovalMap, RemovalNoise
 from polishd.process.removal.tif import HertzSpot
 
-# The parameters that a removal map and what was known before make most likely (Gauss-Newton, after Levenberg).
+# Maximum a posteriori estimate of the parameters from a removal map (Gauss-Newton, after Levenberg).
 
 HUBER = 1.5
 """Standard deviations from which the robust fit counts a residual by its size, not its square."""
 SETTLED = 0.03
-"""A step of so many standard errors in all is the last."""
+"""Length of the last step, in standard errors."""
 MISFIT = 1e-3
-"""Of the loss: a step that lowers it by less is the last one, too, where no parameters fit the map at all, and of a
-robust fit, which is asked for outliers and noise only."""
+"""Relative decrease of the loss in the last step of a robust fit, or where no parameters fit the map."""
 STEPS = 40
 DAMPINGS = 8
 LEAST_DAMPING, EASED = 1e-3, 8.0
-"""Of a step that does not lower the loss by itself, and by how much less the next one is damped."""
+"""Least damping after a step that does not lower the loss, and the factor by which the next step is damped less."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapFit:
-    """The most likely parameters, and the normal distribution about them."""
+    """Most likely parameters and their normal posterior."""
 
     theta: FloatArray
     """(k,)"""
     covariance: FloatArray
     """(k, k)"""
     residual_nm: FloatArray
-    """(N,) measured less modelled."""
+    """(N,) measured less modeled."""
     laid: BlockEffects
     """The effect at theta, or near it."""
     columns: FloatArray
@@ -48,8 +47,8 @@ class MapFit:
 
 
 @dataclass(frozen=True, slots=True)
-class Data:
-    """N samples, and which of them count."""
+class FitSamples:
+    """N samples, and the mask of those that count."""
 
     removal_nm: FloatArray
     """(N,)"""
@@ -62,7 +61,7 @@ class Data:
 
 def estimate(
     model: ForwardModel,
-    data: Data,
+    data: FitSamples,
     prior: PriorKnowledge,
     *,
     robust: bool = False,
@@ -96,7 +95,7 @@ def estimate(
         hessian = columns.T @ (columns * weight[:, None]) + aim.precision
         downhill = columns.T @ (weight * at.residual_nm) - aim.precision @ (at.theta - prior.mean)
         after, damping = _step(aim, at, hessian, downhill, damping)
-        if damping >= LEAST_DAMPING / EASED and after is not at:  # the slopes of where it began lead no further
+        if damping >= LEAST_DAMPING / EASED and after is not at:  # the slopes at the start lead no further
             after = aim.at(after.theta, model.lay(after.theta))
         moved, gained, at = after.theta - at.theta, at.loss - after.loss, after
         if float(moved @ hessian @ moved) < SETTLED**2:
@@ -104,7 +103,9 @@ def estimate(
         if (robust or at.loss > data.removal_nm.size) and gained < MISFIT * at.loss:
             break
     else:
-        raise ComputeError(f"the fit of the removal did not settle in {STEPS} steps: is this the map of this pass?")
+        raise ComputeError(
+            f"the fit of the removal did not converge in {STEPS} steps. Check that the map is of this pass"
+        )
     covariance = np.linalg.inv(hessian)
     evidence = -at.loss + (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior.covariance)[1]) / 2
     return MapFit(at.theta, covariance, at.residual_nm, at.laid, columns, float(evidence))
@@ -112,7 +113,7 @@ def estimate(
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """Parameters, with what follows of them."""
+    """Parameters with their effect, loss and residual."""
 
     theta: FloatArray
     laid: BlockEffects
@@ -121,9 +122,9 @@ class _Point:
 
 
 class _Aim:
-    """What is to be small: half the squares of residual and of departure from the prior, in standard deviations."""
+    """Return the loss: half the squares of residual and of departure from the prior, in standard deviations."""
 
-    def __init__(self, model: ForwardModel, data: Data, prior: PriorKnowledge, bend_nm: float) -> None:
+    def __init__(self, model: ForwardModel, data: FitSamples, prior: PriorKnowledge, bend_nm: float) -> None:
         self.model, self.data, self.prior, self.bend_nm = model, data, prior, bend_nm
         self.precision = np.linalg.inv(prior.covariance)
         self.scale = 1 / (data.noise.sigma_nm**2 * data.cells)
@@ -147,7 +148,7 @@ class _Aim:
 
 
 def _step(aim: _Aim, at: _Point, hessian: FloatArray, downhill: FloatArray, damping: float) -> tuple[_Point, float]:
-    """The next point, not higher than this one, and the damping to try next."""
+    """Return the next point, not higher than this one, and the damping to try next."""
     for _ in range(DAMPINGS):
         damped = hessian + damping * np.diag(np.diag(hessian))
         theta = at.theta + scipy.linalg.solve(damped, downhill, assume_a="pos")
@@ -157,28 +158,28 @@ def _step(aim: _Aim, at: _Point, hessian: FloatArray, downhill: FloatArray, damp
             return after, damping / EASED
         damping = max(4 * damping, LEAST_DAMPING)
     if float(downhill @ scipy.linalg.solve(hessian, downhill, assume_a="pos")) < 1:
-        return at, damping  # within a standard error: a measured spot turns in steps, and the loss has some of them
-    raise ComputeError(f"the fit of the removal did not settle: no step from a loss of {at.loss:.6g} lowers it")
+        return at, damping  # within a standard error: a measured spot turns in steps, so the loss has steps
+    raise ComputeError(f"the fit of the removal did not converge: no step from a loss of {at.loss:.6g} lowers it")
 
 
-# What a fit leaves: its size, the area over which it is one and the same, and the samples that do not belong to it.
+# Residual of a fit: its size, its correlation area, and its outliers.
 
 NORMAL = 1.4826
 """Standard deviation over the median of the magnitudes, of a normal distribution."""
 OUTLIER = 4.5
-"""Standard deviations from which a sample, or the mean of a window, is none of the pass: 1 of 150,000 by chance."""
+"""Standard deviations from which a sample, or the mean of a window, is an outlier: 1 of 150,000 by chance."""
 WINDOW = 3
-"""Samples across the window: a bump of no sample's own."""
+"""Samples across the window, for bumps wider than a sample."""
 LOCAL = 0.1
-"""Share of the samples up to which outliers are something local: more is a model that does not fit."""
+"""Largest share of outliers that is local; with more the model does not fit."""
 NEGLIGIBLE = 0.05
-"""Correlation below which the noise of two samples is taken for independent."""
+"""Correlation below which the noise of two samples counts as independent."""
 
 
 def outliers(residual_nm: FloatArray, mask: BoolArray, noise: RemovalNoise, pitch_mm: float) -> BoolArray:
-    """(ny, nx) samples that are none of the pass: pits, drop-outs read as heights, a local bump, and their rims.
+    """(ny, nx) outliers: pits, drop-outs read as heights, local bumps, and their rims.
 
-    A bump of more than `LOCAL` of the map stays, and so do single samples: that is no local matter.
+    Outliers of more than `LOCAL` of the map stay, and so do single samples: they are not local.
 
     Args:
         residual_nm: (ny, nx) of a robust fit of all parameters.
@@ -207,7 +208,7 @@ def size_nm(residual_nm: FloatArray, mask: BoolArray, noise: RemovalNoise) -> fl
 
 
 def own_noise(residual_nm: FloatArray, mask: BoolArray, noise: RemovalNoise, pitch_mm: float) -> RemovalNoise:
-    """The noise that a fit has to reckon with: what is stated, or what is left where that is more.
+    """Return the noise of a fit: the stated noise, or the residual where that is larger.
 
     The area is the sum of the residual's autocorrelation over the rings of lags, out to the first that is negligible.
     """
@@ -242,19 +243,19 @@ def _box(values: FloatArray) -> FloatArray:
     return np.asarray(means * WINDOW**2, dtype=np.float64)
 
 
-# Where a fit begins: at what was known, or, where that does not fit at all, where the spot is found by looking.
+# Initial guess of a fit: the prior or, where that does not fit, a search for the spot.
 
 LOST = 0.3
-"""Of how a removal varies: where what was known leaves more, at whatever rate, its slopes may lead astray."""
+"""Share of the removal's variation: with a larger residual of the prior, at any rate, its slopes may mislead."""
 SHOWS = 3.0
-"""Standard deviations of the noise that a removal has to leave to be anything that could be found elsewhere."""
+"""Least residual, in standard deviations of the noise, for a search."""
 MOVES = 10
-"""Steps of the spot that are gone at most: five millimetres and more, of any tool."""
+"""Most steps of the spot in a search: five millimeters and more, for any tool."""
 PLACES = (("offset_x", "offset_y"), ("shift_x", "shift_y"))
-"""Parameters by which a spot may be elsewhere, in the tool's frame or in the part's."""
+"""Parameters that shift a spot, in the tool's frame or in the part's."""
 
 
-def beginning(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> FloatArray:
+def initial_guess(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> FloatArray:
     """(k,) parameters to begin a fit at: the prior's mean, moved step by step to where the removal is."""
     here, measured = prior.mean, without_plane(removed.removal_nm[removed.mask], removed.mask)
     left_nm = _left_nm(model, here, measured)
@@ -267,7 +268,7 @@ def beginning(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -
 def _walked(
     model: ForwardModel, here: FloatArray, left_nm: float, measured: FloatArray, place: tuple[str, str]
 ) -> tuple[FloatArray, float]:
-    """From here downhill, a step of the spot at a time: (k,) parameters, and what they leave."""
+    """Descend from here, one step of the spot at a time: (k,) parameters, and their residual."""
     for _ in range(MOVES):
         looked = [(there, _left_nm(model, there, measured)) for there in _beside(model, here, place)]
         there, less_nm = min(looked, key=lambda one: one[1])
@@ -288,7 +289,7 @@ def _beside(model: ForwardModel, here: FloatArray, place: tuple[str, str]) -> It
 
 
 def _left_nm(model: ForwardModel, theta: FloatArray, measured: FloatArray) -> float:
-    """RMS of a removal (N,), levelled, less what these parameters make of it at the best rate."""
+    """RMS of a leveled removal (N,) less the model of these parameters at the best rate."""
     modelled = without_plane(model.matrix(theta) @ model.block_s(theta), model.mask)
     rate = max(float(modelled @ measured) / float(modelled @ modelled), 0.0)
     return float(np.sqrt(np.mean((measured - rate * modelled) ** 2)))
@@ -296,24 +297,26 @@ def _left_nm(model: ForwardModel, theta: FloatArray, measured: FloatArray) -> fl
 
 ROUNDS = 4
 HOME, SOME = 0.7, 0.01
-"""A fit that leaves less than this share of the noise that it reckoned with, or of the outliers where they were more
-than so many of the samples, began too far off to tell them: once more, with those that this one leaves."""
+"""A fit is repeated with its residual where that is below a share of the assumed noise, or where less than this share
+of the outliers is left and they exceeded so many of the samples. It began too far off to estimate them."""
 LAYING, HERTZ_LAYING = 1e-3, 2e-3
-"""Of the removal's standard deviation: by what spots of squares, laid on cells, miss the same spots summed exactly; the
-second of Hertz's, whose rim is steep."""
+"""Error of spots of squares averaged over cells against exact sums, over the removal's standard deviation; the second
+for Hertz spots, whose rim is steep."""
 
 
-def fit(model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge) -> tuple[Data, dict[str, MapFit], BoolArray]:
-    """All parameters by each projection, robustly; then without what is none of the pass, with the noise that is left.
+def fit(
+    model: ForwardModel, removed: RemovalMap, prior: PriorKnowledge
+) -> tuple[FitSamples, dict[str, MapFit], BoolArray]:
+    """Fit all parameters by each projection, robustly; then without outliers, with the estimated noise.
 
     Outliers, noise and the slopes of the second fit are those of the projection that fits best: what another leaves
     says nothing of the map.
     """
     mask, pitch = removed.mask, removed.grid.pitch_mm
     measured = removed.removal_nm[mask]
-    stated = removed.noise.with_another(laying(model, removed), pitch)
-    all_of_it = Data(measured, np.ones(measured.size, dtype=bool), stated, stated.cells(pitch))
-    own = estimate(model, all_of_it, prior, robust=True, start=beginning(model, removed, prior))
+    stated = removed.noise.with_another(cell_average_error(model, removed), pitch)
+    all_of_it = FitSamples(measured, np.ones(measured.size, dtype=bool), stated, stated.cells(pitch))
+    own = estimate(model, all_of_it, prior, robust=True, start=initial_guess(model, removed, prior))
     first = {model.projection: own}
     for name in model.blocks.depth_ratio:
         if name != model.projection:
@@ -335,9 +338,9 @@ def _best(found: Mapping[str, MapFit]) -> str:
 
 
 def _once_more(
-    model: ForwardModel, found: Mapping[str, MapFit], data: Data, prior: PriorKnowledge
+    model: ForwardModel, found: Mapping[str, MapFit], data: FitSamples, prior: PriorKnowledge
 ) -> dict[str, MapFit]:
-    """By squares, with slopes laid anew.
+    """Fit by least squares with updated slopes.
 
     Those of the geometry that a fit began at lead to the right place, but what they say of its errors is not that
     place's.
@@ -350,15 +353,15 @@ def _once_more(
     return final
 
 
-def _far_off(data: Data, after: Data) -> bool:
-    """Whether a fit began too far from where the spot was to tell noise and outliers, as what it leaves says."""
+def _far_off(data: FitSamples, after: FitSamples) -> bool:
+    """Return whether a fit began too far off to estimate noise and outliers, from its residual."""
     out, still_out = (int(np.count_nonzero(~one.keep)) for one in (data, after))
     fewer = out > SOME * data.keep.size and still_out < HOME * out
     return fewer or after.noise.sigma_nm < HOME * data.noise.sigma_nm
 
 
-def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalMap, stated: RemovalNoise) -> Data:
-    """Without what is none of the pass, and with the noise that the best of these fits leaves."""
+def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalMap, stated: RemovalNoise) -> FitSamples:
+    """Return the samples without outliers, with the noise of the best of these fits."""
     best = _best(found)
     mask, pitch = removed.mask, removed.grid.pitch_mm
     residual = np.zeros(mask.shape)
@@ -366,11 +369,11 @@ def _cleaned(model: ForwardModel, found: Mapping[str, MapFit], removed: RemovalM
     rejected = outliers(residual, mask, stated, pitch)
     keep = mask & ~rejected
     noise = own_noise(residual, keep, stated, pitch)
-    return Data(removed.removal_nm[mask], keep[mask], noise, noise.cells(pitch))
+    return FitSamples(removed.removal_nm[mask], keep[mask], noise, noise.cells(pitch))
 
 
-def laying(model: ForwardModel, removed: RemovalMap) -> RemovalNoise:
-    """What the effect matrix itself is off by: in proportion to how the removal varies, and as wide as the spot."""
+def cell_average_error(model: ForwardModel, removed: RemovalMap) -> RemovalNoise:
+    """Error of the effect matrix: proportional to the variation of the removal, and as wide as the spot."""
     varies = abs(without_plane(removed.removal_nm[removed.mask], removed.mask))
     share = HERTZ_LAYING if isinstance(model.spot, HertzSpot) else LAYING
     return RemovalNoise(share * NORMAL * float(np.median(varies)), _core_mm2(model, np.zeros(len(model.parameters))))
@@ -381,8 +384,8 @@ def _core_mm2(model: ForwardModel, theta: FloatArray) -> float:
     return np.pi * float(np.median(2 * model.spot.step_mm(model.gamma(theta)))) ** 2
 
 
-def followed_rate(model: ForwardModel, found: MapFit, data: Data) -> float:
-    """By how much the rate may be too high: half the map's noise is also what the plan followed, as far as it could.
+def rate_bias(model: ForwardModel, found: MapFit, data: FitSamples) -> float:
+    """Return the bias of the rate: half the map's noise is also in the plan, as far as the spot can follow it.
 
     Noise finer than the spot is not polished in: of white noise a spot follows the share of a sample in its core.
     """

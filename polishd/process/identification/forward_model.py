@@ -19,7 +19,7 @@ from polishd.process.removal.tif import HertzSpot, Spot, WiderSpot, rotate_spot
 # What the parameters make of blocks: where they lie, how deep they go, and how fast they remove. 0 changes nothing.
 
 FIELD = "field_"
-"""What the rate's terms over the part begin with; Noll's number follows."""
+"""Prefix of the names of the rate's terms over the part; Noll's number follows."""
 MOVING = ("offset_x", "offset_y", "shift_x", "shift_y", "turn", "rotation")
 LEAST_RATIO = 0.01
 """Depth ratio below which no compliance sinks a block."""
@@ -34,7 +34,7 @@ class ParameterAction:
 
     @property
     def moves(self) -> bool:
-        """Whether any point lies elsewhere than where it was programmed, or any lean."""
+        """Return whether any point or lean differs from the program."""
         return any(self.at[name] for name in MOVING)
 
     def laid(self, place_mm: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -51,7 +51,7 @@ class ParameterAction:
         return np.asarray(np.maximum(1 - np.exp(self.at["compliance"]) * (1 - depth_ratio), LEAST_RATIO))
 
     def spot(self, spot: Spot) -> Spot:
-        """As wide as it is."""
+        """Spot at its width."""
         return WiderSpot(spot, float(np.exp(self.at["width"]))) if self.at["width"] else spot
 
     def log_rate(self, depth_ratio: FloatArray, contact_h: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ class BlockEffects:
     base: scipy.sparse.csr_array
     """(N, n) nm/s."""
     slopes: dict[str, scipy.sparse.csr_array]
-    """Those of `SLOPES` that a parameter asks for."""
+    """Entries of `SLOPES` that the parameters need."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ class ForwardModel:
     spot: Spot
     parameters: tuple[Parameter, ...]
     blocks: ExecutedBlocks
-    """Those that took time."""
+    """Indices of the blocks with time."""
     weight_s: FloatArray
     """(n,)"""
     waves: FloatArray
@@ -124,7 +124,7 @@ class ForwardModel:
     """(N, i) what the instrument may add, term by term."""
     projection: str
     pixels: MapPixelData | None = None
-    """Of the maps, where a sample is a mean of them."""
+    """Pixels of the maps, where a sample is a mean of them."""
 
     def values(self, theta: FloatArray) -> dict[str, float]:
         """By name; a parameter that is not fitted is 0."""
@@ -135,7 +135,7 @@ class ForwardModel:
         return ParameterAction(self.values(theta)).sunk(self.blocks.depth_ratio[self.projection])
 
     def moves(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where these parameters lay the blocks: (n, 2) mm their middles, (n,) rad the azimuths."""
+        """Return the blocks under these parameters: (n, 2) mm their middles, (n,) rad the azimuths."""
         middle = (self.blocks.start_mm + self.blocks.end_mm) / 2
         return ParameterAction(self.values(theta)).laid(middle, self.blocks.azimuth_rad)
 
@@ -292,7 +292,7 @@ class ForwardModel:
         return np.asarray(rules[name](), dtype=np.float64)
 
     def of(self, projection: str) -> ForwardModel:
-        """The same with another projection's gamma."""
+        """Return the model with another projection's gamma."""
         return replace(self, projection=projection)
 
 
@@ -319,7 +319,7 @@ _ASKED = {
 }
 
 
-def forward(
+def build_forward_model(
     blocks: ExecutedBlocks,
     grid: Grid,
     mask: BoolArray,

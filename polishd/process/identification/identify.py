@@ -1,4 +1,4 @@
-"""What the removal map of a pass teaches: the whole of it, from blocks and map to estimates in words."""
+"""Identification of the process from the removal map of a pass: from blocks and map to estimates with sentences."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
-from polishd.process.identification.fit import fit, followed_rate, without_plane
-from polishd.process.identification.forward_model import ParameterAction, forward
+from polishd.process.identification.fit import fit, rate_bias, without_plane
+from polishd.process.identification.forward_model import ParameterAction, build_forward_model
 from polishd.process.identification.parameters import (
     ExecutedBlocks,
     Parameter,
@@ -23,12 +23,12 @@ from polishd.process.identification.parameters import (
 )
 from polishd.process.removal.tif import Spot
 
-# Nested models compared by their evidence, and what each extension is worth to the next pass.
+# Comparison of nested models by their evidence, and the gain of each extension in the next pass.
 
 PRICE = float(np.log(20.0))
-"""Logarithm of the odds against each extension before anything was measured."""
+"""Prior log-odds against each extension."""
 RIVAL = float(np.log(20.0))
-"""Models whose odds are not worse than the best one's by more than this are rivals of it."""
+"""Models whose log-odds are within this of the best model are its rivals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,28 +42,28 @@ class CandidateModel:
 
 @dataclass(frozen=True, slots=True)
 class ModelComparison:
-    """What evidence says of the extensions."""
+    """Evidence for and against the extensions."""
 
     best: CandidateModel
     rivals: tuple[CandidateModel, ...]
-    """Others that the map cannot exclude, the likeliest first."""
+    """Other models that the map does not exclude, the most likely first."""
     probability: Mapping[str, float]
-    """Of each extension, over all models."""
+    """Probability of each extension, over all models."""
 
 
 def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray) -> ModelComparison:
-    """The models with and without each extension, from the posterior of all parameters.
+    """Compare the models with and without each extension, from the posterior of all parameters.
 
     Args:
         parameters: k of them.
         theta: (k,) posterior mean.
         covariance: (k, k) of the posterior.
     """
-    names = extensions(parameters)
+    names = extension_names(parameters)
     found = []
     for taken in product((True, False), repeat=len(names)):
         inside = frozenset(name for name, is_in in zip(names, taken, strict=True) if is_in)
-        out = without(parameters, inside)
+        out = indices_without(parameters, inside)
         odds = _density_at_zero(parameters, theta, covariance, out) + PRICE * (len(names) - len(inside))
         found.append(CandidateModel(inside, odds))
     found.sort(key=lambda one: -one.log_odds)
@@ -74,17 +74,17 @@ def compare(parameters: Sequence[Parameter], theta: FloatArray, covariance: Floa
     return ModelComparison(best, rivals, probability)
 
 
-def extensions(parameters: Sequence[Parameter]) -> tuple[str, ...]:
-    """Their names, each once, in order."""
+def extension_names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
+    """Return the names of the extensions, each once, in order."""
     return tuple(dict.fromkeys(p.extension for p in parameters if p.extension is not None))
 
 
-def without(parameters: Sequence[Parameter], taken: frozenset[str]) -> list[int]:
+def indices_without(parameters: Sequence[Parameter], taken: frozenset[str]) -> list[int]:
     """Indices of the parameters that a model with these extensions leaves at 0."""
     return [k for k, p in enumerate(parameters) if p.extension is not None and p.extension not in taken]
 
 
-def conditioned(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tuple[FloatArray, FloatArray]:
+def condition_on_zero(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tuple[FloatArray, FloatArray]:
     """(k,) mean and (k, k) covariance where the parameters ``out`` are known to be 0."""
     if not out:
         return theta, covariance
@@ -95,26 +95,28 @@ def conditioned(theta: FloatArray, covariance: FloatArray, out: list[int]) -> tu
 
 
 def detection_limits(parameters: Sequence[Parameter], covariance: FloatArray) -> dict[str, float]:
-    """By parameter of an extension: the size at which evidence is even, were it the only thing wrong."""
+    """Return, by parameter of an extension, the size at which the evidence is even if it is the only error."""
     found = {}
-    for name in extensions(parameters):
-        _, alone = conditioned(np.zeros(len(parameters)), covariance, without(parameters, frozenset({name})))
+    for name in extension_names(parameters):
+        _, alone = condition_on_zero(
+            np.zeros(len(parameters)), covariance, indices_without(parameters, frozenset({name}))
+        )
         own = [k for k, p in enumerate(parameters) if p.extension == name]
         prior = 2 * sum(np.log(parameters[k].sigma) for k in own)
         occam = (prior - np.linalg.slogdet(alone[np.ix_(own, own)])[1]) / 2
         for k in own:
-            # seen by itself, the others of its extension free to follow: the marginal error is what it must exceed
+            # the other parameters of its extension are free, so the marginal error counts
             found[parameters[k].name] = float(np.sqrt(2 * max(occam + PRICE, 0.0) * alone[k, k]))
     return found
 
 
-def worth(
+def residual_gain(
     parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray, next_columns: FloatArray, name: str
 ) -> float:
-    """What an extension takes off the next pass's residual, mean square in nm^2: its gain less its cost in noise.
+    """Return the gain of an extension in the next pass's residual, mean square in nm^2, less its cost in noise.
 
-    Left out it leaves ``|J theta|^2``, taken in with its error ``tr(J C J')``; the first is known by its estimate,
-    which is too large by that error. So it pays where ``|J theta|^2 > 2 tr(J C J')`` (C. L. Mallows, Technometrics 15,
+    Without the extension ``|J theta|^2`` is left, with it ``tr(J C J')``. The estimate of the first is too large by the
+    second. So it pays where ``|J theta|^2 > 2 tr(J C J')`` (C. L. Mallows, Technometrics 15,
     661, 1973).
 
     Args:
@@ -133,7 +135,7 @@ def worth(
 def _density_at_zero(
     parameters: Sequence[Parameter], theta: FloatArray, covariance: FloatArray, out: list[int]
 ) -> float:
-    """Log of the posterior's density over the first prior's, of the parameters ``out`` all at 0."""
+    """Return the log of posterior over prior density where the parameters ``out`` are 0 (Savage-Dickey)."""
     if not out:
         return 0.0
     own = covariance[np.ix_(out, out)]
@@ -142,7 +144,7 @@ def _density_at_zero(
     return float((prior - np.linalg.slogdet(own)[1] - off) / 2)
 
 
-# What a pass cannot tell apart: said parameter by parameter, from the posterior against what was known before.
+# Confounded parameters of a pass, from the posterior and the prior.
 
 HALF = 0.5
 DIGIT = 0.1
@@ -150,18 +152,18 @@ DIGIT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Confounding:
-    """How much a pass told of a parameter."""
+    """Information of a pass on a parameter."""
 
     retained: float
     """Standard error after over before the pass."""
     decided: bool
-    """Whether the pass took half off its error, or more."""
+    """The pass halves its error, or better."""
     confounded_with: tuple[str, ...]
-    """Others without which it, or which without it, cannot be known."""
+    """Parameters that must be known to determine it, or the reverse."""
 
 
 def confounding_of(parameters: tuple[Parameter, ...], before: FloatArray, after: FloatArray) -> dict[str, Confounding]:
-    """By name, how much was told of each parameter.
+    """Return, by name, how well the pass determines each parameter.
 
     Args:
         parameters: k of them.
@@ -181,7 +183,7 @@ def confounding_of(parameters: tuple[Parameter, ...], before: FloatArray, after:
 
 
 def _fewest(covariance: FloatArray, k: int, share: float) -> list[int]:
-    """The others that, if known, would leave a share of the error of parameter k: greedily in, what is idle out."""
+    """Return the other parameters that, if known, reduce the error of k to a share: greedy, then without idle ones."""
     enough = share**2 * covariance[k, k]
     rest = [j for j in range(len(covariance)) if j != k]
     if _left(covariance, k, rest) > enough:
@@ -207,7 +209,7 @@ def _left(covariance: FloatArray, k: int, known: list[int]) -> float:
 
 
 LEAST_GAIN_NM = 0.05
-"""RMS that an extension must take off the next pass's residual to be applied."""
+"""Least gain of an applied extension in the next pass's residual, RMS."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,64 +222,64 @@ class ParameterEstimate:
     sigma: float
     before: float
     """Its standard error before the pass."""
-    told: Confounding
+    confounding: Confounding
     probability: float
-    """That its extension is there at all; 1 for what is always fitted."""
+    """Probability of its extension; 1 for a parameter that is always fitted."""
     detection_limit: float
-    """Size at which the evidence for its extension would be even; 0 for what is always fitted."""
+    """Size at which the evidence for its extension is even; 0 for a parameter that is always fitted."""
 
     @property
     def sentence(self) -> str:
-        """What a person should know of it."""
+        """Return the estimate as a sentence."""
         size = f"{with_error(self.value, self.sigma, '+')} {self.parameter.unit}".removesuffix(" 1")
-        others = _listed(self.told.confounded_with)
-        if self.told.decided and others:
-            return f"{self.parameter.words}: {size}; most of its error is that of {others}"
-        if self.told.decided:
+        others = _listed(self.confounding.confounded_with)
+        if self.confounding.decided and others:
+            return f"{self.parameter.words}: {size}; most of its error comes from {others}"
+        if self.confounding.decided:
             return f"{self.parameter.words}: {size}"
         if others:
-            return f"{self.parameter.words}: this pass cannot tell it from {others} ({size})"
+            return f"{self.parameter.words}: this pass cannot separate it from {others} ({size})"
         return f"{self.parameter.words}: this pass does not show it ({size})"
 
 
 PLACE = ("offset_x", "offset_y", "shift_x", "shift_y", "rotation")
 """Parameters that move a spot."""
 SMALL = 1e-4
-"""Of their units: a rotation moves it in proportion."""
+"""Step of these parameters, in their units: a rotation moves a spot in proportion."""
 
 
 @dataclass(frozen=True, slots=True)
 class IdentificationResult:
-    """What a pass taught."""
+    """Identified parameters of a pass."""
 
     estimates: tuple[ParameterEstimate, ...]
     learned: PriorKnowledge
-    """All parameters, as the next pass's prior (`parameters.advanced`)."""
+    """All parameters, as the next pass's prior (`knowledge_before_pass`)."""
     applied: PriorKnowledge
-    """Those that the next plan counts with: the best model's extensions that pay; the others 0, without error."""
+    """Parameters for the next plan: the best model's extensions that pay; the others 0, without error."""
     comparison: ModelComparison
     worth_nm2: Mapping[str, float]
-    """By extension of the best model: what it takes off the next pass's residual, mean square."""
+    """By extension of the best model: its gain in the next pass's residual, mean square."""
     projection: str
-    """That the data want, or the one that was believed."""
+    """Projection that the data support, else the assumed one."""
     projection_rivals: tuple[str, ...]
-    """Others that the evidence does not exclude."""
+    """Projections that the evidence does not exclude."""
     noise: RemovalNoise
-    """That was reckoned with."""
+    """Noise of the removal that the fit used."""
     counted: Mapping[str, float]
-    """By parameter, what the pass's plan counted with; 0 where it is not named."""
+    """By parameter, the value that the pass's plan used; 0 where it is not named."""
     displaced_mm: tuple[float, float]
-    """How far off where the plan had it the spot acted, by what is applied of its offset and of the part's shift and
-    rotation: RMS over the pass's time, and its standard error."""
+    """Distance of the spot from its planned position by the applied offset, shift and rotation: RMS over the pass's
+    time, and its standard error."""
     volume: FloatArray = field(repr=False)
-    """(k,) by how much all that the next pass removes changes with each parameter, relative: what a pass cannot tell
-    apart of rate, compliance and exponent changes it by much less together than their own errors say."""
+    """(k,) relative change of the next pass's total removal with each parameter. Confounded rate, compliance and
+    exponent change it together by much less than their single errors."""
     rejected: BoolArray = field(repr=False)
-    """(ny, nx) samples that are none of the pass."""
+    """(ny, nx) samples that the robust fit rejected."""
     residual_nm: FloatArray = field(repr=False)
     """(ny, nx) measured less modelled removal; NaN outside the mask."""
     displaced_error_mm: float = 0.0
-    """Standard error of the first of ``displaced_mm`` that is stated: with all in that may move the spot."""
+    """Standard error of the first of ``displaced_mm``, with all parameters that may move the spot."""
 
     def __getitem__(self, name: str) -> ParameterEstimate:
         """The estimate of a parameter."""
@@ -285,20 +287,20 @@ class IdentificationResult:
 
     @property
     def extensions(self) -> frozenset[str]:
-        """That the next plan counts with."""
+        """Return the extensions that the next plan uses."""
         return frozenset(name for name, gain in self.worth_nm2.items() if gain > 0)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """For people: each parameter, and what could as well be the cause."""
-        said = tuple(one.sentence for one in self.estimates if one.parameter.scope != "map")
+        """Return a sentence for each parameter, and for the rival explanations."""
+        lines = tuple(one.sentence for one in self.estimates if one.parameter.scope != "map")
         rivals = [_listed(sorted(one.extensions)) or "nothing" for one in self.comparison.rivals]
         if rivals:
             best = _listed(sorted(self.comparison.best.extensions)) or "nothing"
-            said += (f"found: {best}; this map would as well be explained by: {'; '.join(rivals)}",)
+            lines += (f"found: {best}; the map also fits: {'; '.join(rivals)}",)
         if self.projection_rivals:
-            said += (f"projection {self.projection}: {_listed(self.projection_rivals)} cannot be told from it",)
-        return said
+            lines += (f"projection {self.projection}: this map also fits {_listed(self.projection_rivals)}",)
+        return lines
 
 
 def identify(
@@ -315,26 +317,26 @@ def identify(
     followed: bool = True,
     least_gain_nm: float = LEAST_GAIN_NM,
 ) -> IdentificationResult:
-    """Parameters of the process from the removal of one pass, and what is to be done about them.
+    """Identify the parameters of the process from the removal of one pass, and select those to apply.
 
     Args:
-        removed: what two maps show, on a grid about as fine as a third of the spot's core (`Removed.coarser`).
-        blocks: what was executed.
+        removed: removal from two maps, on a grid of about a third of the spot's core (`RemovalMap.coarser`).
+        blocks: the executed blocks.
         spot: the rigid robot's, as the plan had it.
         process: likewise.
-        prior: what is known: `unlearned`, or `advanced` from the last pass.
-        projection: the one believed of those in ``blocks.depth_ratio``.
+        prior: `initial_knowledge`, or `knowledge_before_pass` from the last pass.
+        projection: the assumed one of those in ``blocks.depth_ratio``.
         radius_mm: of the circle about the part's origin that the rate's field is over; the same for all passes.
         next_s: (n,) s that the next pass is expected to dwell at the blocks; None: as this one.
-        counted: by parameter, what the plan counted with; None: with nothing.
-        followed: whether the dwell was solved on the map before: its noise is then in what was removed, too.
-        least_gain_nm: what an extension must take off the next pass's RMS.
+        counted: by parameter, the value that the plan used; None: none.
+        followed: the dwell was solved on the map before, so that its noise is in the removal, too.
+        least_gain_nm: least gain of an extension in the next pass's RMS.
 
     Raises:
-        ComputeError: input that cannot be, or a fit that does not settle.
+        ComputeError: malformed input, or a fit that does not converge.
     """
     check_pass(blocks, removed, projection)
-    model = forward(
+    model = build_forward_model(
         blocks,
         removed.grid,
         removed.mask,
@@ -352,7 +354,7 @@ def identify(
     found, model = by_projection[chosen], model.of(chosen)
     covariance = found.covariance.copy()
     if followed and "rate" in prior.names:
-        covariance[prior.at("rate"), prior.at("rate")] += followed_rate(model, found, data) ** 2
+        covariance[prior.at("rate"), prior.at("rate")] += rate_bias(model, found, data) ** 2
     learned = replace(prior, mean=found.theta, covariance=covariance, odds=_levelled_odds(odds))
     weight = model.weight_s if next_s is None else model.weight_s * (next_s / blocks.time_s)[blocks.time_s > 0]
     columns = model.columns(found.theta, found.laid, weight)
@@ -382,14 +384,14 @@ def identify(
 
 
 def _volume(known: PriorKnowledge, columns: FloatArray) -> FloatArray:
-    """(k,) of what polishes; what maps differ by is no removal."""
+    """(k,) of the parameters that remove; those of the maps count for nothing."""
     own = np.array([p.scope != "map" for p in known.parameters])
     total = columns.sum(axis=0)
     return np.asarray(np.where(own, total / total[known.at("rate")], 0.0), dtype=np.float64)
 
 
 def displaced_mm(blocks: ExecutedBlocks, applied: PriorKnowledge, counted: Mapping[str, float]) -> tuple[float, float]:
-    """Offset and shift may cancel where the spindle leans: it is their sum that misses what a plan counted with."""
+    """Return the distance from the planned position; offset and shift may cancel where the spindle leans."""
     square, mean, covariance = _displacement(blocks, applied, counted)
     size = float(np.sqrt(max(float(mean @ square @ mean), 0.0)))
     along = square @ mean / size if size > 0 else np.zeros(len(mean))
@@ -451,13 +453,15 @@ def _moves(blocks: ExecutedBlocks) -> dict[str, FloatArray]:
 def _applied(
     learned: PriorKnowledge, best: CandidateModel, future: FloatArray, least_gain_nm: float
 ) -> tuple[dict[str, float], PriorKnowledge]:
-    """The best model less what does not pay, the least worth of it first, as each that goes changes the others."""
+    """Remove extensions of the best model that do not pay, the worst first, because each removal changes the others."""
     taken = best.extensions
     worths: dict[str, float] = {}
     while True:
-        out = without(learned.parameters, taken)
-        mean, covariance = conditioned(learned.mean, learned.covariance, out)
-        own = {name: worth(learned.parameters, mean, covariance, future, name) - least_gain_nm**2 for name in taken}
+        out = indices_without(learned.parameters, taken)
+        mean, covariance = condition_on_zero(learned.mean, learned.covariance, out)
+        own = {
+            name: residual_gain(learned.parameters, mean, covariance, future, name) - least_gain_nm**2 for name in taken
+        }
         worths |= own
         poor = [name for name, gain in own.items() if gain <= 0]
         if not poor:
@@ -468,9 +472,9 @@ def _applied(
 def _estimates(
     learned: PriorKnowledge, prior: PriorKnowledge, comparison: ModelComparison, middle_h: float
 ) -> tuple[ParameterEstimate, ...]:
-    """What is told of the rate is of that in the middle of the pass."""
+    """Return the estimates; that of the rate is for the middle of the pass."""
     limits = detection_limits(learned.parameters, learned.covariance)
-    before, after = (in_the_middle(known, middle_h) for known in (prior, learned))
+    before, after = (covariance_at_mid_pass(known, middle_h) for known in (prior, learned))
     seen = confounding_of(learned.parameters, before, after)
     columns = zip(learned.parameters, learned.mean, learned.sigma, prior.sigma, strict=True)
     return tuple(
@@ -487,8 +491,8 @@ def _estimates(
     )
 
 
-def in_the_middle(known: PriorKnowledge, middle_h: float) -> FloatArray:
-    """(k, k) covariance with the rate that of so many hours after: the first minute's has the wear's error, too."""
+def covariance_at_mid_pass(known: PriorKnowledge, middle_h: float) -> FloatArray:
+    """(k, k) covariance with the rate ``middle_h`` later: the first minute's rate has the error of the wear, too."""
     middle = np.eye(len(known.mean))
     if {"rate", "wear"} <= set(known.names):
         middle[known.at("rate"), known.at("wear")] = -middle_h
@@ -496,7 +500,7 @@ def in_the_middle(known: PriorKnowledge, middle_h: float) -> FloatArray:
 
 
 def _levelled_odds(odds: Mapping[str, float]) -> dict[str, float]:
-    """The likeliest at 0."""
+    """Return the odds with the most likely at 0."""
     most = max(odds.values())
     return {name: value - most for name, value in odds.items()}
 

@@ -1,4 +1,4 @@
-"""The parameters that a removal map is read for, and what is known of them from pass to pass."""
+"""Parameters of the identification, and their knowledge from pass to pass."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from polishd.model.estimates import MapPixels
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.checks import refuse_where, require_number
-from polishd.process.metrology.resampling import Registration, averaging
+from polishd.process.metrology.resampling import Registration, averaging_matrix
 from polishd.process.removal.contact import relative_removal
 
 Scope = Literal["map", "mount", "tool", "cell"]
-"""What a parameter belongs to, and with what it begins anew: a map, a mounted part, a tool, or never."""
+"""Scope of a parameter, with which it starts anew: a map, a mounted part, a tool, or never."""
 FIELD_ORDER = 3
 """Largest radial order of the rate's field."""
 INSTRUMENT = ("piston", "tilt_x", "tilt_y", "power")
-"""What two maps may differ by without removal, in Noll's order; ``astigmatism_45``, ``astigmatism_0`` may follow."""
+"""Differences of two maps without removal, in Noll's order; ``astigmatism_45``, ``astigmatism_0`` may follow."""
 ABERRATIONS = (*INSTRUMENT, "astigmatism_45", "astigmatism_0")
 LARGE_NM = 300.0
-"""Prior of piston and tilt: more than any map of a part has, less than what costs digits."""
+"""Prior of piston and tilt: above any map's, small enough for float64."""
 DRIFT_NM = 3.0
 """Prior RMS of power and astigmatism by which two maps of one part differ."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of the process. Of each, 0 is the process as it is configured."""
+    """One parameter of the process; 0 is the configured process."""
 
     name: str
     unit: str
     sigma: float
-    """Standard deviation of what is expected before anything was measured."""
+    """Prior standard deviation."""
     scope: Scope
     use: float = 0.0
-    """By how much it walks at random in an hour of contact; in n hours by sqrt(n) times this."""
+    """Random walk in an hour of contact; in n hours sqrt(n) times this."""
     rest: float = 0.0
     """Likewise in a day."""
     extension: str | None = None
-    """The extension of the model that it comes with; None: it is always fitted."""
+    """Extension of the model that contains it; None: always fitted."""
     words: str = ""
-    """For people."""
+    """Description for messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class PriorKnowledge:
-    """What is known of k parameters: normal, with this mean and covariance."""
+    """Normal distribution of k parameters."""
 
     parameters: tuple[Parameter, ...]
     mean: FloatArray
@@ -63,7 +63,7 @@ class PriorKnowledge:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
@@ -80,7 +80,7 @@ class PriorKnowledge:
 
 
 def usual_parameters(instrument: Iterable[str] = INSTRUMENT, *, turns: bool = True) -> tuple[Parameter, ...]:
-    """All of them, with the priors of docs/identification.md.
+    """Return all parameters with the priors of docs/identification.md.
 
     Args:
         instrument: what maps may differ by.
@@ -105,16 +105,16 @@ def usual_parameters(instrument: Iterable[str] = INSTRUMENT, *, turns: bool = Tr
     )
 
 
-def unlearned(parameters: Sequence[Parameter]) -> PriorKnowledge:
-    """Before anything was measured: all of them 0, each with its prior."""
+def initial_knowledge(parameters: Sequence[Parameter]) -> PriorKnowledge:
+    """Return the knowledge before any measurement: all 0, each with its prior."""
     prior = np.array([p.sigma for p in parameters])
     return PriorKnowledge(tuple(parameters), np.zeros(len(prior)), np.diag(prior**2))
 
 
-def advanced(
+def knowledge_before_pass(
     known: PriorKnowledge, contact_h: float, days: float = 0.0, anew: Iterable[Scope] = ("map",)
 ) -> PriorKnowledge:
-    """What is known when the next pass begins.
+    """Return the knowledge at the begin of the next pass.
 
     A tool that wears loses its rate (``rate -= contact_h * wear``, exactly, with the covariance). Each parameter walks
     at random by its own use and rest, up to its prior; those of the scopes ``anew`` begin again.
@@ -153,10 +153,10 @@ def _aberration(name: str) -> Parameter:
     return Parameter(name, "nm", sigma, "map", words=f"{name.replace('_', ' ')} between the maps, RMS")
 
 
-# A pass as identification sees it: the blocks that were executed, and the removal that two maps show.
+# Input of the identification: executed blocks, and the removal from two maps.
 
 FEWEST = 50
-"""Samples with data below which nothing is identified."""
+"""Least number of samples with data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,23 +164,23 @@ class ExecutedBlocks:
     """n executed blocks in time order, in the part's frame."""
 
     start_mm: FloatArray
-    """(n, 2) x and y where each began."""
+    """(n, 2) x and y of each start."""
     end_mm: FloatArray
     """(n, 2)"""
     time_s: FloatArray
     """(n,) s executed in contact."""
     azimuth_rad: FloatArray
-    """(n,) where the spindle leaned, counterclockwise from x."""
+    """(n,) direction of the spindle's lean, counterclockwise from x."""
     depth_ratio: Mapping[str, FloatArray]
-    """By projection of the compliance, (n,) gamma of each block: what is to be told apart."""
+    """By projection of the compliance, (n,) gamma of each block."""
     factor: FloatArray | None = None
-    """(n,) on the removal, as of `dynamic_tif.corrected_spot`; None: 1."""
+    """(n,) on the removal, as of `dynamic_tif.tif_at_point`; None: 1."""
     force_n: FloatArray | None = None
-    """(n,) N measured, NaN where not; None: the process's own."""
+    """(n,) measured N, NaN where unknown; None: the process's force."""
     rpm: FloatArray | None = None
-    """(n,) 1/min measured, likewise."""
+    """(n,) measured 1/min, likewise."""
     wider: FloatArray | None = None
-    """(n,) by which the part's curvature makes each spot wider; None: on a flat."""
+    """(n,) factor of the part's curvature on each spot's width; None: on a flat."""
 
     @property
     def contact_h(self) -> FloatArray:
@@ -188,7 +188,7 @@ class ExecutedBlocks:
         return np.asarray((np.cumsum(self.time_s) - self.time_s / 2) / 3600, dtype=np.float64)
 
     def weight_s(self, process: ToolProcess) -> FloatArray:
-        """(n,) s that count: executed, by what force and speed really were."""
+        """(n,) s weighted by measured over configured force and speed."""
         unknown = np.full(self.time_s.shape, np.nan)
         force = unknown if self.force_n is None else self.force_n
         rpm = unknown if self.rpm is None else self.rpm
@@ -198,19 +198,19 @@ class ExecutedBlocks:
 
 @dataclass(frozen=True, slots=True)
 class RemovalNoise:
-    """Noise of a removal map: its size at a sample, and the area over which it is one and the same."""
+    """Noise of a removal map: its size at a sample, and its correlation area."""
 
     sigma_nm: float
-    """Of a sample of the difference: sqrt(2) times a map's."""
+    """Noise of a sample of the difference: sqrt(2) times a map's."""
     area_mm2: float = 0.0
     """Integral of its autocorrelation; at least a sample's cell. White noise: 0."""
 
     def cells(self, pitch_mm: float) -> float:
-        """Samples that count as one: the noise of a smooth mean over the map is so many times the white one's."""
+        """Return the correlation area in samples, at least 1."""
         return max(1.0, self.area_mm2 / pitch_mm**2)
 
     def with_another(self, other: RemovalNoise, pitch_mm: float) -> RemovalNoise:
-        """Both together, where one knows nothing of the other: their variances add, over each one's area."""
+        """Return the sum of two independent noises: their variances add, over each one's area."""
         square = np.array([self.sigma_nm, other.sigma_nm]) ** 2
         cells = np.array([self.cells(pitch_mm), other.cells(pitch_mm)])
         both = float(square.sum())
@@ -219,27 +219,27 @@ class RemovalNoise:
 
 @dataclass(frozen=True, slots=True)
 class MapPixelData:
-    """The maps' own samples, and what was made of them."""
+    """Pixels of the maps, and the averaging to the removal's samples."""
 
     at: MapPixels
     means: scipy.sparse.csr_array
-    """(ny * nx, pixels) of each sample of the removal, `registration.resampling.averaging`."""
+    """(ny * nx, pixels) of each sample of the removal, `resampling.averaging_matrix`."""
 
     def laid(self, place_mm: FloatArray) -> FloatArray:
-        """(n, 2) mm from the middle of the map, of places (n, 2) on the part."""
+        """(n, 2) mm from the map's center, of points (n, 2) on the part."""
         turn = self.turn_rad
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # of rows
         return np.asarray(place_mm @ rotation + self.at.shift_mm, dtype=np.float64)
 
     @property
     def turn_rad(self) -> float:
-        """Of the part in the map, counter-clockwise."""
+        """Turn of the part in the map, counterclockwise."""
         return float(np.radians(self.at.rotation_deg))
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalMap:
-    """What two maps say was removed."""
+    """Removal as two maps show it."""
 
     grid: Grid
     removal_nm: FloatArray
@@ -275,13 +275,13 @@ class RemovalMap:
         coarse = Grid(ny, nx, grid.pitch_mm * odd)
         pixels = self.pixels
         if pixels is not None:
-            means = averaging(grid, coarse, Registration()) @ pixels.means
+            means = averaging_matrix(grid, coarse, Registration()) @ pixels.means
             pixels = replace(pixels, means=scipy.sparse.csr_array(means))
         return RemovalMap(coarse, np.where(mask, total / np.maximum(count, 1), 0.0), mask, noise, pixels)
 
 
 def check_pass(blocks: ExecutedBlocks, removed: RemovalMap, projection: str) -> None:
-    """ComputeError that says what of a pass cannot be."""
+    """Raise ComputeError for an inconsistent pass."""
     n = len(blocks.time_s)
     arrays = {"start_mm": blocks.start_mm, "end_mm": blocks.end_mm, "azimuth_rad": blocks.azimuth_rad}
     arrays |= {f"depth_ratio {name}": gamma for name, gamma in blocks.depth_ratio.items()}

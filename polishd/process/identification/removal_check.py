@@ -1,4 +1,4 @@
-"""The gate after a pass: what was measured must be what was predicted, not its mirror image, nor beside it."""
+"""Removal check after a pass: the measured removal must be the predicted one, not mirrored, moved or scaled."""
 
 from __future__ import annotations
 
@@ -10,43 +10,51 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.model.text import with_error
 from polishd.process.frames import ORIENTATIONS, orientations
-from polishd.process.identification.removal_fit import MIN_SIGNAL_NM, Fit, contest, fit, levelled, no_fit, shifted
+from polishd.process.identification.removal_fit import (
+    MIN_SIGNAL_NM,
+    Fit,
+    compare_predictions,
+    fit,
+    remove_plane,
+    shift_samples,
+    unknown_fit,
+)
 from polishd.process.metrology.commissioning import Explanation, explanations
 from polishd.process.metrology.statistics import Removal
 
 MIN_CORRELATION = 0.5
 """Least correlation of an explanation that stops the cell."""
 MAX_SHIFT_MM = 0.5
-"""Shift that costs as much as a tenth of a pass's gain (physics.md, 6); smaller ones are reported."""
+"""Shift that costs a tenth of a pass's gain (physics.md, 6); smaller shifts are only reported."""
 RATES = (0.6, 1.4)
-"""Measured to predicted removal that learning the rate takes care of."""
+"""Measured over predicted removal that the estimate of the rate can follow."""
 SCALED = 0.1
-"""Largest error of the rate at which half as much, or double, is told from what learning takes up."""
+"""Largest error of the rate at which a factor of 1/2 or 2 is outside of ``RATES``."""
 SCALED_WORD = "scaled"
-"""Among the undecidable mistakes: the rate."""
+"""Name of the rate among the undecidable mistakes."""
 SIGMAS = 3.0
-"""Standard errors by which a shift must be beyond its limit."""
+"""Standard errors by which a shift must exceed its limit."""
 RATE_SIGMAS = 2.0
-"""The same of a rate: its limits are far from the rates of a good cell."""
+"""Standard errors by which a rate must exceed its limits, which are far from the rates of a good cell."""
 SURE = 3.5
-"""The same for a turn, flip, negation or a shift by samples, which is the best of many that were tried."""
+"""Standard errors for a turn, flip, negation or shift by samples, which is the best of many tried."""
 CLEAR_GAIN = 0.1
-"""Gain in correlation that makes another explanation the better one, whatever is left unexplained."""
+"""Gain in correlation that alone makes another explanation the better one."""
 SMALL_GAIN = 0.01
-"""The same, where the other explanation also halves what is left unexplained."""
+"""Sufficient gain where the other explanation also halves the unexplained variance."""
 LEFT_OVER = 0.5
 STILL = Explanation(ORIENTATIONS[0], False, 0.0, (0.0, 0.0))
-"""The prediction as it is and where it is."""
+"""The prediction without turn, negation or shift."""
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalCheckResult:
-    """What the measured removal says of the predicted one, and whether the cell must stop."""
+    """Comparison of the measured with the predicted removal, and whether the cell must stop."""
 
     stop: str
-    """Why the cell must stop and what to do; "" where it may go on."""
+    """Reason to stop and what to do; "" where the cell may go on."""
     correlation: float
-    """Of measured with predicted removal as they are, both without piston and tilt."""
+    """Correlation of measured and predicted removal, both without piston and tilt."""
     rate: float
     """Measured over predicted removal, of the best explanation; NaN without a signal."""
     rate_sigma: float
@@ -58,7 +66,7 @@ class RemovalCheckResult:
     """Mistakes that this removal could not show: it is too weak, or too symmetric."""
     notes: tuple[str, ...]
     predicted_nm: FloatArray
-    """(ny, nx) levelled: what learning takes, too. NaN outside the mask, as in all five."""
+    """(ny, nx) leveled, also used to estimate the rate. NaN outside the mask, as in all five."""
     measured_nm: FloatArray
     explained_nm: FloatArray
     """The best explanation: the prediction turned, negated, moved and scaled; NaN also where it has no data."""
@@ -69,11 +77,11 @@ class RemovalCheckResult:
 
     @property
     def tells_rate(self) -> bool:
-        """Whether a wrong rate would have been seen, so that the rate can be learned from this pass."""
+        """Return whether this pass shows a wrong rate, so that it can estimate the rate."""
         return SCALED_WORD not in self.undecidable
 
 
-def judge(
+def check_removal(
     predicted_nm: FloatArray, measured_nm: FloatArray, mask: BoolArray, pitch_mm: float,
     rates: tuple[float, float] = RATES, *, removal: Removal = "tilt", most_shift_mm: float = MAX_SHIFT_MM,
 ) -> RemovalCheckResult:  # fmt: skip
@@ -84,15 +92,15 @@ def judge(
         measured_nm: (ny, nx) map before less map after; its piston and tilt are unknown.
         mask: (ny, nx) samples to compare.
         pitch_mm: of the grid.
-        rates: measured over predicted removal that learning takes up; what is beyond ``RATES`` never is.
-        removal: what nobody knows of a removal, taken off both: "tilt", or "power" where a map's power is alignment.
-        most_shift_mm: a larger shift stops; one pass that is made to find where the spot acts may have more.
+        rates: measured over predicted removal that the estimate may follow; never beyond ``RATES``.
+        removal: unknown terms of a removal, subtracted from both: "tilt", or "power" where power is alignment.
+        most_shift_mm: a larger shift stops; a pass that measures the spot's offset may allow more.
 
     Raises:
         ComputeError: shapes that do not fit, or too few samples.
     """
     _check(predicted_nm, measured_nm, mask)
-    levels = levelled(predicted_nm, mask, removal), levelled(measured_nm, mask, removal)
+    levels = remove_plane(predicted_nm, mask, removal), remove_plane(measured_nm, mask, removal)
     seen = _Pass(*levels, mask, pitch_mm, rates, most_shift_mm)
     own = fit(seen.predicted_nm, seen.measured_nm, mask, None, pitch_mm)
     if np.sqrt(np.mean(seen.predicted_nm[mask] ** 2)) < MIN_SIGNAL_NM:
@@ -113,7 +121,7 @@ def judge(
 
 @dataclass(frozen=True, slots=True)
 class _Pass:
-    """What was predicted and what was measured, both levelled, on one mask."""
+    """Predicted and measured removal, both leveled, on one mask."""
 
     predicted_nm: FloatArray
     measured_nm: FloatArray
@@ -124,32 +132,32 @@ class _Pass:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Of the rate: learning's, and never so wide that half or double lies within."""
+        """Return the limits of the rate, never so wide that 1/2 or 2 lies within."""
         return max(RATES[0], self.rates[0]), min(RATES[1], self.rates[1])
 
     def beyond(self, moved: Fit) -> float:
-        """By how much a rate is beyond them; not positive where it is not."""
+        """Return by how much a rate is beyond its limits; not positive within them."""
         low, high = self.limits
         return max(low - moved.rate, moved.rate - moved.rate_excess - high)
 
-    def fit(self, told: Explanation) -> Fit:
-        """Rate and shift of the prediction as an explanation has it."""
-        turned, mask = told.turn(self.predicted_nm), self.mask & told.turn_mask(self.mask)
-        return fit(turned, self.measured_nm, mask, told.samples(self.pitch_mm), self.pitch_mm)
+    def fit(self, one: Explanation) -> Fit:
+        """Fit rate and shift of the prediction under an explanation."""
+        turned, mask = one.turn(self.predicted_nm), self.mask & one.turn_mask(self.mask)
+        return fit(turned, self.measured_nm, mask, one.samples(self.pitch_mm), self.pitch_mm)
 
     def surely(self, other: Explanation, own: Explanation) -> bool:
-        """Whether one explanation tells what the other does not, beyond what noise makes of the best of many."""
-        gap, sigma = self.contest(other, own)
+        """Return whether one explanation is better than the other by more than noise makes the best of many."""
+        gap, sigma = self.compare(other, own)
         return gap > SURE * sigma
 
-    def contest(self, other: Explanation, own: Explanation) -> tuple[float, float]:
-        """By how much one explanation tells more than the other, and its standard error: `removal_fit.contest`."""
+    def compare(self, other: Explanation, own: Explanation) -> tuple[float, float]:
+        """Return the advantage of one explanation over the other and its standard error: `compare_predictions`."""
         (own_nm, own_mask), (other_nm, other_mask) = self._placed(own), self._placed(other)
-        return contest(other_nm, own_nm, self.measured_nm, self.mask & own_mask & other_mask)
+        return compare_predictions(other_nm, own_nm, self.measured_nm, self.mask & own_mask & other_mask)
 
-    def _placed(self, told: Explanation) -> tuple[FloatArray, BoolArray]:
-        down, right = told.samples(self.pitch_mm)
-        height, mask = (shifted(v, down, right) for v in (told.turn(self.predicted_nm), told.turn_mask(self.mask)))
+    def _placed(self, one: Explanation) -> tuple[FloatArray, BoolArray]:
+        down, right = one.samples(self.pitch_mm)
+        height, mask = (shift_samples(v, down, right) for v in (one.turn(self.predicted_nm), one.turn_mask(self.mask)))
         return height, mask
 
 
@@ -158,7 +166,7 @@ def _correlation(pair: tuple[Explanation, Fit]) -> float:
 
 
 def explains_better(other: float, own: float) -> bool:
-    """Whether an explanation of this correlation is clearly better than the one at hand."""
+    """Return whether an explanation of the correlation ``other`` is clearly better than one of ``own``."""
     if other < MIN_CORRELATION:
         return False
     gain, own = other - max(own, 0.0), max(own, 0.0)
@@ -166,7 +174,7 @@ def explains_better(other: float, own: float) -> bool:
 
 
 def _better(seen: _Pass, straight: Explanation, turned: Fit, moved: Fit) -> bool:
-    """Whether a turn or flip is the better explanation; where the cell stops for a shift anyway, also by a little.
+    """Return whether a turn or flip is the better explanation; where the cell stops for a shift, a small gain suffices.
 
     A figure that is nearly its own mirror image fits mirrored as it is and 5 mm aside, to a correlation of 0.995.
     """
@@ -183,24 +191,24 @@ def _check(predicted: FloatArray, measured: FloatArray, mask: BoolArray) -> None
         if not np.isfinite(array[mask]).all():
             raise ComputeError(f"{name} is not finite everywhere in the mask")
     if np.count_nonzero(mask) < 100:
-        raise ComputeError(f"{np.count_nonzero(mask)} samples are too few to judge a pass by")
+        raise ComputeError(f"{np.count_nonzero(mask)} samples are too few to check a pass: at least 100 are needed")
 
 
 def _reason(seen: _Pass, best: Explanation, moved: Fit, final: Fit) -> str:
-    """Why the cell must stop; the clearest reason only."""
+    """Return the clearest reason to stop; "" without one."""
     if not best.as_it_is:
         return (
             f"the measured removal looks like the predicted one {best.name} (correlation {best.correlation:.2f}, as "
             f"it is {moved.correlation:.2f}; {final.rate:.2f} times as high): the instrument's profile or the "
-            "program's offset and rotation are wrong; prove the profile with `polishd map commission`, then measure"
+            "program's offset and rotation are wrong. Prove the profile with `polishd map commission` and measure again"
         )
     x, y = moved.shift_mm
     distance, sigma = _sure(moved)
     if moved.correlation >= MIN_CORRELATION and distance - seen.most_shift_mm > SIGMAS * sigma:
         return (
             f"the removal lies {with_error(distance, sigma)} mm from where it was predicted, at ({x:+.2f}, {y:+.2f}) "
-            f"mm, and {seen.most_shift_mm:g} mm are allowed: check the part's seat, the program's offset and the map's "
-            "registration before going on"
+            f"mm; {seen.most_shift_mm:g} mm are allowed. Check the part's seat, the program's offset and the map's "
+            "registration"
         )
     if seen.beyond(moved) > RATE_SIGMAS * moved.rate_sigma:
         return f"the measured removal is {_times(moved)} the predicted one{_factor(moved.rate, seen.limits)}"
@@ -212,14 +220,14 @@ def _times(moved: Fit) -> str:
 
 
 def _without_unsure_shift(moved: Fit, own: Fit) -> Fit:
-    """The rate as fitted without a shift, where none is sure: on a small part the two take each other's place."""
+    """Return the rate of the fit without a shift where no shift is certain: on a small part the two are confounded."""
     if _sure(moved)[0] > 0:
         return moved
     return replace(moved, rate=own.rate, rate_sigma=own.rate_sigma, rate_excess=own.rate_excess)
 
 
 def _sure(moved: Fit) -> tuple[float, float]:
-    """Length of the shift in those directions in which the removal shows it, and its standard error; mm."""
+    """Return length and standard error, mm, of the shift in the directions that the removal shows."""
     pairs = list(zip(moved.shift_mm, moved.shift_sigma_mm, strict=True))
     sure = [(shift, sigma) for shift, sigma in pairs if abs(shift) > SIGMAS * sigma]
     distance = float(np.hypot.reduce([s for s, _ in sure] or [0.0]))
@@ -227,18 +235,18 @@ def _sure(moved: Fit) -> tuple[float, float]:
 
 
 def _factor(rate: float, limits: tuple[float, float]) -> str:
-    """What a rate out of bounds looks like, and what to do."""
+    """Describe a rate out of bounds, and what to do."""
     if abs(rate) < 0.2:
-        return ": hardly anything was removed; was the map taken before the pass, or of another part? Measure again"
+        return ": hardly anything was removed. Check that the map is of this part and after the pass, and measure again"
     for factor, word in ((0.5, "half"), (2.0, "double")):
         if abs(rate / factor - 1) < 0.2:
             return (
-                f", about {word}: surface and wavefront differ by two; prove the profile's factor with `polishd map "
-                "commission`, and the removal rate on a witness part"
+                f", about {word}: surface and wavefront differ by a factor of two. Prove the profile's factor with "
+                "`polishd map commission`, and the removal rate on a witness part"
             )
     return (
-        f", and {limits[0]:.3g} to {limits[1]:.3g} is what learning takes up (limits.max_rate_change): check force, "
-        "speed, slurry and process.preston before going on"
+        f"; {limits[0]:.3g} to {limits[1]:.3g} are allowed (limits.max_rate_change). Check force, speed, slurry and "
+        "process.preston"
     )
 
 
@@ -249,20 +257,20 @@ def _notes(seen: _Pass, moved: Fit, undecidable: tuple[str, ...]) -> tuple[str, 
         notes.append(f"the removal lies ({x:+.2f}, {y:+.2f}) +- {sigma:.2g} mm from where it was predicted")
     low, high = seen.limits
     if not low <= moved.rate <= high:
-        notes.append(f"the measured removal is {_times(moved)} the predicted one, which is no proof that it is beyond "
-                     f"{low:.3g} to {high:.3g}: the map's noise is as large as that")  # fmt: skip
+        notes.append(f"the measured removal is {_times(moved)} the predicted one; the map's noise is too large to "
+                     f"prove that it is beyond {low:.3g} to {high:.3g}")  # fmt: skip
     if undecidable:
-        notes.append("this pass could not show it, had the map been " + ", or ".join(undecidable))
+        notes.append("this pass cannot show whether the map is " + ", or ".join(undecidable))
     return tuple(notes)
 
 
 def _undecidable(seen: _Pass, moved: Fit) -> tuple[str, ...]:
-    """Which mistakes would not have been found: the prediction would fit about as well, or too little is sure."""
-    is_seen = moved.rate > SURE * moved.rate_sigma  # where even the prediction as it is is not, none of them could be
+    """Return the mistakes that this pass cannot show: they fit as well, or the errors are too large."""
+    is_seen = moved.rate > SURE * moved.rate_sigma  # else no mistake can be seen
 
     def shows(e: Explanation) -> bool:
         likely = explains_better(moved.correlation, e.correlation * moved.correlation)
-        return is_seen and likely and SURE * seen.contest(e, STILL)[1] < RATES[0]
+        return is_seen and likely and SURE * seen.compare(e, STILL)[1] < RATES[0]
 
     all_of_them = explanations(seen.predicted_nm, seen.predicted_nm, seen.mask, seen.mask, seen.pitch_mm)
     names = [e.name for e in all_of_them if not (e.as_it_is or shows(e))]
@@ -290,6 +298,6 @@ def _without_signal(own: Fit, seen: _Pass) -> RemovalCheckResult:
     everything = tuple(e.name for e in all_of_them if not e.as_it_is)
     note = f"the predicted removal varies by less than {MIN_SIGNAL_NM:g} nm RMS: it shows no mistake of the map"
     best = Explanation(ORIENTATIONS[0], False, max(own.correlation, 0.0), (0.0, 0.0))
-    nothing = no_fit(own.correlation, own.model_nm)
+    nothing = unknown_fit(own.correlation, own.model_nm)
     undecidable = (*everything, "shifted", SCALED_WORD)
     return _verdict(seen, own, nothing, best=best, stop="", undecidable=undecidable, notes=(note,))

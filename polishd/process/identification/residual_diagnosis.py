@@ -1,4 +1,4 @@
-"""What two maps differ by: a removal that is scaled and moved, and low orders that none explains.
+"""Fit of the difference of two maps: a removal that is scaled and shifted, and unexplained low orders.
 
 Temperature and set-up bend a part between two maps: power and astigmatism. Three points of a mount print through as a
 trefoil (J. E. Nelson, J. Lubliner, T. S. Mast, "Telescope mirror supports: plate deflections on point supports",
@@ -16,35 +16,35 @@ from polishd.model.estimates import CauseName, Diagnosis, Estimate
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.model.text import with_error
 from polishd.process.identification.removal_check import MAX_SHIFT_MM, MIN_CORRELATION, RemovalCheckResult
-from polishd.process.identification.removal_fit import FEWEST, levelled, regressed
+from polishd.process.identification.removal_fit import FEWEST, regress_signals, remove_plane
 from polishd.process.metrology.statistics import Removal
 from polishd.process.metrology.zernike import order, values
 
 NOLL = (4, 5, 6, 9, 10)
 """Power, astigmatism at 45 and 0 degrees, trefoil as sine and cosine: their indices, after Noll."""
 CHANCE = (7, 8, 11, 12, 13, 14, 15)
-"""Their neighbours, which neither temperature nor mount makes: what these come to, is chance's and the tool's."""
+"""Neighboring terms, which neither temperature nor mount causes: their size measures noise and tool."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualFit:
-    """Each with its standard error. Sizes are RMS over the circle of the mask.
+    """Fitted terms with standard errors. Sizes are RMS over the circle of the mask.
 
-    Of low orders it is the scatter over the map's tiles or, where that is more, what the fit leaves of their
-    neighbours, RMS: of what is as long as the part tiles know nothing.
+    The error of a low order is the larger of its scatter over the map's tiles and the RMS of its neighboring terms in
+    the residual: tiles do not show the error of a term that is as long as the part.
     """
 
     rate: Estimate | None
     """Measured over predicted removal; None between two maps with no pass between."""
     shift_mm: Estimate
-    """Length of the way by which the removal lies off its prediction."""
+    """Length of the shift of the removal from its prediction."""
     power_nm: Estimate
     """Positive: the rim lost more than the removal explains; negative: it stands higher in the map after."""
     astigmatism_nm: Estimate
     trefoil_nm: Estimate
 
 
-def leftover(
+def fit_residual(
     changed_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -52,14 +52,14 @@ def leftover(
     *,
     removal: Removal = "tilt",
 ) -> ResidualFit | None:
-    """All of them in one least-squares fit, beside piston and tilt; None where the samples are too few.
+    """Fit all terms together with piston and tilt by least squares; None where the samples are too few.
 
     Args:
         changed_nm: (ny, nx) map before less map after, positive = removed.
         mask: (ny, nx) samples to compare.
         pitch_mm: of the grid.
         predicted_nm: (ny, nx) removal predicted of the pass between, positive = removed; None: there was none.
-        removal: what nobody knows of a change: with "power" none is told of it, and 0 stands for it.
+        removal: unknown terms of a change; with "power" the result's power is 0.
     """
     if np.count_nonzero(mask) < FEWEST:
         return None
@@ -67,9 +67,9 @@ def leftover(
     modes, first = _modes(mask), len(fitted)
     if removal == "power":
         modes[0] = np.zeros(mask.shape)
-    signals = [levelled(signal, mask, removal) for signal in (*fitted, *modes[: len(NOLL)])]
-    measured = levelled(changed_nm, mask, removal)
-    found = regressed(signals, measured, mask, lambda factors: factors, with_drift=False)
+    signals = [remove_plane(signal, mask, removal) for signal in (*fitted, *modes[: len(NOLL)])]
+    measured = remove_plane(changed_nm, mask, removal)
+    found = regress_signals(signals, measured, mask, lambda factors: factors, with_drift=False)
     size, left = found.factors, measured[mask] - found.terms @ found.factors
     error = np.concatenate(
         [found.scatter[:first], np.maximum(found.scatter[first:], _chance_nm(left, modes[len(NOLL) :], mask))]
@@ -87,24 +87,24 @@ def leftover(
 
 
 def _chance_nm(left_nm: FloatArray, neighbours: Sequence[FloatArray], mask: BoolArray) -> float:
-    """RMS of the neighbours in what the fit leaves: as terms of it they would take the rate's place on a small part."""
+    """RMS of the neighboring terms in the residual; fitted, they would be confounded with the rate on a small part."""
     terms = np.column_stack([neighbour[mask] for neighbour in neighbours])
     return float(np.sqrt(np.mean(np.linalg.lstsq(terms, left_nm, rcond=None)[0] ** 2)))
 
 
 def _length(vector: FloatArray, errors: FloatArray) -> Estimate:
-    """With the larger of the components' errors."""
+    """Return the length of a vector, with the larger of the components' errors."""
     return Estimate(float(np.linalg.norm(vector)), float(np.abs(errors).max()))
 
 
 def _slopes(height_nm: FloatArray, pitch_mm: float) -> list[FloatArray]:
-    """What a removal that is moved by 1 mm along x, along y has more: y goes up, rows go down."""
+    """Return the change of a removal that is shifted by 1 mm along x, along y; y goes up, rows go down."""
     down, right = (np.asarray(np.gradient(height_nm, pitch_mm, axis=axis), dtype=np.float64) for axis in (0, 1))
     return [-right, down]
 
 
 def _modes(mask: BoolArray) -> list[FloatArray]:
-    """(ny, nx) each: of RMS 1 over the circle that the mask fills, zero outside it."""
+    """Return terms (ny, nx) of RMS 1 over the circle that the mask fills, zero outside it."""
     grid = Grid(mask.shape[0], mask.shape[1], 1.0)
     rows, columns = np.nonzero(mask)
     x, y = grid.x_mm[columns], grid.y_mm[rows]
@@ -120,36 +120,36 @@ def _modes(mask: BoolArray) -> list[FloatArray]:
     return made
 
 
-# Which of a loop's assumptions failed, by name: from the gate's verdict and what a pass leaves unexplained.
+# Diagnosis by cause, from the removal check and the residual of a pass.
 
 SIGMAS = 4.0
-"""Standard errors by which a size must be other than none: a cell makes thousands of passes."""
+"""Standard errors by which a size must differ from 0: a cell makes thousands of passes."""
 LOW_SIGMAS = 8.0
-"""The same of low orders, whose error is that of seven neighbours: as rare as four of an error that is known."""
+"""Standard errors for low orders, whose error comes from seven neighbors: as rare as four of a known error."""
 KNOWN_RATE = 0.04
-"""Standard error of a rate that a witness spot or an earlier part has told: 16 % off is none of a good cell's."""
+"""Standard error of a rate from a witness spot or an earlier part: a good cell is not off by 16 %."""
 LEAST_MM = 0.15
-"""Of a shift: what robots that are not calibrated, and pictures that are a little distorted, have without a cause."""
+"""Least shift to report: uncalibrated robots and slightly distorted images show less without a cause."""
 SHARE = 0.01
-"""Of the removal: a good tool's rate changes by so much over a part, which reads as low orders."""
+"""Share of the removal by which a good tool's rate varies over a part, which appears as low orders."""
 LEAST_NM = 0.1
-"""Of low orders between two maps with no pass between: less is no harm to a part that is wanted to a nanometre."""
+"""Least low order to report between two maps without a pass: less does not matter to a 1 nm tolerance."""
 MAPS = 12
-"""Most that are taken until two in a row agree, ..."""
+"""Most maps to measure until two in a row agree, ..."""
 WAIT_S = 120.0
-"""... and so far apart, where the cell does not say (`between.settle`): 24 minutes in all."""
+"""... and their interval, as defaults of `part_handling.settle`: 24 minutes in all."""
 HARM = 0.5
-"""Of what a part may be off, RMS: what changes by less from map to map is told, and holds nobody up."""
+"""Share of the part's tolerance, RMS: a smaller change from map to map is reported and does not delay the job."""
 
 
 def diagnose_removal(verdict: RemovalCheckResult, most_shift_mm: float = MAX_SHIFT_MM) -> Diagnosis:
-    """What stopped the cell, in the order of `gate.judge`'s own reasons, as it was allowed a shift."""
+    """Return the cause of a stop, in the order of the reasons of `check_removal`."""
     if not verdict.best.as_it_is:
         what = f"the removal looks like the predicted one {verdict.best.name}"
         return Diagnosis("map", verdict.best.correlation, 0.0, MIN_CORRELATION, "1", what)
     distance = Estimate((verdict.shift_mm[0] ** 2 + verdict.shift_mm[1] ** 2) ** 0.5, max(verdict.shift_sigma_mm))
     if distance.value > most_shift_mm:
-        return _named("shift", distance, most_shift_mm, "mm", "the removal lies {} off its place")
+        return _named("shift", distance, most_shift_mm, "mm", "the removal is shifted by {}")
     return _rate(Estimate(verdict.rate, verdict.rate_sigma))
 
 
@@ -160,40 +160,44 @@ def diagnose_pass(
     again: Sequence[Diagnosis] | None = None,
     most_shift_mm: float = MAX_SHIFT_MM,
 ) -> tuple[Diagnosis, ...]:
-    """All that a pass names, suspicions first where there are any.
+    """Return the diagnoses of a pass, suspected ones first.
 
     Args:
-        verdict: the gate's.
-        left: what the pass left (`leftover`); None: its samples are too few.
+        verdict: of the removal check.
+        left: fit of the residual (`fit_residual`); None: too few samples.
         removed_nm: RMS of the predicted removal, mean included.
-        again: what the maps since the pass have named among themselves (`of_change`); None: there is one map only.
-        most_shift_mm: that the gate allowed.
+        again: diagnoses of the maps since the pass (`diagnose_change`); None: there is only one map.
+        most_shift_mm: limit of the removal check.
     """
     stopped = (diagnose_removal(verdict, most_shift_mm),) if verdict.stop else ()
     if left is None or any(one.cause == "map" for one in stopped):
         return stopped
     bent = _bent(left, SHARE * removed_nm)
     if bent and again is None:
-        return tuple(_suspected(one) for one in bent)  # first: low orders read as a shift and a rate, too
+        return tuple(
+            Diagnosis(one.cause, one.size, one.sigma, one.limit, one.unit, one.what, again=True) for one in bent
+        )  # first: low orders appear as shift and rate, too
     if stopped:
-        return (*stopped, *(again or ()))  # its low orders are of the same cause
-    moves = {one.cause for one in again or ()}  # what changes with no pass between is no pass's
-    told = (*(again or ()), *(_of_process(one) for one in bent if one.cause not in moves))
+        return (*stopped, *(again or ()))  # its low orders have the same cause
+    moves = {one.cause for one in again or ()}  # a change without a pass is not caused by a pass
+    low_orders = (*(again or ()), *(_of_process(one) for one in bent if one.cause not in moves))
     if not verdict.tells_rate:
-        return told
-    found = [_named("shift", left.shift_mm, LEAST_MM, "mm", "the removal lies {} off its place")]
-    if left.rate is not None and left.shift_mm.value <= MAX_SHIFT_MM:  # beside a larger one, first order tells none
+        return low_orders
+    found = [_named("shift", left.shift_mm, LEAST_MM, "mm", "the removal is shifted by {}")]
+    if (
+        left.rate is not None and left.shift_mm.value <= MAX_SHIFT_MM
+    ):  # the first-order fit is invalid beside a larger shift
         found.append(_rate(left.rate))
-    return (*(one for one in found if one.size > one.limit), *told)
+    return (*(one for one in found if one.size > one.limit), *low_orders)
 
 
 def diagnose_change(left: ResidualFit | None) -> tuple[Diagnosis, ...]:
-    """What two maps with no pass between name: what is set up anew, or has cooled, is no removal."""
+    """Return the diagnoses of two maps without a pass between them: set-up or temperature changed, not removal."""
     return () if left is None else _bent(left, LEAST_NM)
 
 
 def is_settling(found: Sequence[Diagnosis], before: Sequence[Diagnosis]) -> bool:
-    """Whether another map is worth waiting for: what cools changes less from map to map, a mount or set-up does not.
+    """Return whether another map is worth waiting for: a cooling part changes less from map to map, a mount does not.
 
     Args:
         found: by the last map and the one before it.
@@ -203,25 +207,25 @@ def is_settling(found: Sequence[Diagnosis], before: Sequence[Diagnosis]) -> bool
     return bool(found) and all(one.cause == "settling" and one.size < last_nm for one in found)
 
 
-def harmful(found: Sequence[Diagnosis], wanted_nm: float) -> tuple[Diagnosis, ...]:
-    """What changes so much from map to map that a part which may be off by ``wanted_nm`` cannot be judged by one."""
+def limiting_change(found: Sequence[Diagnosis], wanted_nm: float) -> tuple[Diagnosis, ...]:
+    """Return the changes from map to map that are too large to accept a part of tolerance ``wanted_nm`` by one map."""
     return tuple(one for one in found if one.size > HARM * wanted_nm)
 
 
-def persistent(found: Sequence[Diagnosis]) -> tuple[Diagnosis, ...]:
-    """Of what many maps named, each cause once, where it was largest."""
+def largest_of_each_cause(found: Sequence[Diagnosis]) -> tuple[Diagnosis, ...]:
+    """Return the largest diagnosis of each cause."""
     causes = dict.fromkeys(one.cause for one in found)
     return tuple(max((one for one in found if one.cause == cause), key=lambda one: one.size) for cause in causes)
 
 
 def _bent(left: ResidualFit, least_nm: float) -> tuple[Diagnosis, ...]:
-    """Low orders that are beyond their limits."""
+    """Return the low orders beyond their limits."""
     found = (
         _named("settling", left.power_nm, least_nm, "nm", "power changed by {}", sigmas=LOW_SIGMAS),
         _named("settling", left.astigmatism_nm, least_nm, "nm", "astigmatism changed by {}", sigmas=LOW_SIGMAS),
         _named("mount", left.trefoil_nm, least_nm, "nm", "a trefoil changed by {}", sigmas=LOW_SIGMAS),
     )
-    return persistent([one for one in found if one.size > one.limit])
+    return largest_of_each_cause([one for one in found if one.size > one.limit])
 
 
 def _named(
@@ -238,10 +242,6 @@ def _rate(rate: Estimate) -> Diagnosis:
     return Diagnosis("rate", abs(rate.value - 1), sigma, SIGMAS * (sigma**2 + KNOWN_RATE**2) ** 0.5, "1", what)
 
 
-def _suspected(one: Diagnosis) -> Diagnosis:
-    return Diagnosis(one.cause, one.size, one.sigma, one.limit, one.unit, one.what, again=True)
-
-
 def _of_process(one: Diagnosis) -> Diagnosis:
-    """What maps since do not change any more."""
+    """Return a change by the pass that later maps confirm."""
     return Diagnosis("field", one.size, one.sigma, one.limit, one.unit, f"{one.what} in the pass, and stays")

@@ -1,13 +1,15 @@
 """Maps of one part at several turns and shifts as two: the instrument's own error, and the part.
 
-Low orders are Zernike terms, since in them the design says exactly what is told and how sure it is; what they leave
-goes sample by sample (`rest`). What no pose tells is the part's, and named: the instrument's map has nothing of it.
+Low orders are Zernike terms: for them the design of the poses gives exactly which are determined, and their errors. The
+remainder is separated sample by sample (`split_remainder`). A term that no pose determines stays in the part, is listed
+by name, and is not in the instrument's map.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import scipy
@@ -15,9 +17,10 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from polishd.model.errors import MapError
-from polishd.model.surface import BoolArray, FloatArray
+from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology import zernike
-from polishd.process.metrology.absolute_poses import LEVEL, Design, PartPose, design, moved
+from polishd.process.metrology.absolute_poses import LEVEL, Design, PartPose, design_poses, pose_matrix
+from polishd.process.metrology.conditioning import SAME_PITCH
 from polishd.process.metrology.zernike import values
 
 # Part and instrument by generalised least squares over their Zernike terms, in what the poses tell of them.
@@ -28,11 +31,11 @@ LEAST_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PlaceError:
-    """How well poses are known, one standard deviation each, independent from map to map."""
+    """Standard deviation of the poses, independent from map to map."""
 
     angle_deg: float = 0.0
     shift_mm: float = 0.0
-    """In x and in y."""
+    """Error in x and in y."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +51,7 @@ class TermSolution:
     left_nm: FloatArray
     """(maps, j) seen less what part and instrument explain."""
     chi2: float
-    """Of ``left_nm`` in the covariance of what was seen; its expectation is the design's freedom."""
+    """Chi-squared of ``left_nm`` in the covariance of the observations; its expectation is the design's freedom."""
 
 
 def solve(design: Design, seen_nm: FloatArray, covariance: FloatArray) -> TermSolution:
@@ -99,9 +102,9 @@ def solve_noise(
     found = np.sqrt(exact.chi2 / design.freedom) if noise_nm is None else noise_nm
     least = float(np.finfo(float).eps * np.abs(seen_nm).max(initial=1.0))
     found = max(float(found), least)
-    own = misplaced(design, exact.part_nm, place)
+    own = pose_error_covariance(design, exact.part_nm, place)
     if not own.any():
-        return _scaled(exact, found), found
+        return replace(exact, covariance=exact.covariance * found**2, chi2=exact.chi2 / found**2), found
 
     def excess(noise: float) -> float:
         return solve(design, seen_nm, noise**2 * per_noise + own).chi2 - design.freedom
@@ -113,12 +116,12 @@ def solve_noise(
     return solve(design, seen_nm, found**2 * per_noise + own), found
 
 
-def misplaced(design: Design, part_nm: FloatArray, place: PlaceError) -> FloatArray:
+def pose_error_covariance(design: Design, part_nm: FloatArray, place: PlaceError) -> FloatArray:
     """(maps, j, j) covariance that errors of the poses give to the terms that are seen, nm^2."""
     whole = np.concatenate([np.zeros(LEVEL), part_nm])
 
     def seen(pose: PartPose) -> FloatArray:
-        return np.asarray((moved(design.degree, pose, design.radius_mm) @ whole)[LEVEL:])
+        return np.asarray((pose_matrix(design.degree, pose, design.radius_mm) @ whole)[LEVEL:])
 
     found = []
     for pose in design.poses:
@@ -148,23 +151,18 @@ def _gauge(design: Design) -> FloatArray:
     return found
 
 
-def _scaled(found: TermSolution, noise_nm: float) -> TermSolution:
-    """The same for noise that is not 1 nm a sample."""
-    return replace(found, covariance=found.covariance * noise_nm**2, chi2=found.chi2 / noise_nm**2)
-
-
 # What Zernike terms leave of the maps, sample by sample: the instrument's in the map's frame, the part's in its own.
 
 SWEEPS = 12
-"""Of both means. A wave of which each sweep finds half is known to 1/4096 after them."""
+"""Sweeps of both means. A wave of which each sweep finds half is known to 1/4096 after them."""
 LEAST_MAPS = 2
 """Maps that must show a sample."""
 SETTLED = 1e-3
 """Change of the instrument's map, of itself, at which it is done."""
 LEAST_SHARE = 0.1
-"""Of the samples that must be more than the unknowns for the noise to be told."""
+"""Share of the samples that must exceed the unknowns to estimate the noise."""
 Way = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-"""From coordinates in one frame, mm about the axis, to those in the other."""
+"""Function from coordinates in one frame, mm about the axis, to those in the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +173,7 @@ class PixelRemainder:
     part_nm: FloatArray
     """About the axis, as it lies at 0 deg without a shift."""
     noise_nm: float | None
-    """Of one sample of one map, from what both leave; None where nothing is over to tell it by."""
+    """Noise of one sample of one map, from the residual of both; None without degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +203,7 @@ class _Turned:
         return np.where(self.there, found, np.nan)
 
 
-def split(
+def split_remainder(
     heights_nm: Sequence[FloatArray], poses: Sequence[PartPose], axis_px: tuple[float, float], pitch_mm: float
 ) -> PixelRemainder:
     """Part and instrument of maps that piston, tilt and the low terms were taken off.
@@ -252,11 +250,11 @@ def _mean(heights_nm: Sequence[FloatArray]) -> FloatArray:
 # How much of an instrument's shorter waves poses leave unknown: those above the order of the Zernike terms.
 
 RADIUS_PX = 30
-"""Of the trial's aperture."""
+"""Samples across the trial's aperture."""
 WAVE_PX = 1.5
 """Over which its noise is made smooth, for turning it costs short waves by themselves."""
 TRIALS = 3
-"""Of some 300 waves each: the share is known to a tenth of itself."""
+"""Trials of some 300 waves each: the share is known to a tenth of itself."""
 
 
 def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> float:
@@ -264,7 +262,7 @@ def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> fl
 
     Args:
         poses: of the part in each map.
-        degree: radial order of the terms that are told otherwise.
+        degree: radial order of the terms, which `solve` determines.
         radius_mm: of the aperture.
     """
     along = np.arange(-RADIUS_PX, RADIUS_PX + 1)
@@ -277,7 +275,7 @@ def hidden_share(poses: Sequence[PartPose], degree: int, radius_mm: float) -> fl
         noise = np.where(mask, scipy.ndimage.gaussian_filter(rng.normal(size=mask.shape), WAVE_PX), np.nan)
         print_nm = noise - zernike.surface(zernike.fit(noise, mask, count, "ansi", circle_px=(*axis, RADIUS_PX)), mask)
         seen = [np.where(_on_part(pose, mask, pitch_mm), print_nm, np.nan) for pose in poses]
-        found = split(seen, poses, axis, pitch_mm).instrument_nm
+        found = split_remainder(seen, poses, axis, pitch_mm).instrument_nm
         there = np.isfinite(found)
         whole += float((print_nm[there] ** 2).sum())
         hidden += float(((print_nm - found)[there] ** 2).sum())
@@ -315,17 +313,17 @@ class AbsoluteSolution:
     circle_px: tuple[float, float, float]
     """(row, column) about which the part was turned, and the radius of the terms' unit circle."""
     decentre_mm: tuple[float, ...]
-    """Of each map, how far the middle of its data lies from where its pose puts the axis."""
+    """Distance of each map's data center from the axis by its pose."""
     noise_nm: float
-    """Of one sample of one map, as it acts on the terms."""
+    """Noise of one sample of one map, as it acts on the terms."""
     rest_noise_nm: float | None
-    """The same of what the terms leave; None where too few maps tell it."""
+    """Noise above the terms; None with too few maps."""
     hidden_share: float
-    """Of the square of the instrument's waves above the terms' order, what the poses leave in the part."""
+    """Share of the square of the instrument's waves above the terms' order that stays in the part."""
     hidden_rest_nm: float
     """The RMS of those waves, from what is seen of the rest: for a print that follows no fold of the turns."""
     misfit: float
-    """Of the terms, over its expectation: 1 where the noise was found here."""
+    """Chi-squared of the terms over its expectation: 1 where the noise was estimated here."""
     sense: bool
     """The maps tell that the angles' sense is right; False: both senses fit about alike."""
     left_nm: tuple[float, ...]
@@ -338,13 +336,13 @@ class AbsoluteSolution:
 
     @property
     def uncertainty_nm(self) -> float:
-        """Of a sample of the instrument's map, RMS, one standard deviation, without what is hidden."""
+        """Standard deviation of a sample of the instrument's map, RMS, without the hidden part."""
         noise = self.noise_nm if self.rest_noise_nm is None else self.rest_noise_nm
         rest = 2 * noise**2 / len(self.design.poses)  # of the mean over maps, and of the part's that is taken off
         return float(np.sqrt(np.trace(self.solution.covariance) + rest))
 
 
-def separate(
+def separate_instrument(
     heights_nm: Sequence[FloatArray],
     poses: Sequence[PartPose],
     pitch_mm: float,
@@ -379,7 +377,7 @@ def separate(
         zernike.fit(height, mask, count, "ansi", circle_px=(*axis, radius))
         for height, mask in zip(heights_nm, masks, strict=True)
     ]
-    found = design(poses, degree, radius * pitch_mm)
+    found = design_poses(poses, degree, radius * pitch_mm)
     if noise_nm is None and found.freedom < LEAST_FREEDOM:
         raise MapError(
             f"{len(poses)} maps up to order {degree} have nothing in common to tell their noise by: give it, "
@@ -389,7 +387,7 @@ def separate(
     per_noise = np.stack([fit.per_noise[LEVEL:, LEVEL:] for fit in fits])
     sense = _sense(found, seen, per_noise)
     solution, noise = solve_noise(found, seen, per_noise, place or PlaceError(), noise_nm)
-    rest = split(
+    rest = split_remainder(
         [height - zernike.surface(fit, mask) for height, fit, mask in zip(heights_nm, fits, masks, strict=True)],
         poses, axis, pitch_mm,
     )  # fmt: skip
@@ -424,7 +422,7 @@ def _require_alike(heights_nm: Sequence[FloatArray], poses: Sequence[PartPose]) 
 
 def _middles(masks: Sequence[BoolArray], poses: Sequence[PartPose], pitch_mm: float) -> FloatArray:
     """(maps, 2) row and column of the middle of each map's data, less its shift."""
-    middle = np.array([zernike.enclosing(mask)[:2] for mask in masks])
+    middle = np.array([zernike.enclosing_circle(mask)[:2] for mask in masks])
     return middle - np.array([(-pose.y_mm, pose.x_mm) for pose in poses]) / pitch_mm
 
 
@@ -443,9 +441,9 @@ def _hidden_nm(rest: PixelRemainder, share: float, maps: int, noise_nm: float) -
 
 
 def _sense(found: Design, seen_nm: FloatArray, per_noise: FloatArray) -> bool:
-    """Whether the maps tell that angles are counter-clockwise; BadMap where they tell the opposite."""
+    """Return whether the maps confirm counterclockwise angles; MapError where they show the opposite."""
     turned = [replace(pose, angle_deg=-pose.angle_deg) for pose in found.poses]
-    other = design(turned, found.degree, found.radius_mm)
+    other = design_poses(turned, found.degree, found.radius_mm)
     least = float(np.finfo(float).eps * (seen_nm**2).sum() / per_noise[0, 0, 0])
     ours, theirs = (solve(one, seen_nm, per_noise).chi2 + least for one in (found, other))
     if theirs * BY_FAR < ours:
@@ -462,5 +460,116 @@ def _surface(
     """(ny, nx) nm of terms where ``wanted`` has data, NaN elsewhere."""
     mask = np.isfinite(wanted)
     surface = np.full(wanted.shape, np.nan)
-    surface[mask] = terms_nm @ values(found.terms, "rms", *zernike.unit(mask, (*axis_px, radius_px)))
+    surface[mask] = terms_nm @ values(found.terms, "rms", *zernike.unit_coordinates(mask, (*axis_px, radius_px)))
     return surface
+
+
+# Errors of the instrument's map, kept beside it: covariance of each term, and the terms that no pose determined.
+
+DIGITS = 9
+"""Digits of the stored covariance; with fewer it is not positive definite."""
+Term = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class AbsoluteTestResult:
+    """Errors of the instrument's map, as the bound of a figure needs them."""
+
+    degree: int
+    """Radial order of the terms."""
+    terms: tuple[Term, ...]
+    """(n, m) of the instrument's terms above tilt: RMS norm, angles from x towards y."""
+    covariance: FloatArray
+    """(j, j) nm^2 of the terms that were determined."""
+    unknown: Mapping[Term, float]
+    """Undetermined share, 0 to 1, of each term that is not fully determined."""
+    rest_nm: float
+    """RMS of the waves above the terms that the poses leave undetermined."""
+    circle_px: tuple[float, float, float]
+    """(row, column, radius) of the terms' unit circle in the map's frame."""
+
+    @classmethod
+    def of(cls, found: AbsoluteSolution) -> Self:
+        """Return the errors of a solution."""
+        design = found.design
+        share = {(one.n, one.m): one.share for one in design.unknown}
+        return cls(design.degree, design.terms, found.solution.covariance, share, found.hidden_rest_nm, found.circle_px)
+
+    def with_reference(self, term: Term, sigma_nm: float) -> AbsoluteTestResult:
+        """Return the errors with a term that a reference determined to ``sigma_nm``, one standard deviation.
+
+        Raises:
+            MapError: the poses determined the term already, or there is no such term.
+        """
+        if term not in self.unknown:
+            raise MapError(f"the term (n, m) = {term} is none that the poses left unknown: leave the reference out")
+        at = self.terms.index(term)
+        covariance = self.covariance.copy()
+        covariance[at, :] = covariance[:, at] = 0.0
+        covariance[at, at] = sigma_nm**2
+        unknown = {one: share for one, share in self.unknown.items() if one != term}
+        return replace(self, covariance=covariance, unknown=unknown)
+
+    def shape(self, term: Term, mask: BoolArray) -> FloatArray:
+        """Return (ny, nx) of a term of RMS 1 over the circle inside ``mask`` of the map's frame, NaN outside."""
+        height = np.full(mask.shape, np.nan)
+        height[mask] = values((term,), "rms", *zernike.unit_coordinates(mask, self.circle_px))[0]
+        return height
+
+    def facts(self) -> dict[str, Any]:
+        """Return JSON values; the covariance is its lower triangle, row by row."""
+        lower = self.covariance[np.tril_indices(len(self.terms))]
+        return {
+            "degree": self.degree,
+            "terms": [list(term) for term in self.terms],
+            "covariance": [float(f"{value:.{DIGITS}g}") for value in lower],
+            "unknown": [[*term, share] for term, share in self.unknown.items()],
+            "rest_nm": self.rest_nm,
+            "circle_px": list(self.circle_px),
+        }
+
+    @classmethod
+    def load(cls, facts: Mapping[str, Any]) -> Self:
+        """Read the errors from their JSON values; ValueError, TypeError or KeyError where they are malformed."""
+        terms = tuple((int(n), int(m)) for n, m in facts["terms"])
+        covariance = np.zeros((len(terms), len(terms)))
+        covariance[np.tril_indices(len(terms))] = facts["covariance"]
+        row, column, radius = map(float, facts["circle_px"])
+        return cls(
+            int(facts["degree"]),
+            terms,
+            covariance + np.tril(covariance, -1).T,
+            {(int(n), int(m)): float(share) for n, m, share in facts["unknown"]},
+            float(facts["rest_nm"]),
+            (row, column, radius),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SystemMap:
+    """The instrument's error, which is subtracted from each of its maps."""
+
+    surface: SurfaceMap
+    """In the frame of its maps after the instrument's profile."""
+    result: AbsoluteTestResult
+
+    def off(self, surface: SurfaceMap) -> SurfaceMap:
+        """Subtract the instrument's error from a map, sample by sample; no data where the error has none.
+
+        Args:
+            surface: a map after the instrument's profile.
+
+        Raises:
+            MapError: the map has other samples or another pitch.
+        """
+        own, other = self.surface.height_nm.shape, surface.height_nm.shape
+        pitch, wanted = surface.pitch_mm, self.surface.grid.pitch_mm
+        if other != own or pitch is None or abs(pitch - wanted) > SAME_PITCH * wanted:
+            name = surface.path.name if surface.path is not None else "the map"
+            given = "no pitch" if pitch is None else f"{pitch:.6g} mm"
+            raise MapError(
+                f"{name} has {other[0]} x {other[1]} samples of {given}, the instrument's system map "
+                f"{own[0]} x {own[1]} of {wanted:.6g} mm: measure with the zoom and crop of its calibration, or "
+                "calibrate it with these"
+            )
+        return surface.with_height(surface.height_nm - self.surface.height_nm)

@@ -11,10 +11,10 @@ from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology.conditioning import SAME_PITCH
 from polishd.process.metrology.instrument import same_system
-from polishd.process.metrology.statistics import Removal, without
+from polishd.process.metrology.statistics import Removal, remove_terms
 
 FEWEST = 3
-"""Maps that must be left: of two that differ nobody knows which is wrong."""
+"""Least number of remaining maps: of two maps that differ, either may be wrong."""
 MAP_SIGMAS = 5.0
 SAMPLE_SIGMAS = 5.0
 SIGMA_PER_MAD = 1.4826
@@ -38,7 +38,7 @@ class AverageResult:
     rms_uncertainty_nm: float
     """Its standard error: the mean is repeated without each map in turn (jackknife)."""
     names: tuple[str, ...]
-    """Of all maps, in their order."""
+    """Names of all maps, in their order."""
     used: tuple[str, ...]
     rejected: Mapping[str, float]
     """Names of the maps left out, and the RMS in nm by which each deviates from the median map."""
@@ -46,7 +46,7 @@ class AverageResult:
     """Single samples left out of maps that were used."""
 
 
-def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> AverageResult:
+def average_maps(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed: bool = False) -> AverageResult:
     """Mean of repeated maps, registered to each other, without those that deviate.
 
     A map is left out where its RMS deviation from the median map is more than ``MAP_SIGMAS`` robust standard
@@ -67,7 +67,7 @@ def average(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, mixed:
     if not mixed:
         _require_one_setup(surfaces)
     common = _common(surfaces)
-    heights = np.stack([without(surface.height_nm, common, removal)[common] for surface in surfaces])
+    heights = np.stack([remove_terms(surface.height_nm, common, removal)[common] for surface in surfaces])
     names = _names(surfaces)
     deviation = np.sqrt(np.mean((heights - np.median(heights, axis=0)) ** 2, axis=1))
     good = ~_outliers(deviation)
@@ -98,8 +98,8 @@ def _require_one_setup(surfaces: Sequence[SurfaceMap]) -> None:
     names = _names(surfaces)
     bare = [name for name, surface in zip(names, surfaces, strict=True) if surface.pitch_mm is None]
     if bare:
-        raise MapError(f"{', '.join(bare)}: without a lateral scale nobody knows whether repeats are of one zoom; give "
-                     "the instrument's --profile, or say --mixed")  # fmt: skip
+        raise MapError(f"{', '.join(bare)}: without a lateral scale the zoom of the repeats is unknown. Give "
+                     "the instrument's --profile, or --mixed")  # fmt: skip
     known = [(name, surface.instrument) for name, surface in zip(names, surfaces, strict=True) if surface.instrument]
     for name, instrument in known[1:]:
         first, usual = known[0]
@@ -126,7 +126,7 @@ def _size(surface: SurfaceMap) -> str:
 
 
 def _same_pitch(one: SurfaceMap, other: SurfaceMap) -> bool:
-    """As closely as any format keeps a pitch: ``.dat`` rounds it to 7 digits."""
+    """Precision of a stored pitch: ``.dat`` rounds it to 7 digits."""
     if one.pitch_mm is None or other.pitch_mm is None:
         return one.pitch_mm is other.pitch_mm
     return abs(one.pitch_mm - other.pitch_mm) <= SAME_PITCH * one.pitch_mm

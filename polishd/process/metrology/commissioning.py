@@ -35,14 +35,14 @@ class Explanation:
 
     @property
     def name(self) -> str:
-        """What was done to the map, in words: "as it is", "negated", "turned 90 and negated"."""
+        """Name of the turn and sign: "as it is", "negated", "turned 90 and negated"."""
         if not self.negated:
             return self.orientation.name
         return "negated" if self.orientation == ORIENTATIONS[0] else f"{self.orientation.name} and negated"
 
     @property
     def as_it_is(self) -> bool:
-        """Whether nothing was done to the map but moving it."""
+        """Return whether the map was only moved."""
         return self.orientation == ORIENTATIONS[0] and not self.negated
 
     def turn(self, height_nm: FloatArray) -> FloatArray:
@@ -133,13 +133,13 @@ def _vertex(three: FloatArray) -> float:
 ACROSS = 120
 """Samples a side of the grid that a map is proved on."""
 SEARCH = 64
-"""The same of the grid that its orientation and size are searched on."""
+"""Pitch of the grid for the search of orientation and size."""
 LEAST_CORRELATION = 0.9
 MARGIN = 0.1
-"""By how much the artefact as it is must correlate better than in any other orientation."""
+"""Least advantage in correlation of the artefact as it is over any other orientation."""
 SCALE_TOLERANCE = 0.05
 PITCH_TOLERANCE = 0.02
-"""How far height and size may be off."""
+"""Largest error of height and size."""
 MAX_TURN_DEG = 10.0
 BASE_DEGREE = 2
 """Total degree of what the artefact's base may have: 10 nm of power made 150 nm bumps look 3 % too small."""
@@ -164,11 +164,11 @@ class ArtefactBump:
 
 @dataclass(frozen=True, slots=True)
 class ProfileProof:
-    """How a map shows the artefact."""
+    """Agreement of a map with the artefact."""
 
     correlation: float
     next_best: float
-    """Of any other of the 8 turns and flips, plain or negated."""
+    """Best correlation of any other of the 8 turns and flips, plain or negated."""
     next_best_name: str
     scale: float
     """Height in the map over the artefact's own."""
@@ -202,7 +202,7 @@ def require_asymmetric(bumps: Sequence[ArtefactBump]) -> None:
                           "cannot prove a profile; move a bump, or give it another height or shape")  # fmt: skip
 
 
-def prove(surface: SurfaceMap, bumps: Sequence[ArtefactBump]) -> ProfileProof:
+def prove_profile(surface: SurfaceMap, bumps: Sequence[ArtefactBump]) -> ProfileProof:
     """Show that a map shows the artefact as it is: not turned, flipped or negated, and of its height and size.
 
     Args:

@@ -14,10 +14,10 @@ from polishd.model.outline import Outline
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrology import zernike
 from polishd.process.metrology.resampling import Registration, resample_registered
-from polishd.process.metrology.statistics import Removal, fitted
+from polishd.process.metrology.statistics import Removal, fit_terms
 
 MARGIN_MM = 5.0
-"""How far the process grid reaches beyond the aperture: where the path turns."""
+"""Margin of the process grid beyond the aperture, where the path turns."""
 MOST_DATA = 1.6
 """Area with data, relative to the aperture's, beyond which a map shows another part (a full square frame has 1.27)."""
 MIN_SAMPLES = 100
@@ -28,7 +28,7 @@ MAX_FILLED = 0.05
 
 
 class Masks(NamedTuple):
-    """Which samples count: frozen with the first map of a part."""
+    """Masks of the counted samples, frozen with the first map of a part."""
 
     solve: BoolArray
     """(ny, nx) in the solve."""
@@ -77,7 +77,7 @@ def condition(
             or masks of another grid.
         WrongPart: data over much more than the aperture.
     """
-    surface = squared(surface)
+    surface = resample_square(surface)
     _check(surface, outline)
     grid = process_grid(outline, grid_mm, margin_mm)
     raw = resample_registered(surface.height_nm, surface.grid, grid, registration)
@@ -90,11 +90,11 @@ def condition(
     if missing > MAX_FILLED * np.count_nonzero(solve):
         raise MapError(f"{missing} of {np.count_nonzero(solve)} samples that the first map had are missing in this one")
     height = fill_holes(np.where(aperture | solve, raw, np.nan))
-    height = height - fitted(height, metric, removal)
+    height = height - fit_terms(height, metric, removal)
     return ConditionedMap(grid, np.where(aperture | solve, height, np.nan), solve, metric)
 
 
-def squared(surface: SurfaceMap) -> SurfaceMap:
+def resample_square(surface: SurfaceMap) -> SurfaceMap:
     """The map on square pixels of the finer of its two pitches; one that has one pitch, or none, as it is.
 
     Heights are interpolated by cubic splines along the coarser axis, from a map whose holes are filled; a new sample
@@ -222,7 +222,7 @@ SAME_PITCH = 1e-6
 """Part of a pitch by which two may differ and still be one grid."""
 
 
-def is_plausible(surface: SurfaceMap, now: datetime, written: datetime | None) -> SurfaceMap:
+def drop_implausible(surface: SurfaceMap, now: datetime, written: datetime | None) -> SurfaceMap:
     """The map as a reader gave it, without a date or a lateral scale that cannot be.
 
     Args:
@@ -290,21 +290,19 @@ SMALLEST_ISLAND = 0.001
 """Share of the largest piece of data below which a piece that does not touch it is no part of the part."""
 
 
-def cleaned(surface: SurfaceMap, mads: float) -> tuple[SurfaceMap, int]:
+def clean_map(surface: SurfaceMap, mads: float) -> tuple[SurfaceMap, int]:
     """The map without spikes and islands, and the number of spikes; ``mads`` = 0 leaves it as it is.
 
     Raises:
-        BadMap: see ``without_spikes``.
+        BadMap: see ``remove_spikes``.
     """
     if not mads:
         return surface, 0
-    height_nm, spikes = without_spikes(surface.height_nm, mads)
-    return surface.with_height(without_islands(height_nm)), spikes
+    height_nm, spikes = remove_spikes(surface.height_nm, mads)
+    return surface.with_height(remove_islands(height_nm)), spikes
 
 
-def without_spikes(
-    height_nm: FloatArray, mads: float = SPIKE_MADS, most: float = MOST_SPIKES
-) -> tuple[FloatArray, int]:
+def remove_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float = MOST_SPIKES) -> tuple[FloatArray, int]:
     """Take out what stands off the 36-term Zernike fit by more than ``mads`` robust standard deviations.
 
     Args:
@@ -324,7 +322,7 @@ def without_spikes(
     valid = np.isfinite(height_nm)
     spike = np.zeros_like(valid)
     for _ in range(ROUNDS):
-        fitted = zernike.fit(height_nm, valid & ~spike, TERMS, "fringe", circle_px=zernike.enclosing(valid))
+        fitted = zernike.fit(height_nm, valid & ~spike, TERMS, "fringe", circle_px=zernike.enclosing_circle(valid))
         off = np.abs(height_nm - zernike.surface(fitted, valid))
         threshold = mads * max(SIGMA_PER_MAD * float(np.median(off[valid & ~spike])), FLOOR_NM)
         before, spike = spike, valid & (off > threshold)
@@ -339,7 +337,7 @@ def without_spikes(
     return np.where(grown, np.nan, height_nm), int(np.count_nonzero(spike))
 
 
-def without_islands(height_nm: FloatArray, smallest: float = SMALLEST_ISLAND) -> FloatArray:
+def remove_islands(height_nm: FloatArray, smallest: float = SMALLEST_ISLAND) -> FloatArray:
     """Take out pieces of data that are far smaller than the largest: reflections, and pixels beyond the part's edge.
 
     Args:

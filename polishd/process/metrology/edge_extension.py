@@ -15,7 +15,7 @@ import scipy
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.checks import require_number
-from polishd.process.metrology.spectra import FIT_DEGREE, frequencies, tapered
+from polishd.process.metrology.spectra import FIT_DEGREE, frequencies, taper_rim
 from polishd.process.metrology.statistics import polynomial
 
 Extension = Literal["nearest", "c1", "gerchberg_papoulis"]
@@ -23,7 +23,7 @@ Extension = Literal["nearest", "c1", "gerchberg_papoulis"]
 ROUNDS = 200
 """Most projections of `gerchberg_papoulis`."""
 TOLERANCE = 1e-3
-"""It stops where its misfit on the data falls by less than this share in STALL rounds, or below it."""
+"""The iteration stops where its misfit on the data falls by less than this share in STALL rounds, or below it."""
 STALL = 10
 SLACK = 1e-5
 """Weight of slope beside bending in `c1`: settles what the data leave open (a lone sample), and nothing else."""
@@ -43,7 +43,7 @@ class ExtendedSurface:
     """RMS of data less band-limited surface, over the RMS of the data (low-order fit off): what is out of its band."""
 
 
-def extend(
+def extend_surface(
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -61,7 +61,7 @@ def extend(
         reach_mm: how far from the nearest datum: the spot's radius is enough. The array is not enlarged.
         method: ``nearest``: value of the nearest datum. ``c1``: least bending, value and slope go on; exact on planes.
             ``gerchberg_papoulis``: no periods below ``cutoff_period_mm``; a polynomial of degree 2 is taken off before.
-        cutoff_period_mm: the shortest period that the spot can make (`correctable`), for ``gerchberg_papoulis``.
+        cutoff_period_mm: shortest period of the spot (`correctable_surface`), for ``gerchberg_papoulis``.
 
     Raises:
         ComputeError: an empty mask, data that are not finite, a reach below a sample, or a cut-off that is missing or
@@ -161,7 +161,7 @@ def _band_limited(
     if scale <= 1e-12 * float(np.abs(height_nm[mask]).max()):
         return fit, 0, 0.0
     margin = int(np.ceil(cutoff))
-    start, inside, window = tapered(_thin_plate(rest, mask, reached), reached, margin)
+    start, inside, window = taper_rim(_thin_plate(rest, mask, reached), reached, margin)
     data = np.zeros(start.shape)
     inside[window], data[window] = mask, rest
     band = frequencies(start.shape, 1.0) <= 1 / cutoff

@@ -11,7 +11,7 @@ from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.frames import ArrayOrientation
-from polishd.process.metrology.conditioning import scale_fault, squared
+from polishd.process.metrology.conditioning import resample_square, scale_fault
 
 ANSWERS = {
     "pitch": "pitch_mm, the width of a pixel on the part",
@@ -20,13 +20,13 @@ ANSWERS = {
     "orientation": '"orientation" in gives, with mirror and rotation_deg as they are',
     "square pixels": "nothing: its pixels are not square, of a size not known; export the map with its lateral scale",
 }
-"""What a profile answers, and with which key."""
+"""Answers of a profile, and their keys."""
 SYSTEM = re.compile(r"(?:Zygo.*, system )?(\d+)")
 SHORT = 2**16
 """Zygo's ``.dat`` keeps the last 16 bits of the system's number; its texts and ``.datx`` keep all."""
 
 
-def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> SurfaceMap:
+def apply_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> SurfaceMap:
     """The map as it lies on the part, in nm of surface: flipped, turned, signed and scaled as the profile says.
 
     Args:
@@ -42,7 +42,7 @@ def as_profiled(surface: SurfaceMap, instrument: Instrument | None, *, partly: b
         BadMap: as `require_profile` does.
     """
     require_profile(surface, instrument, partly=partly)
-    surface = squared(surface)
+    surface = resample_square(surface)
     if instrument is None:
         return surface
     pitch = _pitch_mm(surface, instrument)
@@ -74,7 +74,7 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
 
     What the file does not say the profile does not either (no matter where ``partly``), they contradict each other, the
     map is of another instrument, or a profile was applied before, to the map or to one that it was made of. Nor is a
-    mean of mixed repeats taken but to look at (``partly``): nobody knows what it shows.
+    mean of mixed repeats that is only for viewing (``partly``): its content is undefined.
     """
     name = surface.path.name if surface.path is not None else "the map"
     steps = [] if surface.history is None else list(surface.history.steps)
@@ -89,11 +89,11 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
         return
     _of_this_instrument(name, surface, instrument)
     if not partly:
-        require_answered(surface, instrument)
+        require_complete(surface, instrument)
     _require_pitch(name, surface, instrument)
 
 
-def require_answered(surface: SurfaceMap, instrument: Instrument) -> None:
+def require_complete(surface: SurfaceMap, instrument: Instrument) -> None:
     """BadMap where neither the map, nor the profile, says all that polishing takes of it."""
     name = surface.path.name if surface.path is not None else "the map"
     unanswered = sorted(_asked(surface) - _answered(instrument))
@@ -136,7 +136,7 @@ def system_number(name: str) -> int | None:
 
 
 def same_system(one: str, other: str) -> bool:
-    """Whether two names of instruments may be of one: alike, or of one system number, cut to 16 bits in either."""
+    """Return whether two instrument names may be one: equal, or of one system number, cut to 16 bits in either."""
     numbers = [number for number in map(system_number, (one, other)) if number is not None]
     cut = len(numbers) == 2 and min(numbers) < SHORT and numbers[0] % SHORT == numbers[1] % SHORT
     return one == other or cut or (len(numbers) == 2 and numbers[0] == numbers[1])

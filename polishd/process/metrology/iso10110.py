@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import legval, legvander
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrology import zernike
-from polishd.process.metrology.statistics import inside, power, pv_rms, without
+from polishd.process.metrology.statistics import power, pv_rms, remove_terms, samples_inside
 from polishd.process.metrology.zernike import points, triangle
 
 RADIAL_DEGREE = 20
@@ -55,8 +55,8 @@ def irregularity(
     Raises:
         BadMap: the mask is empty, or the surface not finite inside it.
     """
-    inside(height_nm, mask)
-    row, column, _ = zernike.enclosing(mask)
+    samples_inside(height_nm, mask)
+    row, column, _ = zernike.enclosing_circle(mask)
     centre = (row, column) if centre_px is None else centre_px
     sphere, curvature = power(height_nm, mask)
     irregular = (height_nm - sphere)[mask]
@@ -66,7 +66,7 @@ def irregularity(
         a_nm=float(abs(curvature) * np.ptp(squares)),
         b_nm=float(np.ptp(irregular)),
         c_nm=float(np.ptp(symmetric)),
-        rms_t_nm=pv_rms(without(height_nm, mask, "tilt"), mask)[1],
+        rms_t_nm=pv_rms(remove_terms(height_nm, mask, "tilt"), mask)[1],
         rms_i_nm=float(irregular.std()),
         rms_a_nm=float((irregular - symmetric).std()),
         centre_px=centre,

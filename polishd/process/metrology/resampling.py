@@ -1,4 +1,4 @@
-"""Where a part lies in a map."""
+"""Pose of a part in a map, and resampling to it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Registration:
 
     @property
     def distance_mm(self) -> float:
-        """Of the part's centre from the centre of the map's array."""
+        """Offset of the part's center from the center of the map's array."""
         return float(np.hypot(*self.shift_mm))
 
     def on_part_mm(self, grid: Grid) -> tuple[FloatArray, FloatArray]:
@@ -46,7 +46,7 @@ class Registration:
         return np.cos(turn) * right + np.sin(turn) * up, np.cos(turn) * up - np.sin(turn) * right
 
     def drift_mm(self, last: Registration) -> float:
-        """How far the part's centre has moved since another map."""
+        """Return the movement of the part's center since another map."""
         return float(np.hypot(self.shift_mm[0] - last.shift_mm[0], self.shift_mm[1] - last.shift_mm[1]))
 
     def __str__(self) -> str:
@@ -91,7 +91,7 @@ def resample_registered(
     return np.where(enough, volume / np.where(enough, area, 1.0), np.nan)
 
 
-def averaging(source: Grid, target: Grid, registration: Registration) -> scipy.sparse.csr_array:
+def averaging_matrix(source: Grid, target: Grid, registration: Registration) -> scipy.sparse.csr_array:
     """`resample_registered` of a map with data everywhere, as a matrix (target.ny * target.nx, source.ny * source.nx).
 
     Each row is a cell's mean over the pixels that it covers; the row of a cell that lies beyond the map is empty.

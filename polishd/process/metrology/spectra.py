@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from polishd.model.surface import BoolArray, FloatArray, SurfaceStats
-from polishd.process.metrology.statistics import inside, polynomial, pv_rms, without
+from polishd.process.metrology.statistics import polynomial, pv_rms, remove_terms, samples_inside
 
 WORKERS = 2
 """Threads of the Fourier transforms: more than that gains little on maps of this size."""
@@ -21,7 +21,7 @@ STENCIL = ((0, 0, -4.0), (1, 0, 1.0), (-1, 0, 1.0), (0, 1, 1.0), (0, -1, 1.0))
 """Rows down, columns right, weight: the Laplacian."""
 
 
-def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatArray, tuple[slice, slice]]:
+def extend_rim(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatArray, tuple[slice, slice]]:
     """The map with a margin, each sample outside the mask that of the nearest edge times a raised cosine.
 
     Holes in the mask are then bent flat: the steps that the nearest edge leaves in each are short periods, and many
@@ -36,11 +36,11 @@ def extended(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[Float
         The wider map, (ny + margin, nx + margin) or a little more, of a size that is fast to transform; and where the
         map is in it. It is periodic: what leaves on one side comes back on the other, where it has fallen to zero.
     """
-    found, wide, window = tapered(height_nm, mask, margin)
+    found, wide, window = taper_rim(height_nm, mask, margin)
     return _bent(found, _holes(wide)), window
 
 
-def tapered(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatArray, BoolArray, tuple[slice, slice]]:
+def taper_rim(height_nm: FloatArray, mask: BoolArray, margin: int) -> tuple[FloatArray, BoolArray, tuple[slice, slice]]:
     """As `extended`, with holes as the nearest edge leaves them; and the mask in the wider array."""
     shape = tuple(scipy.fft.next_fast_len(n + 2 * margin, real=True) for n in mask.shape)
     window = (slice(margin, margin + mask.shape[0]), slice(margin, margin + mask.shape[1]))
@@ -132,7 +132,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: 
     half, shape = _density(height_nm, mask, pitch_mm, window)
     frequency = frequencies(shape, pitch_mm)
     ring = np.rint(frequency * (max(shape) * pitch_mm)).astype(np.intp).ravel()
-    times = np.full(half.shape, 2.0)  # a column of the half plane stands for two of the whole, but the first ...
+    times = np.full(half.shape, 2.0)  # a column of the half plane counts for two of the whole, but the first ...
     times[:, 0] = 1.0
     if shape[1] % 2 == 0:  # ... and the last of an even number
         times[:, -1] = 1.0
@@ -148,10 +148,10 @@ def _density(
     height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: Window
 ) -> tuple[FloatArray, tuple[int, ...]]:
     """Density on the half plane of the real FFT, (ny, nx // 2 + 1), and the shape (ny, nx) that was transformed."""
-    rest = without(height_nm, mask, "tilt")
+    rest = remove_terms(height_nm, mask, "tilt")
     width = math.ceil(max(mask.shape) * TAPER)
     if window == "extended":
-        field, _ = extended(rest, mask, width)
+        field, _ = extend_rim(rest, mask, width)
         field -= field.mean()
         # sum((z w)^2) / sum(w^2) is to be the variance inside the mask
         variance = float(np.var(rest[mask]))
@@ -175,7 +175,7 @@ FIT_DEGREE = 2
 MARGIN = 1.5
 """Width of the extension, of the longest edge: on 50 masked surfaces, 1 was up to 1.3 % off, 1.5 up to 0.9 %."""
 NOTHING = 1e-20
-"""Of the surface's energy: less is rounding."""
+"""Least share of the surface's energy; less is rounding."""
 EDGES_MM = (33.0, 0.12)
 """Periods between LSF, MSF and HSF where nothing else is asked for."""
 
@@ -200,7 +200,7 @@ def surface_stats(
     Raises:
         BadMap: the mask is empty, or the surface not finite inside it.
     """
-    values = inside(height_nm, mask)
+    values = samples_inside(height_nm, mask)
     return SurfaceStats(
         rms_nm=float(values.std()),
         pv_nm=float(np.ptp(values)),
@@ -246,14 +246,14 @@ def split_bands(
     edges = np.asarray(edges_mm, dtype=np.float64)
     if edges.size == 0 or edges.min() <= 0 or (np.diff(edges) >= 0).any():
         raise ValueError(f"periods between bands must be positive and fall, not {tuple(edges_mm)}")
-    inside(height_nm, mask)
+    samples_inside(height_nm, mask)
     fit = np.where(mask, polynomial(height_nm, mask, FIT_DEGREE), 0.0)
     rest = np.where(mask, height_nm, 0.0) - fit
     least = NOTHING * float(height_nm[mask].var()) * np.count_nonzero(mask)
     seen = [float(edge) for edge in edges if edge > 2 * pitch_mm]
     bands: list[FloatArray] = []
     if seen:
-        wide, window = extended(rest, mask, int(np.ceil(min(MARGIN * seen[0] / pitch_mm, max(mask.shape)))))
+        wide, window = extend_rim(rest, mask, int(np.ceil(min(MARGIN * seen[0] / pitch_mm, max(mask.shape)))))
         for low in _low_passed(wide, window, pitch_mm, seen):
             bands.append(_projected(rest, low, mask, bands, least))
             rest = rest - bands[-1]
@@ -331,7 +331,7 @@ class MapComparison:
     samples: int
 
 
-def compare(
+def compare_maps(
     before_nm: FloatArray,
     after_nm: FloatArray,
     mask: BoolArray,
@@ -351,7 +351,7 @@ def compare(
         BadMap: the mask is empty, has another shape, or a surface is not finite inside it.
         ValueError: edges that do not fall, or are not positive.
     """
-    before, after = (figures(height, mask, pitch_mm, edges_mm) for height in (before_nm, after_nm))
+    before, after = (surface_figures(height, mask, pitch_mm, edges_mm) for height in (before_nm, after_nm))
     return MapComparison(
         before=before,
         after=after,
@@ -364,10 +364,12 @@ def compare(
     )
 
 
-def figures(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, edges_mm: Sequence[float] = EDGES_MM) -> Figures:
+def surface_figures(
+    height_nm: FloatArray, mask: BoolArray, pitch_mm: float, edges_mm: Sequence[float] = EDGES_MM
+) -> Figures:
     """PV and RMS of one surface, band RMS and PSD of it without tilt; arguments and errors are those of ``compare``."""
     pv, rms = pv_rms(height_nm, mask)
-    bands = split_bands(without(height_nm, mask, "tilt"), mask, pitch_mm, edges_mm)
+    bands = split_bands(remove_terms(height_nm, mask, "tilt"), mask, pitch_mm, edges_mm)
     return Figures(pv, rms, tuple(float(band[mask].std()) for band in bands), radial_psd(height_nm, mask, pitch_mm))
 
 

@@ -15,7 +15,7 @@ from polishd.model.surface import BoolArray, FloatArray
 Removal = Literal["piston", "tilt", "power"]
 """Each with those before it: "tilt" is piston and tilt, "power" is piston, tilt and r^2, fitted together."""
 WORST_RATIO = 1e-12
-"""Of the normal equations' singular values: less is rounding, and the mask does not tell the terms apart."""
+"""Least singular value of the normal equations, relative; below it the mask does not separate the terms."""
 
 
 def pv_rms(height_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
@@ -24,11 +24,11 @@ def pv_rms(height_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
     Raises:
         BadMap: the mask is empty, or the surface not finite inside it.
     """
-    values = inside(height_nm, mask)
+    values = samples_inside(height_nm, mask)
     return float(np.ptp(values)), float(values.std())
 
 
-def trimmed(mask: BoolArray, pixels: int) -> BoolArray:
+def trim_mask(mask: BoolArray, pixels: int) -> BoolArray:
     """The mask eroded ``pixels`` times by the cross of 4 neighbours, holes growing likewise: MetroPro's "trim".
 
     Beyond the array there is nothing: its border is eroded, too.
@@ -43,18 +43,18 @@ def trimmed(mask: BoolArray, pixels: int) -> BoolArray:
     return np.asarray(scipy.ndimage.binary_erosion(mask, iterations=pixels), dtype=np.bool_)
 
 
-def without(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArray:
+def remove_terms(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArray:
     """(ny, nx) the surface less the least-squares fit of these terms over the mask; NaN outside the mask.
 
     Raises:
         BadMap: the mask is empty, or the surface not finite inside it.
         ValueError: no such removal.
     """
-    inside(height_nm, mask)
-    return np.where(mask, height_nm - fitted(height_nm, mask, removal), np.nan)
+    samples_inside(height_nm, mask)
+    return np.where(mask, height_nm - fit_terms(height_nm, mask, removal), np.nan)
 
 
-def fitted(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArray:
+def fit_terms(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> FloatArray:
     """(ny, nx) least-squares fit of these terms over the mask, evaluated everywhere.
 
     Raises:
@@ -94,7 +94,7 @@ def power(height_nm: FloatArray, mask: BoolArray) -> tuple[FloatArray, float]:
 
 
 def _scaled(mask: BoolArray, *, alike: bool = False) -> tuple[FloatArray, FloatArray]:
-    """(nx,) and (ny,) coordinates that are -1 and 1 at the mask's box, so that low powers of them are well told apart.
+    """(nx,) and (ny,) coordinates that are -1 and 1 at the mask's box, so that low powers of them are well conditioned.
 
     Args:
         mask: (ny, nx).
@@ -123,7 +123,7 @@ def _solved(matrix: ArrayLike, right: ArrayLike) -> FloatArray:
     return np.asarray(np.linalg.lstsq(np.asarray(matrix), np.asarray(right), rcond=WORST_RATIO)[0], dtype=np.float64)
 
 
-def inside(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
+def samples_inside(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
     """(m,) the samples inside the mask.
 
     Raises:
@@ -151,7 +151,7 @@ class SlopeFigures:
     rms_y_urad: float
     pv_y_urad: float
     rms_urad: float
-    """Of the magnitude: root of the sum of squares of both."""
+    """RMS of the magnitude: root of the sum of squares of both."""
     max_urad: float
     """Largest magnitude; its least is near 0, so this is its PV, too."""
     integration_mm: float
@@ -204,7 +204,7 @@ def _differences(
     """(ny - 2 k, nx - 2 k) each: slopes along x and y, NaN where one of both does not count; and k, half the length."""
     if integration_mm is not None and not integration_mm > 0:
         raise ValueError(f"an integration length of {integration_mm:g} mm")
-    level = without(height_nm, mask, "tilt")
+    level = remove_terms(height_nm, mask, "tilt")
     reach = 1 if integration_mm is None else max(1, round(integration_mm / (2 * pitch_mm)))
     length = 2 * reach * pitch_mm
     if min(mask.shape) <= 2 * reach:

@@ -1,6 +1,6 @@
 """Overlapping sub-apertures of one surface as one map, and how sure each of its samples is.
 
-Each map is the surface, and a piston, a tilt and, if asked, a power and a lateral shift of its own. On a grid that has
+Each map is the surface plus a piston, a tilt and, as options, a power and a lateral shift. On a grid that has
 the first map's samples the surface is eliminated exactly: of a sample that n maps have, the least-squares surface is
 their mean, and what remains to be solved for are 3 to 6 unknowns a map [Otsubo, Okada, Tsujiuchi, Opt. Eng. 33 (1994)
 608]. Their normal matrix has blocks only for maps that overlap. The first map's unknowns are 0: it is the reference.
@@ -58,7 +58,7 @@ class PlacedMap:
     centre: tuple[float, float]
     """(row, column) of its centre."""
     radius_px: float
-    """From its centre to its furthest sample with data."""
+    """Distance from its center to its furthest sample with data."""
     gain: float
     """Variance of a sample's noise, of that of the map's own samples: interpolation averages."""
 
@@ -92,7 +92,7 @@ class PlacedMap:
 
 @dataclass(frozen=True, slots=True)
 class StitchSum:
-    """What maps make together, on the grid."""
+    """Sum of maps on the grid."""
 
     mean: FloatArray
     """(ny, nx); 0 where no map has data."""
@@ -101,7 +101,7 @@ class StitchSum:
 
 
 def place_map(maps: Sequence[SubAperture], found_px: FloatArray, pitch_mm: float) -> list[PlacedMap]:
-    """Each map where it is said to lie, and by ``found_px`` (maps, 2), right and down, from there.
+    """Place each map at its nominal position plus ``found_px`` (maps, 2), right and down.
 
     The grid is the first map's. Others are interpolated by polynomials of degree 6 through 7 samples a direction, which
     keep 97.8 % of a wave of 4 px halfway between two samples and 99.99 % of one of 8 px (linear: 71 and 92 %).
@@ -140,7 +140,7 @@ def _interpolated(height_nm: FloatArray, way: FloatArray) -> tuple[FloatArray, f
     return height_nm, gain
 
 
-def summed(laid: Sequence[PlacedMap], heights_nm: Sequence[FloatArray]) -> StitchSum:
+def sum_maps(laid: Sequence[PlacedMap], heights_nm: Sequence[FloatArray]) -> StitchSum:
     """Mean and count of maps' heights, each (ny, nx) as the map is laid."""
     shape = np.max([np.add(one.corner, one.height_nm.shape) for one in laid], axis=0)
     total, count = np.zeros(shape), np.zeros(shape)
@@ -162,7 +162,7 @@ def slopes(surface: StitchSum) -> tuple[FloatArray, FloatArray]:
 LEAST_COMMON = 25
 """Samples that two maps must share to count as overlapping."""
 LEAST_EIGENVALUE = 1e-10
-"""Of the normal matrix with a diagonal of 1: below it the overlaps do not tell the unknowns apart."""
+"""Least eigenvalue of the normal matrix with a diagonal of 1; below it the overlaps do not separate the unknowns."""
 SURE_PX = 0.1
 """Uncertainty of a freed shift, pixels, above which the overlaps have no structure to tell it by."""
 CONVERGED_PX = 1e-3
@@ -173,14 +173,14 @@ MOST_SHIFT_PX = 5.0
 
 @dataclass(frozen=True, slots=True)
 class SubAperturePlacement:
-    """What was found of a sub-aperture, against the reference."""
+    """Fitted terms of a sub-aperture, against the reference."""
 
     name: str
     shift_mm: tuple[float, float]
-    """x, y by which it lies elsewhere than was said."""
+    """x, y offset from its nominal position."""
     shift_uncertainty_mm: tuple[float, float]
     piston_nm: float
-    """Of its own centre, taken off it."""
+    """Of its center, subtracted from the map."""
     tilt_urad: tuple[float, float]
     """Slope in x and y, taken off it."""
     power_nm: float
@@ -203,7 +203,7 @@ class StitchResult:
     """(ny, nx) how many maps have the sample."""
     placed: tuple[SubAperturePlacement, ...]
     noise_nm: float
-    """Of one sample of one map, from what the overlaps leave."""
+    """Noise of one sample of one map, from the residual of the overlaps."""
     power_growth: float
     """(R/r)^2: sag at the rim of the result, about the reference's centre, for 1 nm at the rim of a sub-aperture. So a
     power that all maps share, as the reference optic's, grows; no overlap shows it."""
@@ -231,8 +231,8 @@ def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False,
     Args:
         maps: of one pitch; the first is the reference.
         pitch_mm: of each.
-        power: each but the first may have a power of its own.
-        shift: each but the first may lie elsewhere than is said, up to some pixels (Gauss-Newton).
+        power: fit a power of each map but the first.
+        shift: fit a shift of each map but the first, up to some pixels (Gauss-Newton).
 
     Raises:
         BadMap: fewer than two; maps that do not overlap; overlaps that do not tell the unknowns.
@@ -270,7 +270,7 @@ def _shifted(maps: Sequence[SubAperture], pitch_mm: float, fit: _Fit, *, power: 
 
 
 def _fit(laid: Sequence[PlacedMap], *, power: bool, slope: tuple[FloatArray, FloatArray] | None = None) -> _Fit:
-    surface = summed(laid, [one.height_nm for one in laid])
+    surface = sum_maps(laid, [one.height_nm for one in laid])
     shared = surface.count >= 2
     used = [one.valid & shared[one.window] for one in laid]
     _require_overlap(laid, used)
@@ -284,12 +284,12 @@ def _fit(laid: Sequence[PlacedMap], *, power: bool, slope: tuple[FloatArray, Flo
     inverse[1:, 1:] = _inverted(matrix, laid, size).reshape(count - 1, size, count - 1, size).transpose(0, 2, 1, 3)
     values = np.einsum("klpq,lq->kp", inverse, right)
     flat = [one.height_nm - np.tensordot(own, base, 1) for one, own, base in zip(laid, values, bases, strict=True)]
-    surface = summed(laid, flat)
+    surface = sum_maps(laid, flat)
     off = [np.where(use, z - surface.mean[one.window], 0.0) for one, use, z in zip(laid, used, flat, strict=True)]
     # interpolation takes noise off single samples, not off the long waves that the unknowns are
     freedom = sum(one.gain * float((use * (1 - share[one.window])).sum()) for one, use in zip(laid, used, strict=True))
     if freedom <= free:
-        raise MapError("the overlaps hold too few samples for what is asked; take sub-apertures that overlap more")
+        raise MapError("the overlaps hold too few samples for these terms. Measure sub-apertures that overlap more")
     noise = np.sqrt(sum(float((one**2).sum()) for one in off) / (freedom - free))
     return _Fit(laid, bases, values, inverse, float(noise), surface)
 
@@ -371,8 +371,8 @@ def _require_structure(fit: _Fit) -> None:
         unsure = fit.noise_nm / np.sqrt(max(energy - noise, np.finfo(float).tiny))
         if energy < 2 * noise or unsure > SURE_PX:
             raise MapError(
-                f"{one.name}: its overlaps have no structure that tells a shift (it would be known to {unsure:.2g} px "
-                f"only, with {fit.noise_nm:.3g} nm of noise); leave the shift out of --free"
+                f"{one.name}: the overlaps show no shift (its standard error would be {unsure:.2g} px "
+                f"with {fit.noise_nm:.3g} nm of noise). Leave the shift out of --free"
             )
 
 

@@ -11,11 +11,11 @@ import scipy
 
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
-from polishd.model.tolerance import NORMS, Judged, ToleranceLine
+from polishd.model.tolerance import NORMS, LineResult, ToleranceLine
 from polishd.process.metrology import iso10110
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import RadialPsd, radial_psd, split_bands
-from polishd.process.metrology.statistics import Removal, fitted, pv_rms, slope, without
+from polishd.process.metrology.statistics import Removal, fit_terms, pv_rms, remove_terms, slope
 
 SLOPE_LENGTHS = 1.5
 """Most by which the shortest length that a map has, two pitches, may be longer than a slope's integration length."""
@@ -42,13 +42,13 @@ class _Surface:
         return split_bands(self.height_nm, self.mask, self.pitch_mm, edges)[0 if line.below_mm is None else 1]
 
 
-def judge(
+def judge_lines(
     lines: Iterable[ToleranceLine],
     height_nm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
     repeatability_nm: float | None = None,
-) -> tuple[Judged, ...]:
+) -> tuple[LineResult, ...]:
     """What was measured of each line.
 
     Args:
@@ -66,17 +66,17 @@ def judge(
     for line in lines:
         _require_seen(line, pitch_mm)
         uncertainty = repeatability_nm if line.figure in NORMS else None
-        found.append(Judged(line.what, _figure(line, surface), line.limit, line.unit, uncertainty))
+        found.append(LineResult(line.what, _figure(line, surface), line.limit, line.unit, uncertainty))
     return tuple(found)
 
 
-def seen(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
-    """(ny, nx) what of a surface has the line's periods; arguments as for `judge`."""
+def in_line_band(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
+    """(ny, nx) what of a surface has the line's periods; arguments as for `judge_lines`."""
     return _Surface(height_nm, mask, pitch_mm).band(line)
 
 
-def notes_of(judged: Iterable[Judged]) -> tuple[str, ...]:
-    """What a person should know of figures that are nearer to their limits than the instrument repeats."""
+def tolerance_notes(judged: Iterable[LineResult]) -> tuple[str, ...]:
+    """Return notes on figures that are nearer to their limits than the instrument's repeatability."""
     return tuple(
         f"{one}: it {'holds' if one.holds else 'does not hold'}, and the instrument's repeatability could have it "
         "the other way"
@@ -85,22 +85,22 @@ def notes_of(judged: Iterable[Judged]) -> tuple[str, ...]:
     )
 
 
-def out_of_reach(
+def unreachable_lines(
     lines: Sequence[ToleranceLine], height_nm: FloatArray, mask: BoolArray, pitch_mm: float, cutoff_period_mm: float
-) -> tuple[Judged, ...]:
+) -> tuple[LineResult, ...]:
     """The lines that a spot cannot make hold: they do not of what is left where all periods above its cut-off are gone.
 
-    Arguments as for `judge`. On a grid that averages over the map's pixels less is left than on the map: a line that is
+    Arguments: `judge_lines`. On a grid that averages over the map's pixels less is left than on the map: a line that is
     named here is out of reach, one that is not may be. Those that the grid cannot show are left out.
     """
     if cutoff_period_mm <= 2 * pitch_mm:
         return ()
     beyond = split_bands(height_nm, mask, pitch_mm, (cutoff_period_mm,))[1]
     some = [line for line in lines if _unseen(line, pitch_mm) is None and line.above_mm < cutoff_period_mm]
-    return tuple(one for one in judge(some, beyond, mask, pitch_mm) if not one.holds)
+    return tuple(one for one in judge_lines(some, beyond, mask, pitch_mm) if not one.holds)
 
 
-def only_beyond(lines: Iterable[ToleranceLine], cutoff_period_mm: float) -> tuple[ToleranceLine, ...]:
+def lines_below_cutoff(lines: Iterable[ToleranceLine], cutoff_period_mm: float) -> tuple[ToleranceLine, ...]:
     """Lines that count no period above a spot's cut-off: it changes nothing of them for the better."""
     return tuple(line for line in lines if line.below_mm is not None and line.below_mm <= cutoff_period_mm)
 
@@ -171,8 +171,8 @@ def alignment_notes(height_nm: FloatArray, mask: BoolArray, removal: Removal, to
         removal: what is taken off as alignment.
         tolerance_nm: RMS of the figure that is wanted: less tilt than this is not worth a word.
     """
-    figure_nm = float(without(height_nm, mask, removal)[mask].std())
-    tilt = fitted(height_nm, mask, "tilt" if removal == "piston" else removal)
+    figure_nm = float(remove_terms(height_nm, mask, removal)[mask].std())
+    tilt = fit_terms(height_nm, mask, "tilt" if removal == "piston" else removal)
     pv, rms = pv_rms(tilt, mask)
     if removal == "piston" and rms > tolerance_nm:
         note = (
@@ -193,7 +193,7 @@ def alignment_notes(height_nm: FloatArray, mask: BoolArray, removal: Removal, to
 # The form that is wanted: maps are measured against it.
 
 
-def less_nominal(surface: SurfaceMap, nominal: SurfaceMap, lies: Registration) -> SurfaceMap:
+def subtract_nominal(surface: SurfaceMap, nominal: SurfaceMap, lies: Registration) -> SurfaceMap:
     """The map less the form wanted, so that what is left is the error to polish away.
 
     Args:

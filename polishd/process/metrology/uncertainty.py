@@ -1,4 +1,4 @@
-"""How good a part truly is: bounds of its figures, from a measured map and all that is known of its errors."""
+"""Bounds of the figures of the true surface, from a measured map and the known errors of it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import scipy.ndimage
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.metrology import zernike
-from polishd.process.metrology.absolute_poses import LEVEL, OTHER_FOLDS, name_of, reference_for, terms
-from polishd.process.metrology.system_map import AbsoluteTestResult
+from polishd.process.metrology.absolute_poses import LEVEL, OTHER_FOLDS, family_name, reference_for, terms
+from polishd.process.metrology.absolute_test import AbsoluteTestResult
 from polishd.process.metrology.zernike import values
 
-# What is wrong with a measured map: noise, the instrument's terms as they are known, those that nothing has seen.
+# Errors of a measured map: noise, the determined terms of the instrument, and its unknown terms.
 
 REACH = 4.0
 """Correlation lengths to which a kernel is computed: e^-8 is left."""
@@ -24,7 +24,7 @@ Term = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class MapNoise:
-    """Of a map: a white part, and one that is alike in neighbours, as of air; independent of each other."""
+    """Noise of a map: a white part and an independent part that is correlated between neighbors, as of air."""
 
     white_nm: float
     """Standard deviation of a sample."""
@@ -34,11 +34,11 @@ class MapNoise:
     """L of the correlation exp(-d^2 / 2 L^2) of samples at a distance d."""
 
     def alike(self, pitch_mm: float) -> float:
-        """Samples of which the correlated part is one piece: the sum of squares of its correlation, at least 1."""
+        """Return the correlation area in samples: the sum of squares of the correlation, at least 1."""
         return max(1.0, float(np.pi * (self.length_mm / pitch_mm) ** 2))
 
     def term_covariance(self, weights: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
-        """(k, k) nm^2 of sums of samples of the noise.
+        """Return the covariance (k, k), nm^2, of weighted sums of the noise.
 
         Args:
             weights: (k, p) of each sum, of the p samples in ``mask``.
@@ -56,7 +56,7 @@ class MapNoise:
         return np.asarray((found + found.T) / 2)
 
     def draw(self, shape: tuple[int, ...], pitch_mm: float, rng: np.random.Generator) -> FloatArray:
-        """(ny, nx) nm of such noise."""
+        """Draw (ny, nx) nm of this noise."""
         found = rng.normal(0.0, self.white_nm, shape) if self.white_nm else np.zeros(shape)
         if self.correlated_nm and self.length_mm:
             kernel = _kernel(self.length_mm / pitch_mm / np.sqrt(2))
@@ -69,37 +69,39 @@ class MapNoise:
 
 @dataclass(frozen=True, slots=True)
 class MapErrors:
-    """Of a map that the instrument's known error was taken off."""
+    """Errors of a map after the instrument's known error was subtracted."""
 
     noise: MapNoise
     degree: int = 10
-    """Radial order up to which terms are looked at one by one."""
+    """Radial order up to which terms are treated one by one."""
     terms: tuple[Term, ...] = ()
     """(n, m) of the instrument's terms: RMS norm, angles from x towards y."""
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(j, j) nm^2 of them, as far as they were measured."""
     unseen_nm: Mapping[Term, float] = field(default_factory=dict)
-    """Prior of terms that nothing has seen: one standard deviation each about 0, nm RMS."""
+    """Prior of the undetermined terms: one standard deviation each about 0, nm RMS."""
     unseen_rest_nm: float = 0.0
-    """Prior RMS of what the terms leave of the instrument and nothing has seen."""
+    """Prior RMS of the instrument's undetermined error above the terms."""
 
 
 def errors_from_system_map(
-    told: AbsoluteTestResult, noise: MapNoise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None
+    result: AbsoluteTestResult, noise: MapNoise, unseen_nm: Mapping[Term, float], unseen_rest_nm: float | None = None
 ) -> MapErrors:
-    """Errors of a map less the instrument's map that a set of poses gave.
+    """Return the errors of a map less the instrument's map from an absolute test.
 
     Args:
-        told: what the poses told of the instrument.
-        noise: of the map that is judged, not of those that told the instrument.
-        unseen_nm: priors of the instrument's terms; those that the poses told take no part.
-        unseen_rest_nm: prior of its shorter waves that the poses leave; None: as what they tell of them has it.
+        result: errors of the instrument's map.
+        noise: of the map to be judged, not of the maps of the test.
+        unseen_nm: priors of the instrument's terms; those that the test determined are not used.
+        unseen_rest_nm: prior RMS of its undetermined shorter waves; None: as the test estimates it.
     """
     unseen = {
-        term: prior * float(np.sqrt(told.unknown[term])) for term, prior in unseen_nm.items() if term in told.unknown
+        term: prior * float(np.sqrt(result.unknown[term]))
+        for term, prior in unseen_nm.items()
+        if term in result.unknown
     }
-    rest = told.rest_nm if unseen_rest_nm is None else unseen_rest_nm
-    return MapErrors(noise, told.degree, told.terms, told.covariance, unseen, rest)
+    rest = result.rest_nm if unseen_rest_nm is None else unseen_rest_nm
+    return MapErrors(noise, result.degree, result.terms, result.covariance, unseen, rest)
 
 
 def _kernel(length_px: float) -> FloatArray:
@@ -113,39 +115,39 @@ def _along_both(height: FloatArray, kernel: FloatArray) -> FloatArray:
     return height
 
 
-# What the true figure can be, given a map and its errors.
+# Posterior of the true figure, given a map and its errors.
 
 GROUPS = (4, 7)
-"""Last radial order of the first groups of terms that are taken to be alike; the rest is one more."""
+"""Last radial order of the first groups of terms with one common size; the others are one more group."""
 SIZES = 50
-"""Draws of how large the part's terms are."""
+"""Draws of the size of the part's terms."""
 SMALLEST = 1e-3
-"""Of the noise: the least size of a part's terms."""
+"""Least size of a part's terms over the noise."""
 POWER = (2, 0)
 
 
 @dataclass(frozen=True)
 class FigurePosterior:
-    """Of the terms a distribution to draw from; of the rest a share of what was measured, and its noise."""
+    """Distribution of the true figure's terms; of its remainder, the share of the measured one and its noise."""
 
     seen_nm: FloatArray
     """(k,) of all terms as measured, piston and tilts first."""
     by_source: dict[str, FloatArray]
-    """(k, k) nm^2 each: what "noise", "instrument" and "unseen" give to the measured terms."""
+    """(k, k) nm^2 each: covariance of the measured terms from "noise", "instrument" and "unseen"."""
     weight: FloatArray
     """(k, k) mean products of terms over the mask: ``c @ weight @ c`` is the mean square of terms c."""
     terms: tuple[tuple[int, int], ...]
     rest_nm: FloatArray
-    """(p,) of the samples in the mask: what the terms leave."""
+    """(p,) remainder above the terms, of the samples in the mask."""
     kept: float
-    """Share of the rest's variance that is the part's."""
+    """Share of the remainder's variance that is the part's."""
     rest_square: tuple[float, float]
-    """Mean square of the part's rest, and its standard deviation, nm^2."""
+    """Mean square of the part's remainder and its standard deviation, nm^2."""
     evaluated: FloatArray
     """(k, p) the terms over the mask."""
 
     def draw(self, samples: int, rng: np.random.Generator) -> FloatArray:
-        """(samples, k) true terms, nm."""
+        """Draw (samples, k) true terms, nm."""
         noise = self.by_source["noise"]
         instrument = self.by_source["instrument"] + self.by_source["unseen"]
         each = -(-samples // SIZES)
@@ -168,10 +170,7 @@ class FigurePosterior:
         return found
 
     def figure_weight(self, *, power: bool) -> FloatArray:
-        """(k, k) of the mean square without piston and tilt, and without power where that is asked, by least squares.
-
-        Those have no weight of their own in it.
-        """
+        """Return (k, k) weights of the mean square after a fit of piston, tilt and, as option, power is removed."""
         away = [i for i, term in enumerate(self.terms) if i < LEVEL or (power and term == POWER)]
         both = self.weight[:, away]
         return np.asarray(self.weight - both @ np.linalg.solve(self.weight[np.ix_(away, away)], both.T))
@@ -184,7 +183,7 @@ def posterior(
     errors: MapErrors,
     circle_px: tuple[float, float, float] | None = None,
 ) -> FigurePosterior:
-    """The true figure of a measured surface.
+    """Return the posterior of the true figure of a measured surface.
 
     Args:
         height_nm: (ny, nx) less the instrument's known error, finite inside ``mask``.
@@ -194,17 +193,15 @@ def posterior(
         circle_px: (row, column, radius) of the errors' terms; None: around the mask.
 
     Raises:
-        BadMap: as `zernike.fit`; or errors have terms above their order.
+        MapError: as `zernike.fit`, or errors have terms above their order.
     """
     found = terms(errors.degree)
     stray = (set(errors.terms) | set(errors.unseen_nm)) - set(found)
     if stray:
-        raise MapError(
-            f"errors are given of terms (n, m) {sorted(stray)}, above order {errors.degree}: raise the order"
-        )
-    circle = zernike.enclosing(mask) if circle_px is None else circle_px
+        raise MapError(f"the errors hold terms (n, m) {sorted(stray)} above order {errors.degree}. Raise the order")
+    circle = zernike.enclosing_circle(mask) if circle_px is None else circle_px
     fitted = zernike.fit(height_nm, mask, len(found), "ansi", circle_px=circle)
-    evaluated = values(found, "rms", *zernike.unit(mask, circle))
+    evaluated = values(found, "rms", *zernike.unit_coordinates(mask, circle))
     by_source = _by_source(found, errors, fitted.per_noise @ evaluated, mask, pitch_mm)
     weight = evaluated @ evaluated.T / fitted.samples
     noise = errors.noise
@@ -248,25 +245,25 @@ def _less_noise(seen_nm: FloatArray, noise: FloatArray, size_nm: FloatArray) -> 
     return seen_nm - gain @ seen_nm, (after + after.T) / 2
 
 
-# The one-sided 95 % bound of a part's true RMS, or of any other figure, and what would make it smaller.
+# The one-sided 95 % bound of a true RMS or any other figure, and its largest contributions.
 
 BOUND = 0.95
 SAMPLES, MAP_SAMPLES = 4000, 300
 SHORTER = "shorter waves"
-"""What is above the order of the terms."""
+"""Name of the waves above the order of the terms."""
 LEAST_NM = 1e-3
 """Contributions below it are left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class FigureBound:
-    """A figure of the true surface, from samples of what that can be."""
+    """Bound of a figure of the true surface, from samples of its posterior."""
 
     mean: float
     interval: tuple[float, float]
-    """In which it lies in 90 % of cases."""
+    """90 % interval."""
     bound: float
-    """Below which it lies in 95 %."""
+    """95 % one-sided upper bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,27 +279,27 @@ class ErrorContribution:
 
 @dataclass(frozen=True, slots=True)
 class RemeasureAdvice:
-    """A term of which the prior alone is more than the tolerance."""
+    """Reference measurement that is needed because the prior of a term alone exceeds the tolerance."""
 
     name: str
     prior_nm: float
     """RMS over the mask."""
     reference: str
-    """What would tell it."""
+    """The reference that determines the term."""
 
 
 @dataclass(frozen=True, slots=True)
 class RmsBound(FigureBound):
-    """Of the RMS without piston and tilt, nm."""
+    """Bound of the RMS without piston and tilt, nm."""
 
     removed: str
     """"tilt", or "power": piston, tilt and power."""
     contributions: tuple[ErrorContribution, ...]
     """The largest first."""
     demanded: tuple[RemeasureAdvice, ...]
-    """What accepting the part needs; empty without a tolerance."""
+    """References that acceptance needs; empty without a tolerance."""
     power_removed: RmsBound | None = None
-    """The same of the figure without power, which a certificate can hold to where power is not told."""
+    """Bound of the RMS without power, for a certificate where power is undetermined."""
 
 
 def true_rms_bound(
@@ -316,20 +313,20 @@ def true_rms_bound(
     seed: int = 0,
     circle_px: tuple[float, float, float] | None = None,
 ) -> RmsBound:
-    """How large the true RMS can be.
+    """Return the bound of the true RMS.
 
     Args:
         height_nm: (ny, nx) less the instrument's map, finite inside ``mask``.
         mask: (ny, nx) samples that count.
         pitch_mm: distance of samples.
         errors: what is known of the map's errors.
-        tolerance_nm: RMS that is allowed: says which references are demanded.
+        tolerance_nm: RMS that is allowed; decides which references are needed.
         samples: of the posterior.
         seed: of them.
         circle_px: (row, column, radius) of the errors' terms; None: around the mask.
 
     Raises:
-        BadMap: as `posterior`.
+        MapError: as `posterior`.
     """
     found = posterior(height_nm, mask, pitch_mm, errors, circle_px)
     rng = np.random.default_rng(seed)
@@ -351,20 +348,20 @@ def true_figure_bound(
     seed: int = 0,
     circle_px: tuple[float, float, float] | None = None,
 ) -> FigureBound:
-    """How large any figure can be, PV or a line of the drawing: of whole maps, samples of what the part can be.
+    """Return the bound of any figure, as PV or a drawing line, from sampled maps of the true surface.
 
     Args:
         height_nm: (ny, nx) less the instrument's map, finite inside ``mask``.
         mask: (ny, nx) samples that count.
         pitch_mm: distance of samples.
         errors: what is known of the map's errors.
-        figure: of a map (ny, nx), NaN outside ``mask``; it takes off what it wants taken off.
+        figure: function of a map (ny, nx), NaN outside ``mask``; it removes terms as needed.
         samples: of the posterior.
         seed: of them.
         circle_px: (row, column, radius) of the errors' terms; None: around the mask.
 
     Raises:
-        BadMap: as `posterior`.
+        MapError: as `posterior`.
     """
     found = posterior(height_nm, mask, pitch_mm, errors, circle_px)
     rng = np.random.default_rng(seed)
@@ -394,7 +391,7 @@ def _rms_bound(
     wanted: tuple[RemeasureAdvice, ...] = ()
     if tolerance_nm is not None:
         own = dict(zip(found.terms, np.diag(weight).tolist(), strict=True))
-        wanted = demands(errors, tolerance_nm, without_power=power, mean_square=own.__getitem__)
+        wanted = required_references(errors, tolerance_nm, without_power=power, mean_square=own.__getitem__)
     return RmsBound(
         rms.mean, rms.interval, rms.bound,
         removed="power" if power else "tilt",
@@ -409,27 +406,27 @@ def _bound(values: FloatArray) -> FigureBound:
 
 
 def _contributions(found: FigurePosterior, errors: MapErrors, weight: FloatArray) -> tuple[ErrorContribution, ...]:
-    """Of each source and family of terms; of noise what the terms leave, too."""
+    """Return the contribution of each source and family of terms, and of the noise above the terms."""
     squares: dict[tuple[str, str], float] = {}
     for source, covariance in found.by_source.items():
         for index, (n, m) in list(enumerate(found.terms))[LEVEL:]:
-            key = (name_of(n, m), source)
+            key = (family_name(n, m), source)
             squares[key] = squares.get(key, 0.0) + float(weight[index, index] * covariance[index, index])
     squares[SHORTER, "noise"] = found.rest_square[1]
     squares[SHORTER, "unseen"] = errors.unseen_rest_nm**2
     all_of_them = (ErrorContribution(*key, float(np.sqrt(max(one, 0.0)))) for key, one in squares.items())
-    told = [one for one in all_of_them if one.rms_nm >= LEAST_NM]
-    return tuple(sorted(told, key=lambda one: -one.rms_nm))
+    large = [one for one in all_of_them if one.rms_nm >= LEAST_NM]
+    return tuple(sorted(large, key=lambda one: -one.rms_nm))
 
 
-def demands(
+def required_references(
     errors: MapErrors,
     tolerance_nm: float,
     *,
     without_power: bool = False,
     mean_square: Callable[[Term], float] = lambda _: 1.0,
 ) -> tuple[RemeasureAdvice, ...]:
-    """References for families of which the unseen part alone is more than the tolerance.
+    """Return the references for term families whose undetermined part alone exceeds the tolerance.
 
     Args:
         errors: what is known of a map's errors; its noise plays no part.
@@ -441,7 +438,7 @@ def demands(
     needs: dict[str, str] = {}
     for (n, m), prior in errors.unseen_nm.items():
         if not (without_power and (n, m) == POWER):
-            name = name_of(n, m)
+            name = family_name(n, m)
             square[name] = square.get(name, 0.0) + mean_square((n, m)) * prior**2
             needs[name] = reference_for(n, m)
     square[SHORTER], needs[SHORTER] = errors.unseen_rest_nm**2, OTHER_FOLDS
@@ -456,8 +453,8 @@ __all__ = [
     "MapNoise",
     "RemeasureAdvice",
     "RmsBound",
-    "demands",
     "errors_from_system_map",
+    "required_references",
     "true_figure_bound",
     "true_rms_bound",
 ]

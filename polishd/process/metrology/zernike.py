@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.process.metrology.statistics import inside
+from polishd.process.metrology.statistics import samples_inside
 
 # Zernike polynomials by their names: three orderings, two norms, and their values.
 
@@ -110,7 +110,7 @@ BLOCK = 8192
 """Samples at a time: a block of 37 terms stays in the cache."""
 
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
-"""From the coordinates of m samples, x and y, to (k, m): each of k functions there."""
+"""Function from the coordinates of m samples, x and y, to (k, m) values of k functions."""
 
 
 def triangle(basis: Basis, x: FloatArray, y: FloatArray, values: FloatArray) -> FloatArray:
@@ -147,7 +147,7 @@ def points(mask: BoolArray, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, Flo
 
 
 WORST_CONDITION = 1e8
-"""Condition of the terms over the mask beyond which they cannot be told apart."""
+"""Condition of the terms over the mask beyond which they cannot be separated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +167,9 @@ class ZernikeFit:
     """(row, column) of the unit circle's centre."""
     radius_px: float
     residual_rms_nm: float
-    """What the fit leaves, over the mask."""
+    """RMS of the residual over the mask."""
     condition: float
-    """Of the terms over the mask: near 1 to 3 on a circle."""
+    """Condition of the terms over the mask: near 1 to 3 on a circle."""
     samples: int
     per_noise: FloatArray
     """(k, k) covariance of the coefficients, nm^2, for white noise of 1 nm in each sample."""
@@ -192,27 +192,27 @@ def fit(
         terms: how many, from piston on. 36 and 37 differ by a spherical term: say which.
         ordering: "noll" and "fringe" count from 1, "ansi" from 0.
         norm: None for the usual one of the ordering: "edge" for fringe, else "rms".
-        circle_px: (row, column, radius) of the unit circle; None for the least that ``enclosing`` finds.
+        circle_px: (row, column, radius) of the unit circle; None for the least that ``enclosing_circle`` finds.
 
     Raises:
         BadMap: the surface is not finite inside the mask, there are fewer samples than terms, or the mask's shape does
             not tell the terms apart (condition above ``WORST_CONDITION``).
         ValueError: no such ordering, no terms, or a circle without radius.
     """
-    heights = inside(height_nm, mask)
+    heights = samples_inside(height_nm, mask)
     pairs = order(ordering, terms)
     norm = USUAL_NORM[ordering] if norm is None else norm
-    row, column, radius = circle = enclosing(mask) if circle_px is None else circle_px
+    row, column, radius = circle = enclosing_circle(mask) if circle_px is None else circle_px
     if not radius > 0:
         raise ValueError(f"a unit circle of radius {radius:g} pixels")
     if heights.size < terms:
         raise MapError(f"{heights.size} samples are too few for {terms} Zernike terms: fit fewer, or mend the mask")
-    found = triangle(lambda x, y: values(pairs, norm, x, y), *unit(mask, circle), heights)
+    found = triangle(lambda x, y: values(pairs, norm, x, y), *unit_coordinates(mask, circle), heights)
     own, projected = found[:terms, :terms], found[:terms, terms]
     condition = float(np.linalg.cond(own))
     if not condition <= WORST_CONDITION:
         raise MapError(
-            f"{terms} Zernike terms cannot be told apart over this mask (condition {condition:.1e}, at most "
+            f"{terms} Zernike terms cannot be separated over this mask (condition {condition:.1e}, at most "
             f"{WORST_CONDITION:.0e}): fit fewer terms, or a circle that lies closer around the mask"
         )
     sign = np.where(np.diag(own) < 0, -1.0, 1.0)
@@ -235,7 +235,7 @@ def fit(
 
 def surface(fitted: ZernikeFit, mask: BoolArray) -> FloatArray:
     """(ny, nx) the fitted surface in nm over a mask; NaN outside the mask."""
-    x, y = unit(mask, (*fitted.centre_px, fitted.radius_px))
+    x, y = unit_coordinates(mask, (*fitted.centre_px, fitted.radius_px))
     heights = np.zeros(x.size)
     for start in range(0, x.size, BLOCK):
         part = slice(start, start + BLOCK)
@@ -273,7 +273,7 @@ def pvr(height_nm: FloatArray, mask: BoolArray, terms: int = 36) -> Pvr:
     return Pvr(pv + 3 * fitted.residual_rms_nm, pv, fitted.residual_rms_nm, terms, fitted.ordering)
 
 
-def enclosing(mask: BoolArray) -> tuple[float, float, float]:
+def enclosing_circle(mask: BoolArray) -> tuple[float, float, float]:
     """(row, column, radius) in pixels of a circle around a mask: the middle of its box, out to its furthest sample.
 
     Raises:
@@ -289,7 +289,7 @@ def enclosing(mask: BoolArray) -> tuple[float, float, float]:
     return float(row), float(column), max(float(np.hypot(rows - row, across).max()), 0.5)
 
 
-def unit(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+def unit_coordinates(mask: BoolArray, circle_px: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
     """Coordinates of the mask's samples, 1 = the circle's radius, y up."""
     row, column, radius = circle_px
     x = (np.arange(mask.shape[1]) - column) / radius
@@ -304,7 +304,7 @@ class Primary:
     """Amplitudes at the unit circle's edge (fringe terms 4 to 9), nm of the surface, positive = high."""
 
     power_nm: float
-    """Of 2 r^2 - 1: its PV over the circle is twice this."""
+    """Coefficient of 2 r^2 - 1; its PV over the circle is twice this."""
     astigmatism_nm: float
     """Root of the sum of squares of r^2 cos 2t and r^2 sin 2t."""
     astigmatism_deg: float
@@ -314,7 +314,7 @@ class Primary:
     coma_deg: float
     """Direction of its high side, from x towards y, -180 to 180."""
     spherical_nm: float
-    """Of 6 r^4 - 6 r^2 + 1."""
+    """Coefficient of 6 r^4 - 6 r^2 + 1."""
 
 
 def primary(fitted: ZernikeFit) -> Primary:

@@ -199,12 +199,12 @@ class CurvedContact:
 
     @property
     def note(self) -> str:
-        """What an answer says of it."""
+        """Note for an answer."""
         wide = f"contacts {self.wider.min():.3f} to {self.wider.max():.3f} times as wide as on a flat"
         return f"curved part: {wide}, the slope takes up to {1 - self.seen.min():.2%} of what a map shows"
 
 
-def on_curved(
+def contact_on_curved_part(
     process: ToolProcess, optic: Optic, place_mm: FloatArray, *, contact: bool = True
 ) -> CurvedContact | None:
     """The contacts over points (n, 2 or more) of the part's frame; None on a flat.

@@ -17,7 +17,7 @@ from polishd.process.removal.tif import Spot
 from polishd.process.removal.tif_family import tif_family
 
 NODE_TOLERANCE = 1e-6
-"""How far a dwell point may lie from a node, over the pitch."""
+"""Largest distance of a dwell point from a node, over the pitch."""
 TOLERANCE = 1e-4
 
 Index = FloatArray | NDArray[np.int64]
@@ -74,7 +74,7 @@ class ConvolutionEffect:
 
     @property
     def on_grid(self) -> tuple[slice, slice]:
-        """Where the grid lies in what is transformed."""
+        """Slices of the grid in the transformed array."""
         row, column = self.corner
         return slice(row, row + self.grid.ny), slice(column, column + self.grid.nx)
 
@@ -90,7 +90,7 @@ def convolution_effect(
 ) -> ConvolutionEffect:
     """The effect of dwells at rest on nodes of the grid, or of its lattice beyond its edge.
 
-    ``depth_ratio`` and ``factor`` (n,) as of `corrected_spot`. Raises ComputeError for a point that moves or lies off
+    ``depth_ratio`` and ``factor`` (n,) as of `tif_at_point`. Raises ComputeError for a point that moves or lies off
     the nodes; use `effect_matrix` there.
     """
     refuse_where(~((factor >= 0) & np.isfinite(factor)), factor, "the factor on the removal", "", "it must be finite")
@@ -133,7 +133,7 @@ def sum_of_convolutions(
 
 
 class Layout(NamedTuple):
-    """How a grid and a lattice of dwells about it lie in a transform."""
+    """Layout of a grid and a lattice of dwells about it in a transform."""
 
     first: tuple[int, int]
     """Row and column of the lattice's first node, counted from the grid's first sample."""
@@ -160,8 +160,8 @@ def layout(shape: tuple[int, int], place: tuple[Index, Index], sides: tuple[int,
     return Layout((top, left), (rows, columns), corner, (high, wide))
 
 
-def on_nodes(grid: Grid, program: Program) -> bool:
-    """Whether all points rest on nodes of the grid, or of its lattice beyond its edge, each on one of its own."""
+def are_on_nodes(grid: Grid, program: Program) -> bool:
+    """Return whether all points rest on different nodes of the grid or of its lattice beyond the edge."""
     row, column, off = _nearest_nodes(grid, program)
     resting = bool((program.length_mm <= NODE_TOLERANCE * grid.pitch_mm).all()) and bool((off <= NODE_TOLERANCE).all())
     return resting and len(np.unique(np.round(np.stack([row, column])), axis=1).T) == program.n

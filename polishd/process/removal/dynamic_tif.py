@@ -22,7 +22,7 @@ from polishd.process.removal.tif import PATCH, Spot, tilt_spot
 Indices = NDArray[np.int64]
 
 NOTHING = 2e-14
-"""Of a patch: what differences of its integral leave where nothing is. They round to about 1e-15."""
+"""Rounding of a patch's integral differences where it is 0; they round to about 1e-15."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def _bilinear(integral: FloatArray, corner: Indices, below: FloatArray, right: F
 
 @dataclass(frozen=True, slots=True)
 class _Windows:
-    """Of n patches the cells that all positions of each lie in, one window after the other."""
+    """Windows of n patches: the cells at all positions of each, one after the other."""
 
     row: Indices
     """(n,) the first."""
@@ -171,12 +171,12 @@ CHUNK = 1024
 """Positions of a spot of PATCH squares across that are worked on at a time: bounds memory. With four times as many each
 takes twice as long where others want the cache, too; with a quarter numpy's calls do."""
 PATCH_POSITIONS = 4
-"""As many as a patch takes as long to be made as to be laid down at."""
+"""Number of positions at which placing a patch costs as much as computing it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CorrectedSpot:
-    """What a correction makes of the spot at n points."""
+    """Spot under a correction at n points."""
 
     depth_ratio: FloatArray
     """(n,) depth of the contact over the rigid robot's."""
@@ -189,7 +189,7 @@ class CorrectedSpot:
 def tif_at_point(
     correction: Correction, gamma: FloatArray, exponent: float = 1.5, reference: float = 1.0
 ) -> CorrectedSpot:
-    """The spot that a correction stands for, at (n,) depth ratios gamma (eq. 48).
+    """Return the spot of a correction at (n,) depth ratios gamma (eq. 48).
 
     "exact" takes each point's own depth (eq. 45). The others take one spot for all, that of the depth ratio
     ``reference`` (1: the rigid robot's R_0): "none" as it is, "linear" times gamma (eq. 49 as printed), "power" times
@@ -223,7 +223,7 @@ def effect_matrix(
 ) -> scipy.sparse.csr_array:
     """(ny * nx, n) removal rate of each timed point averaged over each sample's cell, nm/s (eq. 47).
 
-    ``depth_ratio`` and ``factor``, (n,), as of `corrected_spot`; ``wider`` as of `Lie`, ``correlation`` (n,) as of
+    ``depth_ratio`` and ``factor``, (n,), as of `tif_at_point`; ``wider`` as of `Lie`, ``correlation`` (n,) as of
     `spot.askew`. A block that moves spreads its removal evenly from start to end. What falls beyond the grid is lost; a
     spot that does not touch it leaves an empty column.
     A column's sum is exact; the paper's Hertz spot, at rest or in motion, is right in each cell of 0.5 mm within 1.2 %
@@ -239,12 +239,12 @@ def effect_matrix(
 
 @dataclass(frozen=True, slots=True)
 class PointLocation:
-    """How n blocks lie, where their spots are the same and no more than moved and widened."""
+    """Positions of n blocks whose spots are equal up to shift and width."""
 
     ends_mm: tuple[FloatArray, FloatArray]
     """(n, 2) where each begins and ends."""
     wider: float | FloatArray = 1.0
-    """What their spots' width is multiplied by, the volume kept; (n, 2) where each has its own along x and y."""
+    """Factor on their spots' width, volume kept; (n, 2) for different factors along x and y."""
 
 
 def effect_columns(

@@ -33,7 +33,7 @@ class Excess:
     limit_nm: float
     x_mm: float
     y_mm: float
-    """In the frame of the path."""
+    """Position in the frame of the path."""
 
 
 class ExcessMap:

@@ -18,7 +18,7 @@ FRAME = 0.1
 SMOOTH_PX = 2.0
 """Sigma of the smoothing with which the spot is found and the noise of means is judged."""
 STANDS_OUT = 6.0
-"""How many sigma of the smoothed outer ring a spot's smoothed peak must reach."""
+"""Least height of a spot's smoothed peak, in sigma of the smoothed outer ring."""
 RIM_SIGMA = 3.0
 RIM_SHARE = 0.005
 """The rim is where the mean round the centroid falls below 3 sigma of that mean, or below this share of its maximum."""
@@ -29,7 +29,7 @@ MIN_LEVEL_SAMPLES = 50
 
 @dataclass(frozen=True, slots=True)
 class TifReport:
-    """What was imported, and what cleaning did to it."""
+    """Imported TIF, and the effect of cleaning."""
 
     volume_mm3_min: float
     peak_nm_s: float
@@ -40,9 +40,9 @@ class TifReport:
     noise_nm_s: float
     """Standard deviation of a sample of the untouched surface (from its median absolute deviation)."""
     volume_change: float
-    """What cleaning alone would have changed the volume by, relative; the TIF is scaled back to the volume before."""
+    """Relative change of the volume by cleaning; the TIF is scaled back to the volume before."""
     centroid_mm: tuple[float, float]
-    """Where the spot's centroid lay, from the map's centre: x right, y up."""
+    """Position of the spot's centroid from the map's center: x right, y up."""
 
 
 def tif_from_maps(
@@ -404,6 +404,6 @@ def _along(tif: MeasuredTif, right_mm: FloatArray, up_mm: FloatArray) -> FloatAr
 
 
 def _m_shaped(profile: FloatArray) -> bool:
-    """Whether somewhere between two shoulders the profile lies below both."""
+    """Return whether somewhere between two shoulders the profile lies below both."""
     left, right = np.maximum.accumulate(profile), np.maximum.accumulate(profile[::-1])[::-1]
     return bool((profile < np.minimum(left, right) - M_DEPTH * profile.max()).any())

@@ -11,7 +11,7 @@ from polishd.model.process import Optic, Placement, ToolProcess
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.checks import refuse_where, require_number
-from polishd.process.frames import surface_normals, upright
+from polishd.process.frames import axes_on_level_surface, surface_normals
 from polishd.process.removal import contact
 from polishd.process.removal.contact import CurvedContact
 from polishd.process.removal.convolution import ConvolutionEffect, convolution_effect
@@ -104,7 +104,7 @@ def contact_centres_mm(spot: Spot, program: Program, depth_ratio: FloatArray) ->
 
 @dataclass(frozen=True, slots=True)
 class SpotPath:
-    """Where a tool dwells or moves on a part, and what of it removes there."""
+    """Removal of a tool along its path on a part."""
 
     program: Program
     """n timed points in the part's frame, the axes as seen where the surface lies level (`levelled_axes`)."""
@@ -114,7 +114,7 @@ class SpotPath:
     rim: Outline | None
     """The part's, where it is free."""
     curved: CurvedContact | None
-    """What the part's curvature makes of the spot at each point; None on a flat."""
+    """Change of the spot by the part's curvature at each point; None on a flat."""
 
     @property
     def even(self) -> Spot:
@@ -144,18 +144,18 @@ class SpotPath:
         return float((np.pi / 4 * width**2 + width * self.program.length_mm).sum()) / grid.pitch_mm**2
 
     def without_matrix(self, grid: Grid, spots: CorrectedSpot, tolerance: float = TOLERANCE) -> SpreadEffect:
-        """The same in memory that goes with points and samples. ComputeError where its error is above the tolerance."""
+        """Return the effect without a matrix. ComputeError where its error is above the tolerance."""
         bent = None if self.curved is None else np.column_stack([self.curved.wider, self.curved.askew])
         return spread_effect(
             grid, self.spot, self.program, spots.depth_ratio, spots.factor, tolerance=tolerance, bent=bent
         )
 
     def convolutions(self, grid: Grid, spots: CorrectedSpot) -> ConvolutionEffect:
-        """The same as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""
+        """Return the effect as a sum of convolutions. ComputeError unless all points rest on nodes of the grid."""
         return convolution_effect(grid, self.even, self.program, spots.depth_ratio, spots.factor)
 
 
 def levelled_axes(program: Program, optic: Optic) -> Program:
     """The program, in the part's frame, with its axes as seen where the surface lies level."""
     here = Placement((0.0, 0.0, 0.0), np.eye(3))
-    return replace(program, axis=upright(program.axis, surface_normals(here, program.end_mm, optic)))
+    return replace(program, axis=axes_on_level_surface(program.axis, surface_normals(here, program.end_mm, optic)))

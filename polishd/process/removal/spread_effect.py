@@ -19,10 +19,9 @@ from polishd.model.errors import ComputeError
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.checks import require_number
-from polishd.process.removal.blocks import PathBlocks, blocks_of, misses, sampled_rows
 from polishd.process.removal.convolution import Layout, layout
 from polishd.process.removal.tif import Spot
-from polishd.process.removal.tif_family import Family, meshed_family
+from polishd.process.removal.tif_family import Family, PathBlocks, blocks_of, effect_errors, meshed_family, sampled_rows
 
 # Weights of places between the nodes of a lattice on the nodes about them: those of quadratic splines.
 
@@ -40,11 +39,11 @@ def spline(place: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
 
 
 def damping(frequency: FloatArray) -> FloatArray:
-    """(m,) what `spline` makes of a wave of so many cycles a node along one axis: between 1 and 1/2."""
+    """(m,) factor of `spline` on a wave of ``frequency`` cycles a node along one axis: between 1 and 1/2."""
     return np.asarray(0.75 + 0.25 * np.cos(2 * np.pi * frequency))
 
 
-def outermost(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def outermost_nodes(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(2,) first and last row, and column, of the nodes that n > 0 blocks weigh on."""
     found = []
     for at in _rows_and_columns(grid, np.concatenate([blocks.start_mm, blocks.end_mm])):
@@ -53,7 +52,7 @@ def outermost(grid: Grid, blocks: PathBlocks) -> tuple[NDArray[np.int64], NDArra
     return found[0], found[1]
 
 
-def spread(grid: Grid, spot: Spot, blocks: PathBlocks, where: Layout) -> sparse.csr_array:
+def spread_weights(grid: Grid, spot: Spot, blocks: PathBlocks, where: Layout) -> sparse.csr_array:
     """(n, nodes) weight of each block on each node of the layout's lattice, C order; a row's sum is 1."""
     nodes = where.lattice[0] * where.lattice[1]
     parts = [sparse.csr_array((0, nodes))]
@@ -86,7 +85,7 @@ COARSE_CELLS = 5.0
 """Cells to half a spot's width, at least, of the effect that a solver's steps are found with: with 4.5 a solve takes
 half as many steps again, with 3 they lead astray."""
 COARSE_TOLERANCE = 1e-2
-"""What its family may miss of a spot."""
+"""Largest error of its family for a spot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ class SpreadEffect:
     spectra: NDArray[np.complexfloating[Any, Any]]
     """(k, ...) transforms of the kernels, averages over cells of the finer grid; all transforms are of their type."""
     error: float = np.nan
-    """Of the removal against the matrix, over its peak: `misses`."""
+    """Error of the removal against the matrix, over its peak: `effect_errors`."""
     entry_error: float = np.nan
     """Largest of a single entry at these samples, over the largest entry."""
     coarse: SpreadEffect | None = None
@@ -123,14 +122,14 @@ class SpreadEffect:
 
     @property
     def note(self) -> str:
-        """What a certificate says of it."""
+        """Note for a certificate."""
         return (
             f"no matrix: {self.rank} convolutions on {self.finer} x {self.finer} nodes a sample; from the matrix, at "
             f"samples, the removal is off by up to {self.error:.1e} of its peak, an entry by {self.entry_error:.1e}"
         )
 
     def single(self) -> SpreadEffect:
-        """The same in float32: half its time and memory, right to about 1e-6 of the peak."""
+        """Return the effect in float32: half its time and memory, accurate to about 1e-6 of the peak."""
         if self.spectra.dtype == np.complex64:
             return self
         return replace(
@@ -171,7 +170,7 @@ class SpreadEffect:
 
     @property
     def on_grid(self) -> tuple[slice, slice]:
-        """Where the finer grid lies in what is transformed."""
+        """Slices of the finer grid in the transformed array."""
         row, column = self.where.corner
         return slice(row, row + self.finer * self.grid.ny), slice(column, column + self.finer * self.grid.nx)
 
@@ -195,7 +194,7 @@ def spread_effect(
         grid: the process grid.
         spot: the spot as depth and azimuth change it.
         program: n timed points, the axes as seen where the surface lies level.
-        depth_ratio: (n,) as of `corrected_spot`, sunk where the bonnet hangs over the rim: nothing else is done there.
+        depth_ratio: (n,) as of `tif_at_point`, sunk where the bonnet hangs over the rim: nothing else is done there.
         factor: (n,) on the removal.
         tolerance: largest ``error``.
         bent: (n, 3) how much wider along x and y, and how askew the contacts are on a curved part, as of `Curved`;
@@ -218,13 +217,13 @@ def spread_effect(
         )
         trials = (_laid_down(row.grid, finer, spot, row.blocks, family.part(row.which)) for row in rows)
         found = (trial.adjoint(row.only_sample) for trial, row in zip(trials, rows, strict=True))
-        error, entry = misses(rows, found)
+        error, entry = effect_errors(rows, found)
         if error <= tolerance:
             whole = _laid_down(grid, finer, spot, blocks, family)
             return replace(whole, error=error, entry_error=entry, coarse=_coarse(whole, spot, blocks, depth_ratio))
     raise ComputeError(
         f"without a matrix the removal is off by {error:.1e} of its peak on a grid {FINER[-1]} times as fine, "
-        f"{tolerance:.1e} is asked for: use the matrix, or a tolerance above it"
+        f"{tolerance:.1e} is wanted. Use the matrix, or a larger tolerance"
     )
 
 
@@ -244,12 +243,12 @@ def _laid_down(grid: Grid, finer: int, spot: Spot, blocks: PathBlocks, family: F
     """The effect of these blocks, of a family on the finer grid; its error not yet known."""
     fine = Grid(grid.ny * finer, grid.nx * finer, grid.pitch_mm / finer)
     side = family.kernels.shape[1]
-    where = layout(fine.shape, outermost(fine, blocks), (side, side))
+    where = layout(fine.shape, outermost_nodes(fine, blocks), (side, side))
     damped = damping(scipy.fft.fftfreq(where.size[0]))[:, None] * damping(scipy.fft.rfftfreq(where.size[1]))
     return SpreadEffect(
         grid=grid,
         finer=finer,
-        weights=spread(fine, spot, blocks, where),
+        weights=spread_weights(fine, spot, blocks, where),
         where=where,
         coefficients=family.coefficients * blocks.factor[:, None],
         spectra=np.asarray(scipy.fft.rfft2(family.kernels, where.size) / damped, dtype=np.complex128),

@@ -21,11 +21,11 @@ from polishd.process.fft.transforms import (
     columns_back,
     columns_forth,
     inline,
+    inline_deep,
     kernel,
     rows_back,
     rows_forth,
     transform_plane,
-    within,
 )
 from polishd.process.removal.spread_effect import SpreadEffect
 
@@ -37,12 +37,12 @@ _NONE = np.float32(0)
 
 
 class BlockWeights(NamedTuple):
-    """How n blocks weigh on nodes."""
+    """Weights of n blocks on nodes."""
 
     first: Whole
     """(n + 1,) where each block's nodes begin."""
     node: Whole
-    """Which of a field's, as `plane` keeps it."""
+    """Index in a field in the layout of `plane`."""
     weight: Floats
     coefficient: Floats
     """(n, k)."""
@@ -60,7 +60,7 @@ class Nodes(NamedTuple):
     kernels: Floats
     """(k, 2, blocks, ny, COUNT) spectra."""
     scale: np.float32
-    """What transforms forth and back leave to be divided by."""
+    """Divisor of unnormalized forward and inverse transforms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ def compiled_spread(effect: SpreadEffect) -> CompiledSpread:
     )
 
 
-@within
+@inline_deep
 def spread_blocks(i: int, time_s: float, laid: BlockWeights, nodes: Nodes) -> None:
     """A block's time onto the nodes of each convolution: two at a time, as to find a node takes as long as to add."""
     rank, time = laid.coefficient.shape[1], np.float32(time_s)
@@ -144,7 +144,7 @@ def spread_blocks(i: int, time_s: float, laid: BlockWeights, nodes: Nodes) -> No
             nodes.flat[rank - 1, laid.node[j]] += laid.weight[j] * last
 
 
-@within
+@inline_deep
 def collect(i: int, laid: BlockWeights, nodes: Nodes) -> np.float32:
     """The adjoint of `lay`."""
     rank, whole = laid.coefficient.shape[1], _NONE
@@ -165,7 +165,7 @@ def collect(i: int, laid: BlockWeights, nodes: Nodes) -> np.float32:
 
 @inline
 def remove(nodes: Nodes, order: FftPlanArrays) -> None:
-    """What has been laid down removes this: the first field, its rows still transformed."""
+    """Compute the removal of the spread dwell into the first field, its rows still transformed."""
     for k in range(len(nodes.fields)):
         for slab in range(order.slabs):
             rows_forth(nodes.fields[k], slab, order)

@@ -1,4 +1,4 @@
-"""What the spot cannot correct: its transfer function, its cut-off, and what of a surface has shorter periods."""
+"""Limits of correction by the spot: its transfer function, its cut-off, and the surface at shorter periods."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ class CorrectablePeriods:
 
     transfer: SpotTransferFunction
     rms_nm: float
-    """Of the surface inside the mask, mean removed."""
+    """RMS of the surface inside the mask, mean removed."""
     within_reach_rms_nm: float
-    """Of the periods above the cut-off."""
+    """RMS of the periods above the cut-off."""
     beyond_reach_rms_nm: float
-    """Of those below it: what no dwell with this spot removes."""
+    """RMS of the periods below it, which no dwell with this spot removes."""
     resolved: bool
-    """Whether the map shows periods below the cut-off at all; where it does not, nothing is known of them."""
+    """The map resolves periods below the cut-off; where it does not, they are unknown."""
 
 
-def transfer(
+def spot_transfer_function(
     spot: Spot, depth_ratio: float = 1.0, azimuth_rad: float = 0.0, share: float = SHARE
 ) -> SpotTransferFunction:
     """Transfer function of a spot at one depth ratio; moving it along a block takes more away.
@@ -73,13 +73,22 @@ def transfer(
         raise ComputeError("the spot removes nothing: it has no transfer function")
     side = 2 * float(spot.half_width_mm(ratio)[0]) / len(patch)
     frequency = np.linspace(0.0, 1 / (SQUARES_A_PERIOD * side), FREQUENCIES)
-    modulus = np.mean([_modulus(patch, side, frequency, angle) for angle in _angles()], axis=0) / total
+    modulus = (
+        np.mean(
+            [
+                _modulus(patch, side, frequency, angle)
+                for angle in np.asarray((np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS, dtype=np.float64)
+            ],
+            axis=0,
+        )
+        / total
+    )
     null = _null_period_mm(frequency, modulus)
     cutoff = null if null is not None and modulus.min() > share else _cutoff_period_mm(frequency, modulus, share)
     return SpotTransferFunction(frequency, modulus, share, max(cutoff, null or 0.0), null)
 
 
-def correctable(
+def correctable_surface(
     height_nm: FloatArray, mask: BoolArray, pitch_mm: float, of: SpotTransferFunction
 ) -> CorrectablePeriods:
     """What of a surface the spot can correct, by `split_bands` at its cut-off.
@@ -101,10 +110,6 @@ def correctable(
         beyond_reach_rms_nm=float(below[mask].std()),
         resolved=of.cutoff_period_mm > 2 * pitch_mm,
     )
-
-
-def _angles() -> FloatArray:
-    return np.asarray((np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS, dtype=np.float64)
 
 
 def _modulus(patch: FloatArray, side: float, frequency: FloatArray, angle: float) -> FloatArray:

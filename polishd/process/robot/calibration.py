@@ -63,7 +63,7 @@ def require_tests(tests: LoadingTests, what: str) -> LoadingTests:
 
 
 def percent_errors(relative: FloatArray) -> PercentErrors:
-    """From what the model is off by, relative to each measured value, (n,), n above 0."""
+    """Statistics of the relative errors of the model, (n,), n above 0."""
     error = 100 * np.abs(relative)
     return PercentErrors(len(error), float(error.mean()), float(error.max()))
 
@@ -82,7 +82,7 @@ BEST_TEST = 1e-3
 PULL = 0.03
 """Relative residual that a factor of e from the given stiffness counts as, until it is known which are determined."""
 NOTHING = 1e-9
-"""What a factor of e in a stiffness changes in all tests together (relative), to be told from rounding errors."""
+"""Least relative change of all tests together by a factor of e in a stiffness: less is rounding."""
 STARTS = 4
 """Fits, each from other stiffnesses: those given, all of them at the level of the tests, and others about that."""
 SPREAD = 10.0
@@ -112,7 +112,7 @@ class Stiffness:
 
     @property
     def note(self) -> str:
-        """What a user should know of it, if anything."""
+        """Note for the user, if any."""
         return "; ".join(filter(None, (self._held, self._range)))
 
     @property
@@ -141,15 +141,15 @@ class StiffnessFit(Generic[Elastic]):
     robot: Elastic
     stiffnesses: tuple[Stiffness, ...]
     fitted: PercentErrors
-    """Of the fitted robot on the tests that it was fitted to."""
+    """Errors of the fitted robot on the tests of the fit."""
     cross_validated: PercentErrors | None
-    """Of each test as predicted from the other folds; None with too few tests for that."""
+    """Errors on each test, predicted from the other folds; None with too few tests."""
     held_out: PercentErrors | None
     """On tests that the fit has not seen; None without any."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of the fit."""
+        """Notes for the user."""
         return tuple(stiffness.note for stiffness in self.stiffnesses if stiffness.note)
 
 
@@ -166,11 +166,11 @@ class _Found:
     chi2: float
     """Sum of the squared relative residuals."""
     variance: float
-    """Of a relative residual."""
+    """Scale of a relative residual."""
 
 
 Relative = Callable[[FloatArray], FloatArray]
-"""From stiffnesses (p,), as logarithms over the given ones, to those of model over measured compliance, (n,)."""
+"""Function of log stiffness ratios (p,) to log ratios of model over measured compliance, (n,)."""
 
 
 def fit_stiffness(
@@ -219,7 +219,7 @@ def fit_stiffness(
         predicted = compliance_of(robot, hold_out, projection)(values)
         unseen = percent_errors(predicted / hold_out.compliance_um_per_n - 1)
     return StiffnessFit(
-        robot=with_elastic(robot, values),
+        robot=replace_elastic_numbers(robot, values),
         stiffnesses=tuple(
             Stiffness(*number, float(v), float(s), bool(free), *map(float, ends)) for number, v, s, free, ends in rows
         ),
@@ -335,7 +335,7 @@ class Number(NamedTuple):
 
 
 def elastic_numbers(robot: HybridRobot | SerialRobot) -> tuple[Number, ...]:
-    """The numbers that a fit may change, in the order that `with_elastic` takes them."""
+    """The numbers that a fit may change, in the order that `replace_elastic_numbers` takes them."""
     if isinstance(robot, SerialRobot):
         stiffness = robot.joint_stiffness_n_mm_per_rad
         return tuple(Number(f"stiffness of joint {j}", "N mm/rad", float(k)) for j, k in enumerate(stiffness, 1))
@@ -343,8 +343,8 @@ def elastic_numbers(robot: HybridRobot | SerialRobot) -> tuple[Number, ...]:
     return tuple(Number(name, unit, float(getattr(robot, name))) for name, unit in names)
 
 
-def with_elastic(robot: Elastic, values: FloatArray) -> Elastic:
-    """The robot with these (p,) numbers instead of its own."""
+def replace_elastic_numbers(robot: Elastic, values: FloatArray) -> Elastic:
+    """Return the robot with these (p,) elastic numbers in place of its present ones."""
     numbers = [float(value) for value in values]
     if isinstance(robot, SerialRobot):
         return replace(robot, joint_stiffness_n_mm_per_rad=tuple(numbers))
@@ -370,12 +370,12 @@ def compliance_of(
 
 def _serial_matrix(robot: SerialRobot, tests: LoadingTests) -> Callable[[FloatArray], FloatArray]:
     joints = serial_inverse_kinematics(robot, tests.tip_mm, tests.axis)
-    return lambda values: serial_joint_compliance_mm_per_n(with_elastic(robot, values), joints)
+    return lambda values: serial_joint_compliance_mm_per_n(replace_elastic_numbers(robot, values), joints)
 
 
 def _hybrid_matrix(robot: HybridRobot, tests: LoadingTests) -> Callable[[FloatArray], FloatArray]:
     matrix = hybrid_compliance_at(robot, tests.tip_mm, tests.axis)
-    return lambda values: matrix(with_elastic(robot, values))
+    return lambda values: matrix(replace_elastic_numbers(robot, values))
 
 
 # Whether loading tests say what a fit makes of them, or would be explained as well by nothing.
@@ -388,8 +388,8 @@ INFORMATIVE = 0.9
 """Share of the error of one number for all tests that a fit must be below, where there is more than noise."""
 
 
-def doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
-    """Why a fit should not be believed; empty where it may be.
+def fit_doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
+    """Return the reasons to doubt a fit; empty where it is good.
 
     It is judged by what it predicts of tests that it has not seen, or, where they are too few for that, by its own
     error with as much added as so many stiffnesses can hide.
@@ -403,7 +403,7 @@ def doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
         if not percent <= MOST_PERCENT:
             found.append(
                 f"{what} {percent:.1f} % in the mean, and loading tests of a robot like this by 3 to 5 (at most "
-                f"{MOST_PERCENT:g} is believed): wrong poses, directions or units, another robot, or noise"
+                f"{MOST_PERCENT:g} is allowed): wrong poses, directions or units, another robot, or noise"
             )
     if own > NOISE_PERCENT and own > INFORMATIVE * one:
         found.append(
@@ -413,7 +413,7 @@ def doubts(fit: StiffnessFit[Any], tests: LoadingTests) -> tuple[str, ...]:
 
 
 def one_number(tests: LoadingTests) -> PercentErrors:
-    """Of each test as predicted by the geometric mean of the others: what can be said without a robot."""
+    """Predict each test by the geometric mean of the others, as the baseline without a robot model."""
     log = np.log(tests.compliance_um_per_n)
     others = (log.sum() - log) / (len(log) - 1)
     return percent_errors(np.expm1(others - log))
@@ -445,7 +445,7 @@ class ExponentFit:
     scale: float
     """Volume, or rate, at gamma = 1: that of a rigid robot; in the unit given."""
     errors: PercentErrors
-    """Of the fit on the spots."""
+    """Errors of the fit on the spots."""
 
 
 def fit_exponent(gamma: FloatArray, volume: FloatArray) -> ExponentFit:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import (
@@ -27,8 +28,107 @@ from polishd.process import frames
 from polishd.process.checks import refuse_where, require_number, require_unit_vectors, require_vectors
 from polishd.process.removal.contact import hertz_depth_mm
 from polishd.process.robot.hybrid import cross, dot, hybrid_reachable, hybrid_tip_compliance_mm_per_n
-from polishd.process.robot.measured import measured_compliance, measured_reachable
 from polishd.process.robot.serial import serial_reachable, serial_tip_compliance_mm_per_n
+
+# Compliance of a cell from loading tests: a table of positions, linear between them.
+
+FLAT_MM = 1.0
+"""A table that is not thicker than this either way is flat, and holds for points as near to it."""
+
+_SAME_MM = 1e-6
+_RIM = 1e-9
+"""Tolerance of a simplex, relative, for a point to belong to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """The places in their own dimension."""
+
+    centre_mm: FloatArray
+    """(3,)."""
+    along: FloatArray
+    """(dim, 3) directions in which the table extends."""
+    local_mm: FloatArray
+    """(m, dim) the places in these directions, sorted along a line."""
+    value: FloatArray
+    """(m,) compliance, mm/N."""
+
+    def off_mm(self, tip: FloatArray) -> FloatArray:
+        """(n,) distance of (n, 3) points from the line, the plane or the space that the table lies in."""
+        arm = tip - self.centre_mm
+        return np.asarray(np.linalg.norm(arm - arm @ self.along.T @ self.along, axis=1), dtype=np.float64)
+
+    def interpolate(self, tip: FloatArray) -> FloatArray:
+        """(n,) compliance, mm/N; NaN outside of the hull."""
+        local = (tip - self.centre_mm) @ self.along.T
+        if len(self.along) == 1:
+            place, ends = self.local_mm[:, 0], self.local_mm[[0, -1], 0]
+            inside = (local[:, 0] >= ends[0] - _SAME_MM) & (local[:, 0] <= ends[1] + _SAME_MM)
+            return np.where(inside, np.interp(local[:, 0], place, self.value), np.nan)
+        mesh = scipy.spatial.Delaunay(self.local_mm)
+        simplex = mesh.find_simplex(local, tol=_RIM)
+        affine = mesh.transform[simplex]
+        weight = np.einsum("nij,nj->ni", affine[:, :-1], local - affine[:, -1])
+        weight = np.column_stack([weight, 1.0 - weight.sum(axis=1)])
+        value = (weight * self.value[mesh.simplices[simplex]]).sum(axis=1)
+        return np.where(simplex >= 0, value, np.nan)
+
+
+def measured_compliance(table: MeasuredCompliance, tip_mm: FloatArray) -> FloatArray:
+    """(n,) equivalent compliance, mm/N, at (n, 3) tool tips, mm, linear between the places of the table.
+
+    Linear on the simplices of the places' Delaunay triangulation, in three dimensions, or in the plane or on the line
+    that the places lie in. Raises ComputeError for a table that cannot be one, and for the first point that is more
+    than 1 mm off the table's plane or line, or outside of its hull.
+    """
+    known = _require_table(table)
+    tip = require_vectors("tool tip", tip_mm, "mm")
+    off, kind = known.off_mm(tip), ("", "line", "plane", "space")[len(known.along)]
+    source = f"the table {table.source}".rstrip()
+    refuse_where(off > FLAT_MM, off, f"the tool tip's distance from the {kind} of {source}", "mm", "at most 1 mm")
+    value = known.interpolate(tip)
+    nearest = scipy.spatial.cKDTree(table.tip_mm).query(tip)[0]
+    what = "the tool tip's distance from the nearest place measured"
+    refuse_where(np.isnan(value), nearest, what, "mm", f"and it is outside of the hull of {source}: not extrapolated")
+    return value
+
+
+def measured_reachable(table: MeasuredCompliance, tip_mm: FloatArray) -> BoolArray:
+    """(n,) True where `measured_compliance` would accept the point; arguments as there."""
+    known = _require_table(table)
+    tip = require_vectors("tool tip", tip_mm, "mm")
+    return np.asarray((known.off_mm(tip) <= FLAT_MM) & ~np.isnan(known.interpolate(tip)), dtype=np.bool_)
+
+
+def _require_table(table: MeasuredCompliance) -> _Table:
+    """The table in its own dimension; raise ComputeError where it cannot be one."""
+    tip = require_vectors("place measured", table.tip_mm, "mm")
+    value = np.asarray(table.compliance_um_per_n, dtype=np.float64)
+    if value.shape != (len(tip),):
+        raise ComputeError(f"the table has {len(tip)} places and compliances of the shape {value.shape}")
+    wrong = ~(np.isfinite(value) & (value > 0))
+    refuse_where(wrong, value, "the compliance measured", "um/N", "it must be finite and above 0")
+    if len(tip) < 2:
+        raise ComputeError(f"the table {table.source} has {len(tip)} places: at least 2 are needed")
+    centre = tip.mean(axis=0)
+    directions = np.linalg.svd(tip - centre, full_matrices=False)[2]
+    extent = np.ptp((tip - centre) @ directions.T, axis=0)
+    along = directions[extent > FLAT_MM]
+    if not len(along):
+        says = f"extends over {extent.max():.3g} mm, it must be above {FLAT_MM:g} mm"
+        raise ComputeError(f"the table {table.source} {says}")
+    local = (tip - centre) @ along.T
+    _refuse_contradictions(local, value)
+    order = np.argsort(local[:, 0])
+    return _Table(centre, along, local[order], value[order] * 1e-3)
+
+
+def _refuse_contradictions(place: FloatArray, value: FloatArray) -> None:
+    """Raise ComputeError for the first place that was measured before, with another compliance."""
+    earlier, later = scipy.spatial.cKDTree(place).query_pairs(_SAME_MM, output_type="ndarray").T
+    differ = np.zeros(len(place), dtype=np.bool_)
+    differ[later] = np.abs(value[later] - value[earlier]) > 1e-9 * value[later]
+    refuse_where(differ, value, "the compliance of a place that was measured before", "um/N", "and differs from then")
 
 
 def tip_compliance_mm_per_n(
@@ -55,7 +155,7 @@ def tip_compliance_mm_per_n(
 
 
 def reachable(robot: RobotModel, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
-    """(n,) True where the robot takes the pose by itself, or the table of a measured one covers it.
+    """(n,) True where the robot reaches the pose alone, or where the table of a measured robot covers it.
 
     Arguments as for `tip_compliance_mm_per_n`; raises ComputeError only for what is not a pose or not a robot.
     """
@@ -73,7 +173,7 @@ JUMP = 0.05
 CHUNK = 4096
 """Points worked on at a time: what they need stays in the processor's cache."""
 SEPARATE = 1e-3
-"""Where an eigenvalue lies nearer to another than this (relative), closed forms lose digits and LAPACK takes over."""
+"""Relative distance of two eigenvalues below which closed forms lose digits and LAPACK is used."""
 ROUNDING = 1e-9
 """Relative size up to which an asymmetry, or an imaginary part, is rounding."""
 EQUAL = 1e-6
@@ -88,7 +188,7 @@ def equivalent_compliance(
     ``matrix`` (n, 3, 3) mm/N, ``axis`` and ``normal`` (n, 3) unit, all in one frame. X_1 and X_2 are the eigenvectors
     other than the one nearest the tool axis. "linear" sums ``lambda_k |<X_k, b>|`` (eq. 43, with the eigenvectors' sign
     made harmless), "quadratic" sums ``lambda_k <X_k, b>^2``, "normal" is ``b' C b``, what a static loading test along b
-    measures. Where lambda_1 and lambda_2 are close "linear" depends on the eigenvectors' rotation: see `jumps`.
+    measures. Where lambda_1 and lambda_2 are close "linear" depends on their rotation: see `compliance_jumps`.
 
     A matrix that is not symmetric (eq. 41 as printed) may have complex eigenvalues: ComputeError names the first such
     point, and says how many there are; `complex_eigenvalues` finds them.
@@ -110,7 +210,7 @@ def complex_eigenvalues(matrix: FloatArray) -> BoolArray:
     return np.asarray((np.abs(values.imag) > ROUNDING * np.abs(values)).any(axis=1), dtype=np.bool_)
 
 
-def jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
+def compliance_jumps(compliance: FloatArray, matrix: FloatArray) -> BoolArray:
     """(n - 1,) True where the equivalent compliance changes by over 5 % more than its matrix does, point to point.
 
     ``compliance`` (n,) and ``matrix`` (n, 3, 3) in one unit. Such a change comes from the projection, not the robot.
@@ -254,7 +354,7 @@ def _projected(
 # The robot's compliance along a program's path, in the direction of the surface normal (paper eq. 34-44).
 
 DIP_TOLERANCE_DEG = 0.5
-"""How far the program's tool axis may be from the dip that the process states."""
+"""Largest deviation of the program's tool axis from the dip of the process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,13 +364,13 @@ class PathCompliance:
     compliance_mm_per_n: FloatArray
     """(n,) mm/N."""
     jumps: int
-    """Neighbours between which the projection jumps and the robot does not (see `compliance.jumps`)."""
+    """Neighbours between which the projection jumps and the robot does not (see `compliance_jumps`)."""
     fallbacks: int
     """Points at which the path has no Frenet frame, and the surface normal was taken."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of it."""
+        """Notes for the user."""
         n = len(self.compliance_mm_per_n)
         found = []
         if self.jumps:
@@ -314,7 +414,7 @@ def compliance_at(
     options: ComplianceOptions = SHIPPED_OPTIONS,
     optic: Optic = FLAT,
 ) -> PathCompliance:
-    """The same at points along a path: (n, 3) tool tips, mm, and (n, 3) unit tool axes, both in the part's frame."""
+    """Compliance at points along a path: (n, 3) tool tips, mm, and (n, 3) unit tool axes, both in the part's frame."""
     tip = frames.points_to_base(placement, point_mm)
     base_axis = frames.directions_to_base(placement, require_unit_vectors("tool axis", axis))
     surface = frames.surface_normals(placement, point_mm, optic)
@@ -326,7 +426,7 @@ def compliance_at(
     normal, fallbacks = _normals(options, placement, process.dip_deg, tip=tip, axis=base_axis, surface=surface)
     matrix = tip_compliance_mm_per_n(robot, tip, base_axis, moment=options.moment, path=True)
     compliance = equivalent_compliance(matrix, base_axis, normal, options.projection)
-    return PathCompliance(compliance, int(jumps(compliance, matrix).sum()), fallbacks)
+    return PathCompliance(compliance, int(compliance_jumps(compliance, matrix).sum()), fallbacks)
 
 
 def _normals(
@@ -346,13 +446,13 @@ def _normals(
         facing = np.where(np.einsum("ni,ni->n", binormal, surface) < 0, -1.0, 1.0)
         return np.where(defined[:, None], binormal * facing[:, None], surface), int((~defined).sum())
     lean = frames.lean_directions(options, placement, tip, surface)
-    return frames.turned_back(axis, lean, dip_deg), 0
+    return frames.normals_from_axes(axis, lean, dip_deg), 0
 
 
-# The equivalent compliance over the workspace (paper fig. 10): what a place of the cell is worth.
+# The equivalent compliance over the workspace (paper fig. 10): to compare positions in the cell.
 
 AROUND_MM = 300.0
-"""Half the side of the cube about the part that stands for the workspace of a robot which states none."""
+"""Half the side of the cube about the part that replaces the workspace of a robot which states none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,9 +472,9 @@ class ComplianceField:
     places: int
     """Samples within the workspace."""
     out_of_reach: int
-    """Those of them that the robot cannot reach: out of stroke or limits, singular."""
+    """Points that the robot cannot reach: out of stroke or limits, or singular."""
     undefined: int
-    """Those that it reaches, but at which eq. 41 as printed has complex eigenvalues."""
+    """Points that it reaches where eq. 41 as printed has complex eigenvalues."""
 
 
 def compliance_field(

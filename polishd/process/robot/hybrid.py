@@ -30,7 +30,7 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What does not depend on the pose."""
+    """Geometry that does not depend on the pose."""
 
     base: FloatArray
     """(3, 3) mm, base end of limb i in row i: ``b_i`` of eq. 1."""
@@ -161,11 +161,11 @@ def _require_robot(robot: HybridRobot) -> None:
         require_number(f"the robot's {name}", getattr(robot, name), "deg", above=-np.inf)
 
 
-# The hybrid robot's elastic numbers: how its members give way, each by itself (paper eq. 2-15).
+# The hybrid robot's elastic numbers: the stiffness of each member alone (paper eq. 2-15).
 
 
 class Beam(NamedTuple):
-    """What the UP limb's end gives way in the motions that it resists, ``C_c``, as multiples: see `BEAMS`."""
+    """Compliance of the UP limb's end in the motions that it resists, ``C_c``, as multiples: see `BEAMS`."""
 
     shear: float
     cross: float
@@ -273,7 +273,7 @@ def require_poses(tip_mm: FloatArray, axis: FloatArray) -> tuple[FloatArray, Flo
     return tip, axis
 
 
-def place(robot: HybridRobot, geometry: Geometry, tip: FloatArray, axis: FloatArray) -> RobotPoses:
+def solve_pose(robot: HybridRobot, geometry: Geometry, tip: FloatArray, axis: FloatArray) -> RobotPoses:
     """The poses of (3, n) tool tips, mm, and unit tool axes, base frame; defined, if useless, wherever they lie."""
     wrist = tip + robot.tool_length_mm * axis
     distance = np.sqrt(dot(wrist, wrist))
@@ -282,8 +282,8 @@ def place(robot: HybridRobot, geometry: Geometry, tip: FloatArray, axis: FloatAr
     return RobotPoses(tip, wrist, np.stack([dot(along, axis) for along in parallel.frame]), parallel)
 
 
-def faults(robot: HybridRobot, placed: RobotPoses) -> Iterator[PoseFault]:
-    """What can be wrong with each pose by itself, the plainest first."""
+def pose_faults(robot: HybridRobot, placed: RobotPoses) -> Iterator[PoseFault]:
+    """Yield the faults of each single pose, the most basic first."""
     parallel, below = placed.parallel, placed.wrist_mm[2]
     yield PoseFault(
         below <= 0, below, "the wrist's height below the U joint", "mm", "out of the workspace: not above 0"
@@ -310,7 +310,7 @@ def faults(robot: HybridRobot, placed: RobotPoses) -> Iterator[PoseFault]:
     yield PoseFault(longest > high, longest, "the longest limb", "mm", f"out of stroke {low:g} to {high:g} mm")
 
 
-def flip(tool: FloatArray, axis: FloatArray) -> PoseFault:
+def wrist_flips(tool: FloatArray, axis: FloatArray) -> PoseFault:
     """Where the wrist flips on its way: C turns by over 45 deg from the point before, and the tool hardly turns.
 
     ``tool`` (2, n) or (3, n) is `Placed.tool`, ``axis`` (n, 3) the same in the base frame. Of the two wrist solutions
@@ -329,16 +329,16 @@ def flip(tool: FloatArray, axis: FloatArray) -> PoseFault:
 
 def refuse_unreachable(robot: HybridRobot, placed: RobotPoses) -> None:
     """Raise ComputeError for the first point that has the plainest fault found."""
-    for fault in faults(robot, placed):
+    for fault in pose_faults(robot, placed):
         refuse_where(*fault)
 
 
 def hybrid_reachable(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
-    """(n,) True where `hybrid_tip_compliance_mm_per_n` would accept the pose by itself; arguments as there."""
+    """(n,) True where `hybrid_tip_compliance_mm_per_n` accepts the single pose; arguments as there."""
     tip, axis = require_poses(tip_mm, axis)
-    placed = place(robot, geometry_of(robot), tip.T, axis.T)
+    placed = solve_pose(robot, geometry_of(robot), tip.T, axis.T)
     bad = np.zeros(len(tip), dtype=np.bool_)
-    for fault in faults(robot, placed):
+    for fault in pose_faults(robot, placed):
         bad |= fault.bad
     return ~bad
 
@@ -358,13 +358,13 @@ def hybrid_tip_compliance_mm_per_n(
     matrix, tool = np.empty((3, 3, len(tip))), np.empty((2, len(tip)))
     for start in range(0, len(tip), CHUNK):
         part = slice(start, start + CHUNK)
-        placed = place(robot, geometry, np.ascontiguousarray(tip[part].T), np.ascontiguousarray(axis[part].T))
-        if any(fault.bad.any() for fault in faults(robot, placed)):
-            refuse_unreachable(robot, place(robot, geometry, tip.T, axis.T))  # its message counts over all points
+        placed = solve_pose(robot, geometry, np.ascontiguousarray(tip[part].T), np.ascontiguousarray(axis[part].T))
+        if any(fault.bad.any() for fault in pose_faults(robot, placed)):
+            refuse_unreachable(robot, solve_pose(robot, geometry, tip.T, axis.T))  # its message counts over all points
         matrix[:, :, part] = _compliance(robot, elastic, placed, moment)
         tool[:, part] = placed.tool[:2]
     if path:
-        refuse_where(*flip(tool, axis))
+        refuse_where(*wrist_flips(tool, axis))
     return matrix.transpose(2, 0, 1)
 
 
@@ -373,7 +373,7 @@ def hybrid_compliance_at(
 ) -> Callable[[HybridRobot], FloatArray]:
     """The function from a robot with other stiffnesses to its (n, 3, 3) compliances there; poses are solved once."""
     tip, axis = require_poses(tip_mm, axis)
-    placed = place(robot, geometry_of(robot), tip.T, axis.T)
+    placed = solve_pose(robot, geometry_of(robot), tip.T, axis.T)
     refuse_unreachable(robot, placed)
     return lambda other: _compliance(other, stiffnesses_of(other), placed, "full").transpose(2, 0, 1)
 

@@ -1,4 +1,4 @@
-"""What the machine makes of the time it is asked for: speeds, accelerations, corners, overhead of each block."""
+"""Motion times of the machine: speeds, accelerations, corners, overhead of each block."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from polishd.model.surface import BoolArray, FloatArray
 
 SAME_PLACE_MM = 1e-6
 MIN_LEARNED = 10
-"""Fewer blocks than this teach nothing."""
+"""Least number of blocks for an estimate of the overhead."""
 
 
 def least_time_s(program: Program, envelope: Envelope) -> FloatArray:
@@ -33,16 +33,16 @@ def most_time_s(program: Program, envelope: Envelope) -> FloatArray:
 
 
 def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -> FloatArray:
-    """Time that the machine takes for each timed point when asked for ``time_s``.
+    """Return the time that the machine takes for each timed point of ``time_s``.
 
-    Each block is run at the feed asked for (at most ``max_feed_mm_s``) with a trapezoidal speed profile; the speed at
+    Each block runs at the requested feed (at most ``max_feed_mm_s``) with a trapezoidal speed profile; the speed at
     a junction is at most either block's and what acceleration can reach from both sides; the machine stops at the
     path's ends, at gaps, and where the direction changes by more than ``corner_deg``. A dwell is run after its move
     from rest to rest at the largest feed. Each point takes ``block_overhead_s`` besides.
 
     Args:
         program: the path.
-        time_s: (n,) time asked of each point, s; 0 asks for the largest feed.
+        time_s: (n,) requested time of each point, s; 0 requests the largest feed.
         envelope: what the machine can do.
 
     Returns:
@@ -71,9 +71,9 @@ def learn_overhead_s(program: Program, asked_s: FloatArray, executed_s: FloatArr
 
     Args:
         program: the path that was run.
-        asked_s: (n,) time that the program asked for.
+        asked_s: (n,) time that the program requested.
         executed_s: (n,) time that the blocks took, NaN where it is not known.
-        envelope: what was believed; its overhead is returned where fewer than ten blocks are known.
+        envelope: the present one; its overhead is returned with fewer than ten known blocks.
 
     Raises:
         ComputeError: shapes that do not fit.
@@ -138,7 +138,7 @@ def executed_s(point_block: IntArray, seq: IntArray, duration_s: FloatArray) -> 
     return np.asarray(np.diff(np.cumsum(blocks)[point_block], prepend=0.0), dtype=np.float64)
 
 
-def reached(least_s: FloatArray, after: int, within_s: float) -> int:
+def last_reachable_block(least_s: FloatArray, after: int, within_s: float) -> int:
     """End (excluded) of the blocks that may have begun within that time of the end of block ``after``.
 
     Args:
@@ -151,9 +151,9 @@ def reached(least_s: FloatArray, after: int, within_s: float) -> int:
     return min(first + 1 + int(np.searchsorted(ends_s, within_s)), least_s.size)
 
 
-def pace(process_s: float, wall_s: float, late_s: float) -> float | None:
+def clock_rate(process_s: float, wall_s: float, late_s: float) -> float | None:
     """Most seconds of a process clock that can have passed in one of the wall's, from two words and their times.
 
-    Each word came at most ``late_s`` after what it tells, so that a short while tells little: None then.
+    Each message arrives at most ``late_s`` after its event. A short interval shows little: None then.
     """
     return process_s / (wall_s - late_s) if wall_s >= 2 * late_s else None

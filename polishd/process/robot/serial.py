@@ -24,7 +24,7 @@ JOINTS = 6
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Where the arm's joints and its tip are, base frame, mm."""
+    """Joints and tip of the arm, base frame, mm."""
 
     turns: FloatArray
     """(n, 6, 3) unit joint axes."""

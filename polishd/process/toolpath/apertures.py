@@ -43,11 +43,11 @@ class Aperture:
         return float(self.reach_mm.max())
 
     def larger(self, by_mm: float) -> Aperture:
-        """The same with its rim moved outwards, corners rounded, and its hole made smaller."""
+        """Return the aperture with its rim moved outwards, corners rounded, and its hole made smaller."""
         return replace(self, reach_mm=self.reach_mm + by_mm, hole_mm=max(self.hole_mm - by_mm, 0.0))
 
     def turned(self, by_deg: float) -> Aperture:
-        """The same, turned counterclockwise about the centre."""
+        """Return the aperture turned counterclockwise about the center."""
         azimuth = AZIMUTH_RAD - np.radians(by_deg)
         return replace(self, reach_mm=np.interp(azimuth, AZIMUTH_RAD, self.reach_mm, period=2 * np.pi))
 
@@ -139,11 +139,11 @@ def on_optic(optic: Optic, plane_mm: FloatArray) -> FloatArray:
 
 
 def require_points(count: float) -> None:
-    """Raise ComputeError for so many points that nobody can want them."""
+    """Raise ComputeError where the number of points is out of range."""
     require_number("the number of points", count, "", above=0.0, below=MOST_POINTS)
 
 
-def evenly(curve: Curve, knots: FloatArray, corners: IntArray, step_mm: float) -> FloatArray:
+def resample_evenly(curve: Curve, knots: FloatArray, corners: IntArray, step_mm: float) -> FloatArray:
     """(m, 3) points of a curve at equal ways along it between its corners, of about ``step_mm`` each.
 
     Args:
@@ -169,7 +169,7 @@ def evenly(curve: Curve, knots: FloatArray, corners: IntArray, step_mm: float) -
 
 
 def along_polyline(optic: Optic, corners_mm: FloatArray, step_mm: float) -> FloatArray:
-    """(m, 3) points of the optic over a polyline through (n, 2) corners, which become points, as `evenly`."""
+    """(m, 3) points of the optic over a polyline through (n, 2) corners, which become points, as `resample_evenly`."""
     length = np.linalg.norm(np.diff(corners_mm, axis=0), axis=1)
     require_points(float(length.sum() / step_mm))
     cells = np.maximum(np.ceil(2 * length / step_mm).astype(np.int64), 2)
@@ -179,7 +179,7 @@ def along_polyline(optic: Optic, corners_mm: FloatArray, step_mm: float) -> Floa
         return on_optic(optic, np.stack([np.interp(parameter, index, axis) for axis in corners_mm.T], axis=1))
 
     first = np.concatenate([[0], np.cumsum(cells)])
-    return evenly(curve, np.interp(np.arange(first[-1] + 1.0), first, index), first, step_mm)
+    return resample_evenly(curve, np.interp(np.arange(first[-1] + 1.0), first, index), first, step_mm)
 
 
 def _cells(curve: Curve, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -245,20 +245,20 @@ STEPS = 4
 
 @dataclass(frozen=True, slots=True)
 class PathCoverage:
-    """What a path covers of a part."""
+    """Coverage of a part by a path."""
 
     reach_mm: float
-    """From the part's centre to the farthest point of the path."""
+    """Distance from the part's center to the farthest point of the path."""
     outside: float
     """Share of the path farther beyond the part's rim than landing takes, by its length; of points, by number."""
-    unreached: float
+    unreachable: float
     """Share of the clear aperture that lies farther from the path than the spot's radius."""
 
 
 def coverage(
     start_mm: FloatArray, end_mm: FloatArray, *, spot_mm: float, outline: Outline, edge_mm: float, landing_mm: float
 ) -> PathCoverage:
-    """Of a path of blocks, (n, 3) mm in the part's frame.
+    """Return the coverage of a path of blocks, (n, 3) mm in the part's frame.
 
     Args:
         start_mm: (n, 3) where each begins.

@@ -13,7 +13,14 @@ from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
 from polishd.process.checks import require_number
 from polishd.process.optic_surface import is_flat, unit_normals
-from polishd.process.toolpath.apertures import TOWARDS, Aperture, along_polyline, evenly, on_optic, require_points
+from polishd.process.toolpath.apertures import (
+    TOWARDS,
+    Aperture,
+    along_polyline,
+    on_optic,
+    require_points,
+    resample_evenly,
+)
 
 LEAD_IN_MM = 5.0
 """Length of the straight way in and out, at least."""
@@ -69,7 +76,7 @@ def raster(
 
 
 def quiet_step_mm(contact_radius_mm: float, at_most_mm: float) -> float:
-    """The largest distance of raster lines, up to ``at_most_mm``, that leaves next to no ripple of its own.
+    """Return the largest distance of raster lines, up to ``at_most_mm``, that adds next to no ripple.
 
     Lines that are a step apart leave a ripple whose depth, relative to the removal, is the spot's spectrum at the
     frequency 1 / step. Along one axis a Hertzian spot removes as ``1 - (y / a)^2``, whose spectrum is
@@ -111,7 +118,7 @@ def _lines(optic: Optic, across: FloatArray, pitch: float, reach: tuple[float, f
 
 
 def _lead(outside: Aperture, x: float, y: float, sign: int) -> float:
-    """Where a way along x ends that starts at (x, y) and leads out of this aperture; -1 is to the left."""
+    """Return the end of a line along x from (x, y) out of this aperture; -1 is to the left."""
     way, (lowest, highest) = LEAD_IN_MM, outside.heights_mm
     if lowest <= y <= highest:
         left, right = (float(end[0]) for end in outside.spans_mm(np.array([y])))
@@ -183,7 +190,7 @@ def spiral(
     require_points(count)
     far = np.sqrt(np.linspace(first**2, last**2, 2 * int(count) + 2))
     knots = np.union1d(far, np.linspace(first, last, int((last - first) / NEAR_RAD) + 2))
-    points = evenly(curve, knots, np.array([0, len(knots) - 1]), step_mm)
+    points = resample_evenly(curve, knots, np.array([0, len(knots) - 1]), step_mm)
     outside = aperture.larger(landing_mm)
     way_out = _straight(optic, points[-1, :2], curve.heading(last - SMALL_RAD), outside, step_mm)
     points = np.concatenate([points, way_out[1:]])
@@ -240,7 +247,7 @@ def _straight(optic: Optic, start: FloatArray, heading: FloatArray, outside: Ape
     return along_polyline(optic, np.stack([start, start + beyond * heading]), step_mm)
 
 
-# Short tracks over a part, each with a lean of its own, joined to one path that stays in contact.
+# Short tracks over a part, each with its lean, joined to one path that stays in contact.
 
 TURN_DEG = 20.0
 """Most that the lean turns in one move of the way to the next track."""
@@ -258,7 +265,7 @@ class Track:
     """Its direction, counterclockwise from x."""
     length_mm: float
     turn_deg: float = 0.0
-    """Of the spindle's lean about the normal, from where it leans by itself, counterclockwise."""
+    """Turn of the spindle's lean about the normal from its direction on the path, counterclockwise."""
 
     def ends_mm(self, *, backwards: bool = False) -> FloatArray:
         """(2, 2) first and last point."""
@@ -280,7 +287,7 @@ class Joined:
     """(m - 1,) which track each move is of, by its place in the sequence; `BETWEEN`: none."""
 
     def axes(self, optic: Optic, own: FloatArray) -> FloatArray:
-        """(m, 3) tool axes: ``own`` (m, 3), as the tool leans by itself, turned about the normals."""
+        """(m, 3) tool axes: ``own`` (m, 3), the axes without a turn, turned about the normals."""
         normals = unit_normals(optic, self.points_mm[:, :2])
         return np.asarray(
             scipy.spatial.transform.Rotation.from_rotvec(np.radians(self.turn_deg)[:, None] * normals).apply(own)
@@ -288,7 +295,7 @@ class Joined:
 
 
 def join_tracks(optic: Optic, tracks: Sequence[Track], landing_mm: float, step_mm: float) -> Joined:
-    """From a landing point so far from the part's centre over all tracks to another; moves of ``step_mm`` at most."""
+    """Return a path from a landing point at this distance over all tracks to another; moves of at most ``step_mm``."""
     places, turns, owners = _corners(tracks, landing_mm)
     plane, turn, track = [places[:1]], [turns[:1]], []
     for k, owner in enumerate(owners):

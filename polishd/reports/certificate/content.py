@@ -1,4 +1,4 @@
-"""From a run to what its certificate says. Nothing is drawn here, and nothing is written."""
+"""Content of a certificate, from a run. Pure: no pictures and no files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from polishd import __version__
 from polishd.config.instrument_profile import InstrumentProfile
-from polishd.model.tolerance import Judged, holds, judged_of, worst
+from polishd.model.tolerance import LineResult, line_results, part_holds, worst_line
 from polishd.reports import wording
 from polishd.reports.certificate import model
 from polishd.reports.certificate.model import (
@@ -39,11 +39,11 @@ from polishd.reports.certificate.sources import (
 )
 from polishd.reports.wording import VERDICTS
 
-# What each pass was planned to do, what it did, and what the map after it told: from the journal's rows.
+# Passes: plan, execution and result, from the journal.
 
 
 def passes_of(run: CertificateRun) -> list[CertificatePass]:
-    """In time order; one that was interrupted has no number, and says how much of it was executed."""
+    """Return the passes in time order. An interrupted pass has no number; its name has the executed share."""
     rows, found, number = run.folder.rows(), [], 0
     measured = {row["cycle"]: row for row in run.rows.maps}
     for done in run.rows.passes:
@@ -68,7 +68,7 @@ def passes_of(run: CertificateRun) -> list[CertificatePass]:
 
 
 def at(unix_s: float) -> datetime:
-    """A time of the journal, to the second, UTC."""
+    """Return a time of the journal, to the second, UTC."""
     return datetime.fromtimestamp(unix_s, UTC).replace(microsecond=0)
 
 
@@ -96,10 +96,12 @@ def _done(done: Row, entry: Mapping[str, Any], contact: Row) -> PassExecution:
 
 
 def _taught(run: CertificateRun, done: Row, after: Row | None) -> PassEstimate:
-    """Of an interrupted pass its map tells the surface only: nothing is learned of half a pass."""
+    """Return the result of a pass. No parameter is estimated from an interrupted pass."""
     shown = done["facts"].get("shown") or {}
     rate, expected, seen_nm = shown.get("rate") or {}, shown.get("expected_nm"), shown.get("seen_nm")
-    events = [row for row in run.rows.events if row["name"] == "learned" and row["cycle"] == done["cycle"] + 1]
+    events = [
+        row for row in run.rows.events if row["name"] == "estimates_updated" and row["cycle"] == done["cycle"] + 1
+    ]
     findings = [one["what"] for one in done["facts"].get("findings") or ()]
     return PassEstimate(
         measured_rms_nm=None if after is None else after["stats"]["rms_nm"],
@@ -110,71 +112,70 @@ def _taught(run: CertificateRun, done: Row, after: Row | None) -> PassEstimate:
     )
 
 
-# What somebody had to see to, and what was done about it: from the journal's events and passes.
+# Anomalies and the action after each: from the journal's events and passes.
 
-TOLD = {"gate_stopped": "stop", "signal_wrong": "what", "found": "what"}
-"""Events that are told as they are, and the field that says what it was."""
-AGAIN = ("failed", "held")
-"""Errors: one that held the cell and then ended its daemon is told once."""
+REPORTED = {"removal_check_failed": "stop", "signal_out_of_range": "what", "finding_reported": "what"}
+"""Events that are reported, and the field with the description."""
+ERRORS = ("failed", "held")
+"""An error that held the cell and then ended the daemon is reported once."""
 
-
-NOTHING = "nothing is recorded"
+NO_ACTION = "no action is recorded"
 
 
 def anomalies_of(run: CertificateRun) -> list[Anomaly]:
-    """In time order: alarms, holds, faults, orders of a person, interrupted passes; nothing for a job without any."""
+    """Return alarms, holds, faults, commands of the operator and interrupted passes, in time order."""
     outcome = wording.text(run.rows.job["outcome"]).replace("_", " ")
-    found = [*of_events(run.rows.events, f"the job ended: {outcome}" if outcome else ""), *_of_passes(run)]
+    found = [*event_anomalies(run.rows.events, f"the job ended: {outcome}" if outcome else ""), *_of_passes(run)]
     return sorted(found, key=lambda one: one.at)
 
 
-def of_events(events: Sequence[Row], end: str) -> Iterator[Anomaly]:
-    """What the journal's events tell of; ``end``: how the job ended, where nothing else came after one of them."""
-    told = ""
+def event_anomalies(events: Sequence[Row], end: str) -> Iterator[Anomaly]:
+    """Yield the anomalies among the journal's events. ``end``: how the job ended, the action if there is no other."""
+    last = ""
     for index, event in enumerate(events):
         name, data = event["name"], event["data"]
-        if name in TOLD:
-            kind, what = data.get("kind") or name.replace("_", " "), data[TOLD[name]]
-        elif name in AGAIN:
+        if name in REPORTED:
+            kind, what = data.get("kind") or name.replace("_", " "), data[REPORTED[name]]
+        elif name in ERRORS:
             kind, what = data["kind"], data["error"]
-        elif name == "state" and data["state"] == "held" and data["reason"]:
+        elif name == "state_changed" and data["state"] == "held" and data["reason"]:
             kind, what = "hold", data["reason"]
-        elif name == "ordered" and data["order"] != "resume":
-            kind, what = "order", f"{data['order']} was ordered" + (f": {data['reason']}" if data["reason"] else "")
+        elif name == "command_received" and data["order"] != "resume":
+            kind, what = "command", f"{data['order']} was ordered" + (f": {data['reason']}" if data["reason"] else "")
         else:
             continue
-        if told and (what in told or told in what):  # the error, and that the cell was held for it
-            told = what
+        repeated = bool(last) and (what in last or last in what)  # an error, and the hold because of it
+        last = what
+        if repeated:
             continue
-        told = what
         yield Anomaly(
-            at=at(event["at"]), kind=kind, what=str(what), done=_answer(events[index + 1 :]) or end or NOTHING
+            at=at(event["at"]), kind=kind, what=str(what), done=_action(events[index + 1 :]) or end or NO_ACTION
         )
 
 
-def _answer(later: Sequence[Row]) -> str:
-    """What happened next: a person's order, a start, an end; the first of them and where it led."""
-    said = []
+def _action(later: Sequence[Row]) -> str:
+    """Return what happened next: commands, end and start of the daemon, up to the next map or the end of the pass."""
+    steps = []
     for event in later:
         name, data, when = event["name"], event["data"], f"{at(event['at']):%Y-%m-%d %H:%M:%S}"
-        if name == "ordered":
+        if name == "command_received":
             reason = f" ({data['reason']})" if data["reason"] else ""
-            said.append(f"{data['order']} was ordered{reason}, {when}")
-        elif name == "state" and data["state"] == "finished":
-            said.append(f"the daemon ended, {when}")
-        elif name == "state" and data["state"] == "starting":
-            said.append(f"it was started again, {when}")
-        elif name == "measured":
-            return "; ".join([*said, f"measured before anything else: RMS {data['rms_nm']:.2f} nm"])
+            steps.append(f"{data['order']} was ordered{reason}, {when}")
+        elif name == "state_changed" and data["state"] == "finished":
+            steps.append(f"the daemon ended, {when}")
+        elif name == "state_changed" and data["state"] == "starting":
+            steps.append(f"the daemon was started again, {when}")
+        elif name == "map_measured":
+            return "; ".join([*steps, f"the part was measured first: RMS {data['rms_nm']:.2f} nm"])
         elif name == "pass_ended":
-            return "; ".join([*said, f"the pass went on to its end, {when}"])
-        elif name in {"pass_begun", "job_ended"}:
+            return "; ".join([*steps, f"the pass was continued to its end, {when}"])
+        elif name in {"pass_started", "queue_job_ended"}:
             break
-    return "; ".join(said)
+    return "; ".join(steps)
 
 
 def _of_passes(run: CertificateRun) -> Iterator[Anomaly]:
-    """Of each that did not come to its end, how much of it was executed, and the map that followed."""
+    """Yield each interrupted pass with its executed share and the next map."""
     rows, maps = run.folder.rows(), {row["cycle"]: row for row in run.rows.maps}
     for done in run.rows.passes:
         if done["how"] == "done":
@@ -187,36 +188,36 @@ def _of_passes(run: CertificateRun) -> Iterator[Anomaly]:
             at=at(done["ended"] or done["started"]),
             kind="pass interrupted",
             what=f"the pass after measurement {cycle} was {share or 'begun, and never ended'}{why}",
-            done="no map was taken since: the surface is not known"
+            done="no map was taken after it: the surface is not known"
             if after is None
-            else f"none of its blocks was run again; the part was measured anew: RMS {after['stats']['rms_nm']:.2f} nm",
+            else f"no block of it was repeated; the part was measured again: RMS {after['stats']['rms_nm']:.2f} nm",
         )
 
 
-# Whether a part is what its drawing wants, by which line, and how sure that is: from the last map's judgement.
+# Verdict and its uncertainty, from the judgement of the last map.
 
 
 def verdict_of(run: CertificateRun) -> CertificateVerdict:
-    """By the lines of the last map. Where a pass touched the part since, nobody knows."""
-    judged, outcome = judged_of(run.rows.maps[-1]["stats"]), wording.text(run.folder.summary.get("outcome"))
+    """Return the verdict by the lines of the last map; "not known" if a pass touched the part after that map."""
+    judged, outcome = line_results(run.rows.maps[-1]["stats"]), wording.text(run.folder.summary.get("outcome"))
     since = [done for done in run.rows.passes if done["cycle"] >= run.rows.maps[-1]["cycle"]]
-    state: State = "not known" if since or not judged else "in tolerance" if holds(judged) else "not in tolerance"
-    farthest = worst(judged)
-    ended = VERDICTS[outcome].words if outcome in VERDICTS else outcome.replace("_", " ")
+    state: State = "not known" if since or not judged else "in tolerance" if part_holds(judged) else "not in tolerance"
+    farthest = worst_line(judged)
+    ended = VERDICTS[outcome].text if outcome in VERDICTS else outcome.replace("_", " ")
     if since:
-        said = "Not known: the part was polished after its last map"
+        label = "Not known: the part was polished after its last map"
     elif not judged:
-        said = "Not known: the job judges no line"
+        label = "Not known: the job has no tolerance"
     elif state == "in tolerance":
-        said = f"In tolerance: {len(judged)} of {len(judged)} lines hold"
+        label = f"In tolerance: {len(judged)} of {len(judged)} lines hold"
     else:
-        said = f"Not in tolerance: {sum(one.holds for one in judged)} of {len(judged)} lines hold"
+        label = f"Not in tolerance: {sum(one.holds for one in judged)} of {len(judged)} lines hold"
     unsure = sum(one.unsure for one in judged)
     if unsure and state != "not known":
-        said += f"; of {unsure} the limit lies within its uncertainty"
+        label += f"; for {unsure} the limit lies within the uncertainty"
     return CertificateVerdict(
         state=state,
-        words=said,
+        words=label,
         decided_by="" if farthest is None else str(farthest),
         lines=[Judgement.model_validate(one.facts()) for one in judged],
         unsure_lines=unsure,
@@ -226,50 +227,50 @@ def verdict_of(run: CertificateRun) -> CertificateVerdict:
 
 
 def uncertainty_of(run: CertificateRun, profile: InstrumentProfile | None) -> Uncertainty:
-    """What is known of the error of the figures that decide, in sentences."""
+    """Return the uncertainty of the figures that decide, in sentences."""
     accepted = wording.text(run.folder.summary.get("accept")) or "figure"
-    judged = judged_of(run.rows.maps[-1]["stats"])
+    judged = line_results(run.rows.maps[-1]["stats"])
     return Uncertainty.model_validate(
         {"accepted": accepted, "statements": [*_of_lines(judged), *_of_instrument(run, profile)]}
     )
 
 
-def _of_lines(judged: tuple[Judged, ...]) -> Iterator[str]:
-    """What the table of the lines does not say by itself."""
+def _of_lines(judged: tuple[LineResult, ...]) -> Iterator[str]:
+    """Yield what the table of the lines does not show."""
     for one in judged:
         if one.bound is not None:
-            yield f"{one.what}: {one.bound_words}; judged by that bound."
+            yield f"{one.what}: {one.bound_words}; judged by this bound."
         elif one.unsure:
             sigma = f"{one.value:.3g} ± {one.uncertainty:.2g} {one.unit}"
-            yield f"{one.what}: {sigma}, and the limit lies within that: either verdict is possible."
+            yield f"{one.what}: {sigma}. The limit lies within the uncertainty: either verdict is possible."
     plain = [one.what for one in judged if one.bound is None and one.uncertainty is None]
     if plain:
-        yield f"Judged as measured, with an uncertainty that is not known: {', '.join(plain)}."
+        yield f"LineResult as measured, with unknown uncertainty: {', '.join(plain)}."
     if any(one.bound is None and one.uncertainty is not None for one in judged):
-        yield "± is by the instrument's repeatability alone, at most."
+        yield "± includes the repeatability of the instrument only, and is an upper limit."
 
 
 def _of_instrument(run: CertificateRun, profile: InstrumentProfile | None) -> Iterator[str]:
     repeats = None if profile is None else profile.instrument.repeatability_nm
     if repeats is None:
-        yield "The instrument's repeatability is not in its profile."
+        yield "The repeatability of the instrument is not in its profile."
     else:
-        yield f"The instrument's repeatability is {repeats:g} nm RMS."
+        yield f"The repeatability of the instrument is {repeats:g} nm RMS."
     if run.rows.maps[-1]["stats"].get("system"):
-        yield "The instrument's own error was told by turning a part, and is off each map."
+        yield "The system error of the instrument was measured by an absolute test and is subtracted from each map."
     else:
-        yield "The instrument's own error has not been told apart from the part's: it is in all figures."
+        yield "The system error of the instrument has not been measured: it is included in all figures."
 
 
 LIBRARIES = ("numpy", "scipy", "matplotlib", "cryptography")
 REMOVED = {"piston": "piston", "tilt": "piston and tilt", "power": "piston, tilt and power"}
-LEFT_ASIDE = ("report.html", "pictures")
-"""Made from the other files, at any time anew."""
+DERIVED = ("report.html", "pictures")
+"""Made from the other files of the run folder."""
 
 
 @dataclass(frozen=True, slots=True)
 class CertificateRequest:
-    """What is said on the command line."""
+    """Facts from the command line."""
 
     operator: str = ""
     customer: str = ""
@@ -281,7 +282,7 @@ class CertificateRequest:
 
 @dataclass(frozen=True, slots=True)
 class CertificateDraft:
-    """What a certificate says, and what its pictures are drawn of."""
+    """Content of a certificate, and the maps of its pictures."""
 
     content: model.Content
     run: CertificateRun
@@ -291,18 +292,18 @@ class CertificateDraft:
 
 
 def certificate_content(
-    run: CertificateRun, asked: CertificateRequest, now: datetime | None = None
+    run: CertificateRun, request: CertificateRequest, now: datetime | None = None
 ) -> CertificateDraft:
-    """Everything that the certificate of a run says; ConfigError where the run cannot be certified."""
-    remaker = MapReconstructor(run, asked.wavelength_nm)
-    before, after = (_remade(remaker, row) for row in (run.rows.maps[0], run.rows.maps[-1]))
-    reach, why_not = _reach(run, before, after)
+    """Return the content of a run's certificate; ConfigError if the run cannot be certified."""
+    reconstructor = MapReconstructor(run, request.wavelength_nm)
+    before, after = (_reconstruct(reconstructor, row) for row in (run.rows.maps[0], run.rows.maps[-1]))
+    reach, missing = _reach(run, before, after)
     content = model.Content(
         schema_=model.SCHEMA,
-        number=asked.number or _number(run),
+        number=request.number or _number(run),
         issued=(now or datetime.now(UTC)).replace(microsecond=0),
-        issuer=model.Issuer(shop=asked.shop, operator=asked.operator, program="polishd", version=__version__),
-        part=_part(run, asked),
+        issuer=model.Issuer(shop=request.shop, operator=request.operator, program="polishd", version=__version__),
+        part=_part(run, request),
         verdict=verdict_of(run),
         uncertainty=uncertainty_of(run, profile_of(run)),
         instrument=_instrument(run, after),
@@ -317,30 +318,30 @@ def certificate_content(
         versions=_versions(run),
         files=list(_files(run)),
         journal=_journal(run),
-        left_out=[_short(run, reason) for reason in (*remaker.left_out, *why_not, *run.folder.missing)],
+        left_out=[_short(run, reason) for reason in (*reconstructor.left_out, *missing, *run.folder.missing)],
     )
-    return CertificateDraft(content, run, before, after, asked.wavelength_nm)
+    return CertificateDraft(content, run, before, after, request.wavelength_nm)
 
 
-def _remade(remaker: MapReconstructor, row: Row) -> ReconstructedMap | None:
-    found = remaker.surface(row)
+def _reconstruct(reconstructor: MapReconstructor, row: Row) -> ReconstructedMap | None:
+    found = reconstructor.surface(row)
     return None if found is None else as_one_source(found, row["stats"])
 
 
 def _number(run: CertificateRun) -> str:
-    """Of the job, the day of its end, and its journal: another run cannot have it."""
+    """Return a unique number from the job, the day of its end, and its journal."""
     job = run.rows.job
     day = at(job["ended"] or run.rows.maps[-1]["taken"])
     return f"{job['name']}-{day:%Y%m%d}-{run.rows.sha256[:8]}"
 
 
-def _part(run: CertificateRun, asked: CertificateRequest) -> model.PartFacts:
+def _part(run: CertificateRun, request: CertificateRequest) -> model.PartFacts:
     terms, job = run.rows.terms, run.rows.job
     return model.PartFacts(
         id=job["part_id"],
         job=job["name"],
-        customer=asked.customer,
-        drawing=asked.drawing,
+        customer=request.customer,
+        drawing=request.drawing,
         outline=wording.text(run.folder.summary.get("outline")),
         edge_mm=terms["part.edge_mm"],
         form=_form(terms),
@@ -349,7 +350,7 @@ def _part(run: CertificateRun, asked: CertificateRequest) -> model.PartFacts:
 
 
 def _form(terms: Row) -> str:
-    """The form wanted, in words."""
+    """Return the nominal form as text."""
     radius = terms.get("part.curvature_radius_mm")
     if radius is None:
         form = "flat"
@@ -358,7 +359,7 @@ def _form(terms: Row) -> str:
         conic, even = terms.get("part.conic") or 0.0, terms.get("part.even") or []
         form += f", conic {conic:g}" if conic else ""
         form += f", even terms {', '.join(f'{term:g}' for term in even)}" if even else ""
-    nominal = terms.get("part.nominal")
+    nominal = terms.get("part.form")
     return f"{form}; less the map {nominal['file']} (sha256 {nominal['sha256'][:12]}…)" if nominal else form
 
 
@@ -369,7 +370,7 @@ def _instrument(run: CertificateRun, after: ReconstructedMap | None) -> model.In
         profile="" if profile is None else profile.instrument.name,
         measured_by="" if after is None else after.source.instrument,
         commissioned=None if record is None else model.Commissioning(**asdict(record)),
-        not_commissioned="the cell named no instrument's profile" if profile is None else profile.unproved,
+        not_commissioned="the cell has no instrument profile" if profile is None else profile.unproved,
         repeatability_nm=None if profile is None else profile.instrument.repeatability_nm,
         system_map_sha256=run.rows.maps[-1]["stats"].get("system") or "",
     )
@@ -380,13 +381,13 @@ def _aperture(run: CertificateRun, after: ReconstructedMap | None) -> model.Cert
     surface = run.surface(last["cycle"])
     inside = 0 if surface is None else int(np.count_nonzero(surface.metric_mask))
     solved = 0 if surface is None else int(np.count_nonzero(np.isfinite(surface.height_nm)))
-    words_ = (
-        f"All figures of a measured surface are of the map's own samples in the clear aperture: the part's outline "
-        f"less a rim of {terms['part.edge_mm']:g} mm, as the first map showed it, the same for all maps; "
-        f"{REMOVED[terms['part.alignment']]} removed by least squares over it."
+    text = (
+        f"All figures are those of the samples of the map in the clear aperture: the outline of the part less a rim of "
+        f"{terms['part.edge_mm']:g} mm, as found in the first map, the same for all maps. "
+        f"{REMOVED[terms['part.alignment']].capitalize()} removed by least squares over it."
     )
     return model.CertificateAperture(
-        words=words_,
+        words=text,
         pitch_mm=None if after is None else after.pitch_mm,
         samples=last["stats"]["samples"],
         grid_pitch_mm=terms["process.grid_mm"],
@@ -419,7 +420,7 @@ def _measurements(run: CertificateRun) -> Iterator[model.CertificateMeasurement]
 def _changes(
     run: CertificateRun, before: ReconstructedMap | None, after: ReconstructedMap | None
 ) -> list[model.FigureChange]:
-    """Rows of the paper's Table V: of the journal PV, RMS and LSF; the shorter bands as far as the maps show them."""
+    """Return the rows of Table V of the paper: PV, RMS and LSF from the journal, shorter bands from the maps."""
     first, last = run.rows.maps[0]["stats"], run.rows.maps[-1]["stats"]
     lsf_mm = run.rows.terms["job.lsf_period_mm"]
     named = (("PV", "pv_nm"), ("RMS", "rms_nm"), (f"LSF, periods above {lsf_mm:g} mm", "lsf_rms_nm"))
@@ -439,19 +440,17 @@ def _changes(
 def _reach(
     run: CertificateRun, before: ReconstructedMap | None, after: ReconstructedMap | None
 ) -> tuple[model.CorrectableRange | None, Sequence[str]]:
-    """What no dwell could remove, of the same surfaces as all figures; or why that is not known."""
-    told = [done["facts"]["certificate"].get("cutoff_period_mm") for done in run.rows.passes]
-    known = [cutoff for cutoff in told if cutoff]
+    """Return the RMS beyond the reach of the tool, of the same surfaces as all figures; or why it is not known."""
+    cutoffs = [done["facts"]["certificate"].get("cutoff_period_mm") for done in run.rows.passes]
+    known = [cutoff for cutoff in cutoffs if cutoff]
     if not known:
-        why = (
-            "no pass was planned" if not told else "the plans do not tell below which periods the spot removes nothing"
-        )
-        return None, [f"what no dwell could remove: {why}"]
+        why = "no pass was planned" if not cutoffs else "the plans do not have the cut-off period of the spot"
+        return None, [f"RMS beyond the reach of the tool: {why}"]
     if before is None or after is None:
-        return None, ["what no dwell could remove: needs the first and the last map"]
+        return None, ["RMS beyond the reach of the tool: needs the first and the last map"]
     cutoff = min(known)
     if cutoff <= 2 * after.pitch_mm:
-        return None, [f"what no dwell could remove: periods below {cutoff:.3g} mm are shorter than the map shows"]
+        return None, [f"RMS beyond the reach of the tool: the map cannot show periods below {cutoff:.3g} mm"]
     reach = model.CorrectableRange(
         cutoff_period_mm=cutoff, before_nm=before.beyond_nm(cutoff), after_nm=after.beyond_nm(cutoff)
     )
@@ -460,7 +459,7 @@ def _reach(
 
 def _surface(found: ReconstructedMap) -> model.CertificateSurface:
     answer = found.reported.answer
-    iso, said, fitted, slope = (answer[key] for key in ("iso10110", "indications", "zernike", "slope"))
+    iso, indications, fitted, slope = (answer[key] for key in ("iso10110", "indications", "zernike", "slope"))
     return model.CertificateSurface(
         cycle=found.cycle,
         map_sha256=found.source.sha256,
@@ -471,7 +470,9 @@ def _surface(found: ReconstructedMap) -> model.CertificateSurface:
         zernike=None if fitted is None else model.Zernike(**_some(model.Zernike, fitted, terms=_terms(fitted))),
         iso10110=None
         if iso is None
-        else model.CertificateIso10110(**iso, indication=said["iso10110_5"], wavefront_indication=said["iso10110_14"]),
+        else model.CertificateIso10110(
+            **iso, indication=indications["iso10110_5"], wavefront_indication=indications["iso10110_14"]
+        ),
         slope=None if slope is None else model.CertificateSlope(**_some(model.CertificateSlope, slope)),
         wavelength_nm=answer["wavelength_nm"],
     )
@@ -482,7 +483,7 @@ def _terms(fitted: Row) -> list[dict[str, Any]]:
 
 
 def _some(kind: type[model.Facts], facts: Row, **others: Any) -> dict[str, Any]:
-    """Of some facts those that a model has."""
+    """Return the facts that a model has."""
     return {key: facts[key] for key in kind.model_fields if key in facts} | others
 
 
@@ -499,7 +500,7 @@ def _versions(run: CertificateRun) -> dict[str, str]:
 def _files(run: CertificateRun) -> Iterator[model.File]:
     for path in sorted(run.path.rglob("*")):
         name = path.relative_to(run.path).as_posix()
-        if path.is_file() and not path.name.startswith(".") and name.partition("/")[0] not in LEFT_ASIDE:
+        if path.is_file() and not path.name.startswith(".") and name.partition("/")[0] not in DERIVED:
             yield model.File(name=name, bytes=path.stat().st_size, sha256=sha256_of(path))
 
 
@@ -507,18 +508,18 @@ def _journal(run: CertificateRun) -> model.JournalFacts:
     events = [
         model.CertificateEvent(at=at(row["at"]), cycle=row["cycle"], name=row["name"], data=_plain(row["data"]))
         for row in run.rows.events
-        if row["name"] != "progress"
+        if row["name"] != "pass_progressed"
     ]
     return model.JournalFacts(sha256=run.rows.sha256, rows=dict(run.rows.counts), events=events)
 
 
 def _short(run: CertificateRun, reason: str) -> str:
-    """Without the folder in which the run lies: that is nobody's business outside the shop."""
+    """Return the reason without the path of the run folder, which is internal to the shop."""
     return reason.replace(f"{run.path}/", "")
 
 
 def _plain(value: Any) -> Any:
-    """As JSON can hold it, and a customer may have it: what is no number is null, and a path its last name."""
+    """Return a value for JSON and the customer: NaN is null, a path is its last name."""
     if isinstance(value, dict):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, list):

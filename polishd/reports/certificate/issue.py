@@ -4,46 +4,69 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from polishd.config.cell import load_config
+from typer import Option
+
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.rendering.terminal import emit, key_table, say
-from polishd.reports.certificate.options import CertificateOptions
 from polishd.util.files import require_writable, write_atomic
 
-PDF, TWIN = ".pdf", ".json"
+if TYPE_CHECKING:
+    from polishd.reports.certificate.content import CertificateDraft, CertificateRequest
+
+PDF, JSON = ".pdf", ".json"
 
 
-def certificate_verb(run: Path, asked: CertificateOptions, *, as_json: bool) -> None:
-    """Make PDF and twin of a run; ConfigError where it cannot be certified, and then nothing is written."""
+@dataclass(frozen=True, slots=True)
+class CertificateOptions:
+    """Options of ``polishd report certificate``."""
+
+    out: Annotated[Path, Option("--out", metavar="FILE.pdf", help="PDF to write, and FILE.json beside it.")]
+    job: Annotated[str | None, Option("--job", metavar="ID", help="Job of CELL.toml; default: the last.")] = None
+    key: Annotated[
+        Path | None, Option("--key", metavar="FILE", help="Key to sign with; default: the cell's certificate.key.")
+    ] = None
+    operator: Annotated[str, Option("--operator", metavar="NAME", help="Person responsible for the certificate.")] = ""
+    customer: Annotated[str, Option("--customer", metavar="NAME", help="Customer.")] = ""
+    drawing: Annotated[str, Option("--drawing", metavar="TEXT", help="Number and revision of the drawing.")] = ""
+    number: Annotated[str, Option("--number", metavar="TEXT", help="Number; default: from job, day and journal.")] = ""
+    shop: Annotated[str, Option("--shop", metavar="NAME", help="Issuer; default: certificate.shop.")] = ""
+    wavelength: Annotated[
+        float, Option("--wavelength", metavar="NM", min=1.0, help="Wavelength of a wave of surface height.")
+    ] = 546.07
+
+
+def certificate_verb(run: Path, options: CertificateOptions, *, as_json: bool) -> None:
+    """Write the PDF and JSON of a run's certificate; ConfigError, and no file, if the run cannot be certified."""
     from polishd.reports.certificate import signature as seal
     from polishd.reports.certificate.content import CertificateRequest, certificate_content
     from polishd.reports.certificate.sources import find_run
 
-    twin_path = _require_new(asked.out)
-    key_path, shop = _of_cell(run, asked)
+    json_path = _require_new(options.out)
+    key_path, shop = _key_and_shop(run, options)
     key = None if key_path is None else seal.private_key(key_path)
-    said = CertificateRequest(asked.operator, asked.customer, asked.drawing, asked.number, shop, asked.wavelength)
-    drawn = certificate_content(find_run(run, asked.job), _printable(said))
+    request = CertificateRequest(
+        options.operator, options.customer, options.drawing, options.number, shop, options.wavelength
+    )
+    draft = certificate_content(find_run(run, options.job), _require_printable(request))
     signed_by = "" if key is None else seal.key_id(key.public_key())
-    pdf, pages = _drawn(drawn, signed_by)
+    pdf, pages = _drawn(draft, signed_by)
     digest = hashlib.sha256(pdf).hexdigest()
-    content = json.loads(drawn.content.model_dump_json(by_alias=True))
-    content["pdf"] = {"name": asked.out.name, "sha256": digest, "bytes": len(pdf), "pages": pages}
-    twin = {**content, seal.SEAL: seal.sealed(content, key).model_dump(mode="json")}
-    _write(asked.out, pdf, twin_path, seal.written(twin))
-    _tell(asked.out, twin, pages, as_json=as_json)
+    content = json.loads(draft.content.model_dump_json(by_alias=True))
+    content["pdf"] = {"name": options.out.name, "sha256": digest, "bytes": len(pdf), "pages": pages}
+    certificate = {**content, seal.SEAL: seal.sealed(content, key).model_dump(mode="json")}
+    _write(options.out, pdf, json_path, seal.written(certificate))
+    _report(options.out, certificate, pages, as_json=as_json)
 
 
 def verify_verb(file: Path, key: Path | None, *, as_json: bool) -> None:
-    """A sentence a finding; PolishdError after them where anything is wrong."""
+    """Print a sentence for each finding; PolishdError after them if anything is wrong."""
     from polishd.reports.certificate import signature as seal
-    from polishd.reports.certificate.signature import verify
 
-    found = verify(file, None if key is None else seal.public_key(key))
+    found = seal.verify(file, None if key is None else seal.public_key(key))
     facts = {"number": found.number, "right": found.right, "signer": found.signer}
     emit(
         {**facts, "findings": [asdict(one) for one in found.findings]},
@@ -51,11 +74,13 @@ def verify_verb(file: Path, key: Path | None, *, as_json: bool) -> None:
         lines=[f"{'WRONG: ' * (one.right is False)}{one.words}" for one in found.findings],
     )
     if not found.right:
-        raise PolishdError(f"{file}: certificate {found.number} is not as it was made, or not by whom it should be")
+        raise PolishdError(
+            f"{file}: the verification of certificate {found.number} failed. Request it from the shop again."
+        )
 
 
 def key_verb(file: Path, *, as_json: bool) -> None:
-    """Make the shop's key pair."""
+    """Make the key pair of the shop."""
     from polishd.reports.certificate import signature as seal
 
     name = seal.make_key(file)
@@ -65,86 +90,82 @@ def key_verb(file: Path, *, as_json: bool) -> None:
         {"private": str(file), "public": str(public), "id": name},
         as_json=as_json,
         table=lambda: key_table("a key for certificates", rows),
-        lines=[
-            "Keep the private file where only the shop can read it; give the public one to customers by another way."
-        ],
+        lines=["Keep the private file secret. Give the public file to customers in another way than the certificates."],
     )
 
 
 def schema_verb() -> None:
-    """Print the JSON Schema of twins."""
+    """Print the JSON Schema of certificates."""
     from polishd.reports.certificate.model import schema
 
     say(json.dumps(schema(), indent=2))
 
 
 def _require_new(out: Path) -> Path:
-    """The twin's path; ConfigError where the two files cannot be made there."""
+    """Return the path of the JSON file; ConfigError if one of the two files cannot be made."""
     if out.suffix.lower() != PDF:
-        raise ConfigError(f"{out}: a certificate is a PDF; name it *.pdf")
-    twin = out.with_suffix(TWIN)
-    for path in (out, twin):
+        raise ConfigError(f"{out}: a certificate is a PDF. Use a name that ends in .pdf.")
+    json_path = out.with_suffix(JSON)
+    for path in (out, json_path):
         if path.exists():
-            raise ConfigError(
-                f"{path}: is there already, and a certificate is not overwritten; name another with --out"
-            )
+            raise ConfigError(f"{path}: exists, and a certificate is never overwritten. Name another file with --out.")
     if not out.parent.is_dir():
-        raise ConfigError(f"{out.parent}: is no folder; make it, or name another with --out")
+        raise ConfigError(f"{out.parent}: is not a folder. Make it, or name another with --out.")
     require_writable(out.parent)
-    return twin
+    return json_path
 
 
-def _of_cell(run: Path, asked: CertificateOptions) -> tuple[Path | None, str]:
-    """Key and shop: as asked, else the cell's, where the run is named by its cell."""
+def _key_and_shop(run: Path, options: CertificateOptions) -> tuple[Path | None, str]:
+    """Return the key and the shop: those of the options, else those of the cell's file."""
     if run.suffix != ".toml" or run.is_dir():
-        return asked.key, asked.shop
+        return options.key, options.shop
+    from polishd.config.cell import load_config
+
     config = load_config(run)
     own = config.certificate
-    return asked.key or (None if own.key is None else config.resolve(own.key)), asked.shop or own.shop
+    return options.key or (None if own.key is None else config.resolve(own.key)), options.shop or own.shop
 
 
-def _printable(said: Any) -> Any:
-    """ConfigError where something that is said cannot be printed on one line."""
+def _require_printable(request: CertificateRequest) -> CertificateRequest:
+    """ConfigError if a text has control characters."""
     for name in ("operator", "customer", "drawing", "number", "shop"):
-        if not getattr(said, name).isprintable():
-            raise ConfigError(f"--{name}: has letters that cannot be printed; write it on one line")
-    return replace(said, number=said.number.strip())
+        if not getattr(request, name).isprintable():
+            raise ConfigError(f"--{name}: has characters that cannot be printed. Write it on one line.")
+    return replace(request, number=request.number.strip())
 
 
-def _drawn(drawn: Any, signed_by: str) -> tuple[bytes, int]:
-    from polishd.rendering.pdf import paged
-    from polishd.reports.certificate.document import sheet
+def _drawn(draft: CertificateDraft, signed_by: str) -> tuple[bytes, int]:
+    from polishd.rendering.document import paged
+    from polishd.reports.certificate.document import certificate_document
 
-    return paged(sheet(drawn, signed_by))
+    return paged(certificate_document(draft, signed_by))
 
 
-def _write(pdf_path: Path, pdf: bytes, twin_path: Path, twin: bytes) -> None:
-    """Both, or neither."""
+def _write(pdf_path: Path, pdf: bytes, json_path: Path, json_bytes: bytes) -> None:
+    """Write both files, or none."""
     try:
         write_atomic(pdf_path, pdf)
-        write_atomic(twin_path, twin)
+        write_atomic(json_path, json_bytes)
     except OSError as error:
         pdf_path.unlink(missing_ok=True)
-        twin_path.unlink(missing_ok=True)
+        json_path.unlink(missing_ok=True)
         raise ConfigError(
-            f"{twin_path.parent}: cannot be written: {error.strerror}; name another with --out"
+            f"{json_path.parent}: cannot be written: {error.strerror}. Name another folder with --out."
         ) from error
 
 
-def _tell(out: Path, twin: dict[str, Any], pages: int, *, as_json: bool) -> None:
-    signature = twin["seal"]["signature"]
+def _report(out: Path, certificate: dict[str, Any], pages: int, *, as_json: bool) -> None:
+    signature = certificate["seal"]["signature"]
     signed = f"signed with the key {signature['key_id']}" if signature else "not signed: no --key, no certificate.key"
     rows = [
-        ("verdict", twin["verdict"]["words"]),
-        ("decided by", twin["verdict"]["decided_by"]),
+        ("verdict", certificate["verdict"]["words"]),
+        ("decided by", certificate["verdict"]["decided_by"]),
         ("PDF", f"{out}, {pages} pages"),
-        ("twin", str(out.with_suffix(TWIN))),
+        ("JSON", str(out.with_suffix(JSON))),
         ("signature", signed),
-        *(("left out", reason) for reason in twin["left_out"]),
+        *(("left out", reason) for reason in certificate["left_out"]),
     ]
-    emit(
-        {"number": twin["number"], "verdict": twin["verdict"], "pdf": str(out), "twin": str(out.with_suffix(TWIN)),
-         "pages": pages, "key_id": signature["key_id"] if signature else None, "left_out": twin["left_out"]},
-        as_json=as_json,
-        table=lambda: key_table(f"certificate {twin['number']}", rows),
-    )  # fmt: skip
+    answer = {key: certificate[key] for key in ("number", "verdict", "left_out")}
+    answer |= {"pdf": str(out), "json": str(out.with_suffix(JSON)), "pages": pages}
+    answer |= {"key_id": signature["key_id"] if signature else None}
+    emit(answer, as_json=as_json, table=lambda: key_table(f"certificate {certificate['number']}", rows))

@@ -1,6 +1,6 @@
-"""What a certificate says, as its twin holds it: docs/reference/certificate.schema.json is written from these models.
+"""Content of a certificate's JSON file. docs/reference/certificate.schema.json is written from these models.
 
-Numbers have their unit in their name. What is null is not known, or was not there; why, ``left_out`` says.
+Numbers have their unit in their name. A value that is null is not known; ``left_out`` has the reason.
 """
 
 from __future__ import annotations
@@ -21,57 +21,57 @@ class Facts(BaseModel):
 
 
 class Issuer(Facts):
-    """Who answers for the certificate, and what made it."""
+    """Issuer of the certificate, and the program that made it."""
 
-    shop: str = Field(description="as the cell's [certificate] names it; may be empty")
-    operator: str = Field(description="who answers for it; empty: nobody was named")
+    shop: str = Field(description="certificate.shop of the cell; may be empty")
+    operator: str = Field(description="person responsible for the certificate; may be empty")
     program: str
     version: str
 
 
 class PartFacts(Facts):
-    """The part, and what its drawing wants."""
+    """The part, and its nominal form."""
 
     id: str
     job: str
     customer: str
-    drawing: str = Field(description="number and revision, as whoever issued it named them")
-    outline: str = Field(description="in words")
+    drawing: str = Field(description="number and revision of the drawing")
+    outline: str = Field(description="as text")
     edge_mm: float = Field(description="width of the rim that is outside the clear aperture")
-    form: str = Field(description="the form wanted, in words")
+    form: str = Field(description="nominal form, as text")
     alignment: Literal["piston", "tilt", "power"] = Field(
-        description="what of a map is no figure; each with the former"
+        description="terms that are removed from a map; each includes the one before it"
     )
 
 
 class Judgement(Facts):
-    """A line of the drawing, and what a measurement had."""
+    """A line of the drawing, and the value of a measurement."""
 
     what: str
     value: float
     limit: float
     unit: str
-    uncertainty: float | None = Field(description="by how much the instrument's repeatability may change it, at most")
-    bound: float | None = Field(description="95 % bound of what is true; null: judged as measured")
+    uncertainty: float | None = Field(description="greatest change by the instrument's repeatability")
+    bound: float | None = Field(description="95 % bound of the true value; null: judged as measured")
     guard: float | None
     removed: str
     holds: bool
 
 
 class CertificateVerdict(Facts):
-    """Whether the part is what its drawing wants."""
+    """Verdict on the part by its drawing."""
 
     state: State
     words: str
-    decided_by: str = Field(description="the line that is the farthest beyond its limit, or the nearest to it")
+    decided_by: str = Field(description="the line farthest beyond its limit, or nearest to it")
     lines: list[Judgement]
-    unsure_lines: int = Field(description="whose limit lies within their uncertainty: either verdict is possible")
-    outcome: str = Field(description="how the job ended, as summary.json has it")
-    final: bool = Field(description="false: the job was stopped, and can go on")
+    unsure_lines: int = Field(description="lines whose limit lies within their uncertainty: either verdict is possible")
+    outcome: str = Field(description="outcome of the job in summary.json")
+    final: bool = Field(description="false: the job was stopped and can be continued")
 
 
 class Commissioning(Facts):
-    """The proof of the instrument's profile."""
+    """Commissioning of the instrument's profile."""
 
     at: datetime
     artefact: str
@@ -82,36 +82,36 @@ class Commissioning(Facts):
 
 
 class InstrumentFacts(Facts):
-    """What measured, and why it is believed."""
+    """Instrument and its commissioning."""
 
     profile: str
-    measured_by: str = Field(description="as the last map's file names it")
+    measured_by: str = Field(description="name of the instrument in the last map's file")
     commissioned: Commissioning | None
-    not_commissioned: str = Field(description="why; empty where it is")
+    not_commissioned: str = Field(description="reason; empty if it is commissioned")
     repeatability_nm: float | None
-    system_map_sha256: str = Field(description="the instrument's own error, taken off each map; empty: none was")
+    system_map_sha256: str = Field(description="system error that is subtracted from each map; empty: none")
 
 
 class Uncertainty(Facts):
-    """How sure the verdict is."""
+    """Uncertainty of the verdict."""
 
     accepted: Literal["figure", "bound", "bound_without_power"]
     statements: list[str]
 
 
 class CertificateAperture(Facts):
-    """Which samples the figures are of: of all surfaces alike."""
+    """Samples of the figures, the same for all surfaces."""
 
     words: str
     pitch_mm: float | None
-    samples: int = Field(description="of the last map in the clear aperture")
+    samples: int = Field(description="samples of the last map in the clear aperture")
     grid_pitch_mm: float
-    solve_samples: int = Field(description="of the process grid that the dwell was solved over")
-    metric_samples: int = Field(description="of the process grid in the clear aperture")
+    solve_samples: int = Field(description="samples of the process grid that the dwell was solved for")
+    metric_samples: int = Field(description="samples of the process grid in the clear aperture")
 
 
 class CertificateRegistration(Facts):
-    """Where the part lay in a map."""
+    """Position of the part in a map."""
 
     by: str
     shift_mm: tuple[float, float]
@@ -122,14 +122,14 @@ class CertificateMeasurement(Facts):
     """A map of the part."""
 
     cycle: int
-    name: str = Field(description="start, or after which pass")
+    name: str = Field(description="start, or the pass before it")
     taken: datetime
     map_sha256: str
     rms_nm: float
     pv_nm: float
     lsf_rms_nm: float
     lsf_period_mm: float
-    band_rms_nm: float | None = Field(description="of the tolerance's periods, where it has any")
+    band_rms_nm: float | None = Field(description="of the periods of the tolerance; null: of all")
     samples: int
     spikes: int
     lines: list[Judgement]
@@ -138,22 +138,22 @@ class CertificateMeasurement(Facts):
 
 
 class FigureChange(Facts):
-    """A row of the comparison of before and after: those of Table V of the paper."""
+    """A row of the comparison of before and after: Table V of the paper."""
 
     figure: str
     before_nm: float
     after_nm: float
-    change: float | None = Field(description="after / before - 1; null: there was nothing before")
+    change: float | None = Field(description="after / before - 1; null: before is 0")
 
 
 class CorrectableRange(Facts):
-    """What no dwell with the tool could remove."""
+    """RMS beyond the reach of the tool."""
 
     cutoff_period_mm: float = Field(
-        description="shorter periods are out of reach of the spot, of several tools that of the finest"
+        description="shorter periods are beyond the reach of the spot; of several tools, of the finest"
     )
-    before_nm: float = Field(description="RMS of those of the first map")
-    after_nm: float = Field(description="RMS of those of the last map: what no further pass would take away")
+    before_nm: float = Field(description="RMS of these periods of the first map")
+    after_nm: float = Field(description="RMS of these periods of the last map: a further pass cannot remove it")
 
 
 class Band(Facts):
@@ -163,7 +163,7 @@ class Band(Facts):
     from_mm: float | None
     to_mm: float | None
     rms_nm: float | None
-    soft: bool = Field(description="fewer than three of its longest periods fit on the part")
+    soft: bool = Field(description="fewer than three of the longest periods fit on the part")
 
 
 class Psd(Facts):
@@ -215,7 +215,7 @@ class CertificateSlope(Facts):
 
 
 class CertificateSurface(Facts):
-    """All figures of one map, over the clear aperture of its own samples, less what is alignment."""
+    """Figures of one map, over the clear aperture of its samples, alignment removed."""
 
     cycle: int
     map_sha256: str
@@ -230,10 +230,10 @@ class CertificateSurface(Facts):
 
 
 class PassPlan(Facts):
-    """What a pass was planned to do."""
+    """Plan of a pass."""
 
     dwell_s: float
-    expected_low_nm: float | None = Field(description="RMS that the next map was to show: 9 of 10 lie above")
+    expected_low_nm: float | None = Field(description="expected RMS of the next map: 9 of 10 lie between low and high")
     expected_median_nm: float | None
     expected_high_nm: float | None
     program_sha256: str
@@ -241,29 +241,29 @@ class PassPlan(Facts):
 
 
 class PassExecution(Facts):
-    """What it did."""
+    """Execution of a pass."""
 
     how: Literal["done", "interrupted", "begun"]
     share: float | None = Field(description="executed time over planned")
-    executed_s: float = Field(description="known to have been in contact")
-    blocks: int = Field(description="that are recorded as executed")
-    uncertain_blocks: list[tuple[int, int]] = Field(description="nobody knows whether the tool touched: first, last")
+    executed_s: float = Field(description="time that is known to be in contact")
+    blocks: int = Field(description="recorded as executed")
+    uncertain_blocks: list[tuple[int, int]] = Field(description="contact is not known: first, last")
     force_n: float | None = Field(description="mean in contact, weighted by time")
     rpm: float | None
 
 
 class PassEstimate(Facts):
-    """What the map after it told of it."""
+    """Result of a pass, from the next map."""
 
-    measured_rms_nm: float | None = Field(description="of the next map; null: none was taken")
+    measured_rms_nm: float | None = Field(description="of the next map; null: there is none")
     as_expected: bool | None
-    rate: float | None = Field(description="removal rate that it showed, relative to the model's own")
+    rate: float | None = Field(description="removal rate relative to the nominal rate")
     rate_sigma: float | None
     notes: list[str]
 
 
 class CertificatePass(Facts):
-    """A pass; one that was interrupted has no number."""
+    """A pass. An interrupted pass has no number."""
 
     name: str
     number: int | None
@@ -277,7 +277,7 @@ class CertificatePass(Facts):
 
 
 class Anomaly(Facts):
-    """Something that somebody had to see to, and what was done."""
+    """An event that needed the operator, and the action."""
 
     at: datetime
     kind: str
@@ -305,13 +305,13 @@ class CertificateEvent(Facts):
 class JournalFacts(Facts):
     """The journal of the job."""
 
-    sha256: str = Field(description="of its rows: docs/certificate.md says how")
+    sha256: str = Field(description="of its rows, as defined in docs/certificate.md")
     rows: dict[str, int] = Field(description="by table")
     events: list[CertificateEvent] = Field(description="all but progress")
 
 
 class PdfFacts(Facts):
-    """The PDF beside the twin."""
+    """The PDF of the same certificate."""
 
     name: str
     sha256: str
@@ -329,14 +329,14 @@ class Signature(Facts):
 
 
 class Seal(Facts):
-    """What makes a change show: over everything else in the file."""
+    """Checksum and signature over everything else in the file."""
 
     sha256: str = Field(description="of the canonical bytes")
     signature: Signature | None
 
 
 class Content(Facts):
-    """A certificate before there is a PDF of it."""
+    """Content of a certificate without PDF and seal."""
 
     schema_: Literal["polishd-certificate-1"] = Field(alias="schema")
     number: str
@@ -361,13 +361,13 @@ class Content(Facts):
 
 
 class PartCertificate(Content):
-    """The certificate of a part: the twin of a PDF."""
+    """The certificate of a part: the JSON file beside the PDF."""
 
     pdf: PdfFacts
     seal: Seal
 
 
 def schema() -> dict[str, Any]:
-    """JSON Schema of the twin, draft 2020-12."""
+    """Return the JSON Schema of a certificate, draft 2020-12."""
     found = PartCertificate.model_json_schema(by_alias=True, mode="serialization")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}

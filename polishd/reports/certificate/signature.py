@@ -1,4 +1,4 @@
-"""The seal of a certificate: the twin's canonical bytes, their hash, and the shop's signature over them."""
+"""Seal of a certificate: SHA-256 and signature over the canonical bytes of its JSON, and their verification."""
 
 from __future__ import annotations
 
@@ -24,24 +24,26 @@ from polishd.util.secret_files import require_private
 ID_DIGITS = 16
 SEAL = "seal"
 PUBLIC = ".pub"
-"""What the public key's file is called beside the private one's."""
+"""Suffix of the public key's file beside the private key."""
 _PEM = serialization.Encoding.PEM
 
 
-def canonical(twin: Mapping[str, Any]) -> bytes:
-    """What is hashed and signed: all but the seal, keys sorted, no blanks, UTF-8, shortest numbers."""
-    content = {key: value for key, value in twin.items() if key != SEAL}
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+def canonical(content: Mapping[str, Any]) -> bytes:
+    """Return the bytes that are hashed and signed: all but the seal, sorted, no blanks, UTF-8, shortest numbers."""
+    sealed_content = {key: value for key, value in content.items() if key != SEAL}
+    return json.dumps(
+        sealed_content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    ).encode()
 
 
-def written(twin: Mapping[str, Any]) -> bytes:
-    """The twin's file: any other layout of the same content is a changed file."""
-    return (json.dumps(twin, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+def written(content: Mapping[str, Any]) -> bytes:
+    """Return the bytes of the JSON file. Another layout of the same content is a changed file."""
+    return (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def sealed(content: Mapping[str, Any], key: Ed25519PrivateKey | None) -> Seal:
-    """The seal over some content; without a key only its hash."""
-    said = canonical(content)
+    """Return the seal of a content; without a key it has no signature."""
+    signed = canonical(content)
     signature = None
     if key is not None:
         public = key.public_key()
@@ -49,41 +51,41 @@ def sealed(content: Mapping[str, Any], key: Ed25519PrivateKey | None) -> Seal:
             algorithm="Ed25519",
             key=_text(public.public_bytes_raw()),
             key_id=key_id(public),
-            value=_text(key.sign(said)),
+            value=_text(key.sign(signed)),
         )
-    return Seal(sha256=hashlib.sha256(said).hexdigest(), signature=signature)
+    return Seal(sha256=hashlib.sha256(signed).hexdigest(), signature=signature)
 
 
-def holds(signature: Signature, twin: Mapping[str, Any]) -> bool:
-    """Whether the key that the signature names made it over this content."""
+def holds(signature: Signature, content: Mapping[str, Any]) -> bool:
+    """True if the signature is that of its key over this content."""
     try:
         public = public_of(signature)
-        public.verify(base64.b64decode(signature.value, validate=True), canonical(twin))
+        public.verify(base64.b64decode(signature.value, validate=True), canonical(content))
     except (InvalidSignature, ValueError, binascii.Error):
         return False
     return signature.key_id == key_id(public)
 
 
 def public_of(signature: Signature) -> Ed25519PublicKey:
-    """The key that the signature names; ValueError where it is none."""
+    """Return the public key of a signature; ValueError if it is not one."""
     return Ed25519PublicKey.from_public_bytes(base64.b64decode(signature.key, validate=True))
 
 
 def key_id(public: Ed25519PublicKey) -> str:
-    """By which people tell keys apart."""
+    """Return the id of a key."""
     return hashlib.sha256(public.public_bytes_raw()).hexdigest()[:ID_DIGITS]
 
 
 def make_key(path: Path) -> str:
-    """Write a new pair: ``path`` for its owner only, and the public key beside it; its id.
+    """Write a new key pair, the private file readable by its owner only; return the id.
 
     Raises:
-        ConfigError: either file is there already, or cannot be written; then neither is.
+        ConfigError: a file exists, or cannot be written. No file is written then.
     """
     public_path = path.with_name(path.name + PUBLIC)
     for one in (path, public_path):
         if one.exists():
-            raise ConfigError(f"{one}: is there already, and a key that is overwritten is lost; name another file")
+            raise ConfigError(f"{one}: exists, and a key is never overwritten. Name another file.")
     key = Ed25519PrivateKey.generate()
     public = key.public_key().public_bytes(_PEM, serialization.PublicFormat.SubjectPublicKeyInfo)
     private = key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
@@ -93,154 +95,154 @@ def make_key(path: Path) -> str:
     except OSError as error:
         public_path.unlink(missing_ok=True)
         raise ConfigError(
-            f"{path}: cannot be written: {error.strerror}; name a file in a folder that is there"
+            f"{path}: cannot be written: {error.strerror}. Name a file in a folder that exists."
         ) from error
     return key_id(key.public_key())
 
 
 def private_key(path: Path) -> Ed25519PrivateKey:
-    """The shop's key; ConfigError where it cannot be read, others may read it, or it is none."""
+    """Read the shop's private key; ConfigError if it cannot be read, others can read it, or it is not a key."""
     content = _read_bytes(path)
     require_private(path, "the shop's key: ")
     try:
         key = serialization.load_pem_private_key(content, password=None)
     except TypeError:
-        raise ConfigError(f"{path}: the key has a passphrase, which nobody is there to type; keep it without") from None
+        raise ConfigError(f"{path}: the key has a passphrase. Use a key without one.") from None
     except (ValueError, UnsupportedAlgorithm):
-        _none(path, "private")
-    return key if isinstance(key, Ed25519PrivateKey) else _none(path, "private")
+        _refuse_key(path, "private")
+    return key if isinstance(key, Ed25519PrivateKey) else _refuse_key(path, "private")
 
 
 def public_key(path: Path) -> Ed25519PublicKey:
-    """A public key; ConfigError where it cannot be read, or is none."""
+    """Read a public key; ConfigError if it cannot be read, or is not one."""
     try:
         key = serialization.load_pem_public_key(_read_bytes(path))
     except (ValueError, UnsupportedAlgorithm):
-        _none(path, "public")
-    return key if isinstance(key, Ed25519PublicKey) else _none(path, "public")
+        _refuse_key(path, "public")
+    return key if isinstance(key, Ed25519PublicKey) else _refuse_key(path, "public")
 
 
-def _none(path: Path, kind: str) -> NoReturn:
-    other = f"; the public one is in the file with {PUBLIC} at its end" if kind == "public" else ""
-    raise ConfigError(f"{path}: is no {kind} Ed25519 key in PEM; polishd report key FILE makes a pair{other}")
+def _refuse_key(path: Path, kind: str) -> NoReturn:
+    other = f" The name of a public key ends in {PUBLIC}." if kind == "public" else ""
+    raise ConfigError(f"{path}: not a {kind} Ed25519 key in PEM. Make a pair with polishd report keygen.{other}")
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name the key's file") from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}. Name the file of the key.") from error
 
 
 def _text(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
 
 
-# Whether a certificate is as it was made, and by whom: a sentence for each thing that was looked at.
+# Verification: a finding for the content, the signature and the PDF.
 
-TWIN, PDF = ".json", ".pdf"
-ASK = "ask the shop for the certificate again"
+JSON, PDF = ".json", ".pdf"
+REQUEST_AGAIN = "Request the certificate from the shop again."
 
 
 @dataclass(frozen=True, slots=True)
 class VerificationFinding:
-    """What was found of one thing."""
+    """Result of one check."""
 
     about: str
     """``content``, ``signature`` or ``pdf``."""
     right: bool | None
-    """None: nothing is wrong, and nothing is proved."""
+    """None: neither wrong nor proved."""
     words: str
 
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What was found of a certificate."""
+    """Result of a verification."""
 
     number: str
     findings: tuple[VerificationFinding, ...]
     signer: str
-    """The id of the key that was given, where it signed; else empty."""
+    """Id of the given key if it signed the certificate; else empty."""
 
     @property
     def right(self) -> bool:
-        """Nothing was found wrong."""
+        """True if no check failed."""
         return all(one.right is not False for one in self.findings)
 
 
 def verify(path: Path, key: Ed25519PublicKey | None) -> Verified:
-    """Look at a certificate, named by its PDF or its twin.
+    """Verify a certificate, named by its PDF or its JSON file.
 
     Args:
-        path: either of both; the other one is looked for beside it.
-        key: the shop's public one, got from the shop by another way than the certificate; None: it is not at hand.
+        path: one of the two files; the other is expected beside it.
+        key: public key of the shop, received in another way than the certificate; None: not available.
 
     Raises:
-        ConfigError: there is no twin, or it is no certificate.
+        ConfigError: the JSON file is missing, or is not a certificate.
     """
-    twin_path = path.with_suffix(TWIN) if path.suffix.lower() == PDF else path
-    content = _read_certificate(twin_path, path)
-    raw, twin = _parsed(twin_path, content)
-    signed_by = "" if key is None or twin.seal.signature is None else twin.seal.signature.key_id
-    findings = (*_content(twin_path, content, raw, twin), *_signature(raw, twin, key), _pdf(path, twin_path, twin))
+    json_path = path.with_suffix(JSON) if path.suffix.lower() == PDF else path
+    content = _read_certificate(json_path, path)
+    raw, certificate = _parsed(json_path, content)
+    signed_by = "" if key is None or certificate.seal.signature is None else certificate.seal.signature.key_id
+    findings = (
+        *_content(json_path, content, raw, certificate),
+        *_signature(raw, certificate, key),
+        _pdf(path, json_path, certificate),
+    )
     proved = all(one.right for one in findings if one.about != "pdf")
-    return Verified(twin.number, findings, signed_by if proved else "")
+    return Verified(certificate.number, findings, signed_by if proved else "")
 
 
-def _read_certificate(twin_path: Path, asked: Path) -> bytes:
+def _read_certificate(json_path: Path, path: Path) -> bytes:
     try:
-        return twin_path.read_bytes()
+        return json_path.read_bytes()
     except OSError as error:
-        why = f"{twin_path}: cannot be read: {error.strerror}"
-        if twin_path != asked:
-            why += f"; a PDF is verified by its twin, the JSON file of the same name: put it beside {asked.name}"
-        raise ConfigError(f"{why}; name a certificate") from error
+        action = "Name a certificate."
+        if json_path != path:
+            action = f"Put the JSON file of the same name beside {path.name}: a PDF is verified by it."
+        raise ConfigError(f"{json_path}: cannot be read: {error.strerror}. {action}") from error
 
 
 def _parsed(path: Path, content: bytes) -> tuple[dict[str, Any], PartCertificate]:
     try:
         raw = json.loads(content, parse_constant=_refused)
         if not isinstance(raw, dict) or raw.get("schema") != SCHEMA:
-            raise ConfigError(f"{path}: is no certificate of this polishd (schema {SCHEMA}); name one")
+            raise ConfigError(f"{path}: not a certificate with the schema {SCHEMA}. Name a certificate.")
         return raw, PartCertificate.model_validate(raw)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise ConfigError(f"{path}: is no whole certificate: {place}: {first['msg']}; {ASK}") from None
+        key = ".".join(map(str, first["loc"]))
+        raise ConfigError(f"{path}: not a complete certificate: {key}: {first['msg']}. {REQUEST_AGAIN}") from None
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: is no JSON ({error}): it was changed or cut off; {ASK}") from None
+        raise ConfigError(f"{path}: not JSON ({error}): changed or cut off. {REQUEST_AGAIN}") from None
 
 
 def _refused(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a number")
 
 
-def _content(path: Path, content: bytes, raw: dict[str, Any], twin: PartCertificate) -> Iterator[VerificationFinding]:
+def _content(
+    path: Path, content: bytes, raw: dict[str, Any], certificate: PartCertificate
+) -> Iterator[VerificationFinding]:
     try:
-        said = canonical(raw)
+        signed = canonical(raw)
         same_layout = written(raw) == content
     except ValueError:  # a lone surrogate, which no certificate has
-        said, same_layout = b"", False
-    if hashlib.sha256(said).hexdigest() != twin.seal.sha256:
-        yield VerificationFinding(
-            "content", False, f"{path.name} was changed since it was made: its checksum does not hold; {ASK}."
-        )
+        signed, same_layout = b"", False
+    if hashlib.sha256(signed).hexdigest() != certificate.seal.sha256:
+        yield VerificationFinding("content", False, f"{path.name} was changed: its checksum is wrong. {REQUEST_AGAIN}")
     elif not same_layout:
-        yield VerificationFinding(
-            "content", False, f"{path.name} was written anew since it was made, with the same content; {ASK}."
-        )
+        yield VerificationFinding("content", False, f"{path.name} was rewritten with the same content. {REQUEST_AGAIN}")
     else:
-        yield VerificationFinding("content", True, f"{path.name} is as its seal says: its checksum holds.")
+        yield VerificationFinding("content", True, f"{path.name} is unchanged: its checksum is right.")
 
 
 def _signature(
-    raw: dict[str, Any], twin: PartCertificate, key: Ed25519PublicKey | None
+    raw: dict[str, Any], certificate: PartCertificate, key: Ed25519PublicKey | None
 ) -> Iterator[VerificationFinding]:
-    signature = twin.seal.signature
+    signature = certificate.seal.signature
     if signature is None:
-        words = (
-            "It is not signed: its checksum tells an accident, and no author; whoever changed it could make it anew."
-        )
+        words = "Not signed: the checksum finds an accidental change, but cannot prove the author."
         yield VerificationFinding("signature", None if key is None else False, words)
         return
     try:
@@ -248,30 +250,28 @@ def _signature(
     except ValueError:
         good = False
     if not good:
-        words = f"Its signature does not hold: it, or what it signs, was changed since it was made; {ASK}."
+        words = f"The signature is wrong: the signature or the content was changed. {REQUEST_AGAIN}"
         yield VerificationFinding("signature", False, words)
     elif key is None:
-        words = f"Unchanged since made, signer not known: the key {signature.key_id} made it; whose that is, only the "
-        yield VerificationFinding("signature", True, words + "shop's own public key tells (--key).")
+        words = f"Unchanged, signed with the key {signature.key_id}, whose owner is not known. "
+        yield VerificationFinding("signature", True, words + "Name the public key of the shop with --key.")
     elif key_id(key) != signature.key_id:
-        words = f"It is signed with another key ({signature.key_id}) than the one given ({key_id(key)})."
+        words = f"Signed with the key {signature.key_id}, not with the given key {key_id(key)}."
         yield VerificationFinding("signature", False, words)
     else:
-        yield VerificationFinding(
-            "signature", True, f"Signed with the given key ({signature.key_id}), and unchanged since."
-        )
+        yield VerificationFinding("signature", True, f"Signed with the given key {signature.key_id}, and unchanged.")
 
 
-def _pdf(asked: Path, twin_path: Path, twin: PartCertificate) -> VerificationFinding:
-    """The PDF that was named, or the one that the twin names beside it."""
-    path = asked if asked != twin_path else twin_path.with_name(Path(twin.pdf.name).name)
+def _pdf(named: Path, json_path: Path, certificate: PartCertificate) -> VerificationFinding:
+    """Check the PDF that was named, or the one that the JSON file names beside it."""
+    path = named if named != json_path else json_path.with_name(Path(certificate.pdf.name).name)
     try:
         content = path.read_bytes()
     except OSError as error:
-        right = None if asked == twin_path else False
-        return VerificationFinding("pdf", right, f"{path.name} was not looked at: {error.strerror}.")
-    if hashlib.sha256(content).hexdigest() == twin.pdf.sha256:
-        return VerificationFinding("pdf", True, f"{path.name} is the PDF that was made with it, unchanged.")
+        right = None if named == json_path else False
+        return VerificationFinding("pdf", right, f"{path.name} was not checked: {error.strerror}.")
+    if hashlib.sha256(content).hexdigest() == certificate.pdf.sha256:
+        return VerificationFinding("pdf", True, f"{path.name} is the PDF of this certificate, unchanged.")
     return VerificationFinding(
-        "pdf", False, f"{path.name} was changed since it was made, or is of another certificate; {ASK}."
+        "pdf", False, f"{path.name} was changed, or is the PDF of another certificate. {REQUEST_AGAIN}"
     )

@@ -1,4 +1,4 @@
-"""What a certificate is made of: one run folder, its summary and its journal, each held against the other."""
+"""Sources of a certificate: run folder, summary and journal, checked against each other."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from polishd.pipeline import steps
 from polishd.pipeline.records import record_of
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import load_plugins
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import split_bands
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
 from polishd.reports.map_figures import MapReportData, MapReportOptions, reported
 from polishd.reports.run_reader import ReportSurface, RunFolderReader, read_folder
 
 TABLES = ("job", "map", "phase", "pass", "segment", "event")
-"""Whose rows the journal's hash is of, in this order."""
+"""Tables that the hash of the journal covers, in this order."""
 ORDER = {"segment": "cycle, seq", "pass": "cycle"}
-"""By what; others have a number of their own."""
+"""Order of the rows; other tables are ordered by their id."""
 SUMMARY, PROFILE = "summary.json", "instrument.toml"
 FIGURES = ("rms_nm", "pv_nm", "lsf_rms_nm")
 
@@ -42,22 +42,22 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The rows of one job's journal, as they stand there; what is JSON in them is read."""
+    """Rows of one job's journal, with JSON columns parsed."""
 
     job: Row
     maps: Sequence[Row]
-    """The last one of each cycle."""
+    """The last map of each cycle."""
     passes: Sequence[Row]
     phases: Sequence[Row]
     events: Sequence[Row]
     contact: Mapping[int, Row]
-    """By cycle: blocks that are recorded, and mean force and speed of those in contact."""
+    """By cycle: number of recorded blocks, and mean force and speed in contact."""
     counts: Mapping[str, int]
     sha256: str
 
     @property
     def terms(self) -> Mapping[str, Any]:
-        """All values with which the job was begun, by dotted key."""
+        """Values at the start of the job, by dotted key."""
         found: Mapping[str, Any] = self.job["terms"]
         return found
 
@@ -69,54 +69,54 @@ class CertificateRun:
     folder: RunFolderReader
     rows: Rows
     cell: CellConfig | None
-    """The cell's file, where the run was asked for by it."""
+    """The cell's file, if it named the run."""
 
     @property
     def path(self) -> Path:
-        """Of the folder."""
+        """Path of the run folder."""
         return self.folder.path
 
     def cycle(self, number: int) -> Path:
-        """The folder of a cycle."""
+        """Return the folder of a cycle."""
         return self.path / f"cycle-{number:02d}"
 
     def surface(self, cycle: int) -> ReportSurface | None:
-        """A cycle's map on the process grid, with the clear aperture; None where it is not there."""
+        """Return a cycle's map on the process grid with the clear aperture; None if it is missing."""
         name = self.cycle(cycle).name
         return next((one.surface for one in self.folder.cycles if one.name == name), None)
 
     def file(self, cycle: int, stem: str) -> Path | None:
-        """The one file of a cycle with that stem: map or program, whatever its ending."""
+        """Return the file of a cycle with this stem (``map`` or ``program``) and any ending."""
         return next((path for path in sorted(self.cycle(cycle).glob(f"{stem}.*")) if path.is_file()), None)
 
 
-def find_run(asked: Path, job: str | None) -> CertificateRun:
-    """The run of a folder, or of a cell's job.
+def find_run(path: Path, job: str | None) -> CertificateRun:
+    """Return the run of a folder, or of a cell's job.
 
     Args:
-        asked: a run folder, or a cell's file.
-        job: with a cell, its job.id; None: the last one that is over.
+        path: a run folder, or a cell's file.
+        job: with a cell, its job.id; None: the last job that ended.
 
     Raises:
-        ConfigError: there is none, or it cannot be certified; the message says what to do.
+        ConfigError: there is no run, or it cannot be certified.
     """
-    if asked.is_dir():
+    if path.is_dir():
         if job is not None:
-            raise ConfigError(f"{asked}: a run folder is of one job; leave --job out, or name the cell's file")
-        return _read(asked, None)
-    if asked.suffix != ".toml":
-        raise ConfigError(f"{asked}: is no folder, and no cell's file; name a run folder, or CELL.toml")
-    config = load_config(asked)
+            raise ConfigError(f"{path}: a run folder has one job. Omit --job, or name the cell's file.")
+        return _read(path, None)
+    if path.suffix != ".toml":
+        raise ConfigError(f"{path}: neither a folder nor a cell's file. Name a run folder, or CELL.toml.")
+    config = load_config(path)
     with read_only(config.state_dir) as journal:
         sql = "SELECT name, run_dir, ended FROM job ORDER BY id DESC"
         jobs = [row for row in journal.execute(sql) if job is None or row[0] == job]
     if not jobs:
-        problem = "no job was begun yet" if job is None else f"there is no job {job!r}; polishd history lists them"
-        raise ConfigError(f"{asked}: {problem}")
+        problem = "no job has begun." if job is None else f"there is no job {job!r}. Run polishd history for a list."
+        raise ConfigError(f"{path}: {problem}")
     over = [row for row in jobs if row[2] is not None]
     name, run_dir, _ = (over or jobs)[0]
     if not run_dir:
-        raise ConfigError(f"{asked}: the job {name!r} has no run folder: nothing was measured, nothing to certify")
+        raise ConfigError(f"{path}: the job {name!r} has no run folder: nothing was measured.")
     return _read(config.resolve(run_dir), config)
 
 
@@ -124,30 +124,30 @@ def _read(path: Path, cell: CellConfig | None) -> CertificateRun:
     for name in (SUMMARY, JOURNAL_NAME):
         if not (path / name).exists():
             raise ConfigError(
-                f"{path}: has no {name}: it is no run folder, or its job is under way, or the daemon was killed; "
-                "polishd run CELL.toml ends the job, or takes it up"
+                f"{path}: has no {name}: not a run folder, or the job has not ended. Run polishd run CELL.toml to "
+                "continue or end the job."
             )
     folder = read_folder(path)
     if folder.planned or not folder.rows():
-        raise ConfigError(f"{path}: holds no measurement of a job: there is nothing to certify")
+        raise ConfigError(f"{path}: has no measurement of a job. Name another run folder.")
     run = CertificateRun(folder, read_rows(path), cell)
-    _require_one_truth(run)
+    _require_consistent(run)
     return run
 
 
 def read_rows(path: Path) -> Rows:
-    """The journal of a run folder; ConfigError where it cannot be read, or is of more than one job."""
+    """Read the journal of a run folder; ConfigError if it cannot be read, or has more than one job."""
     with read_only(path) as journal:
         journal.row_factory = sqlite3.Row
         tables = {name: list(_rows(journal, name)) for name in TABLES if name != "segment"}
         digest, counts = _digest(journal)
         contact = {row["cycle"]: dict(row) for row in journal.execute(CONTACT)}
     if len(tables["job"]) != 1:
-        raise ConfigError(f"{path / JOURNAL_NAME}: is of {len(tables['job'])} jobs, and a run folder's is of one")
+        raise ConfigError(f"{path / JOURNAL_NAME}: has {len(tables['job'])} jobs, and must have one. Restore the file.")
     (job,) = tables["job"]
     if not isinstance(job["terms"], dict):
         raise ConfigError(
-            f"{path / JOURNAL_NAME}: its job was begun by an earlier polishd, which did not write down how"
+            f"{path / JOURNAL_NAME}: the job was begun by an earlier polishd, which did not record its settings."
         )
     last = {row["cycle"]: row for row in tables["map"]}
     passes, phases, events = (tables[name] for name in ("pass", "phase", "event"))
@@ -171,7 +171,7 @@ def _rows(journal: sqlite3.Connection, table: str) -> Iterator[Row]:
 
 
 def _digest(journal: sqlite3.Connection) -> tuple[str, dict[str, int]]:
-    """sha256 of all rows, a line of JSON each with the table's name first; and how many there are of each table."""
+    """Return the SHA-256 of all rows (a line of JSON each, with the table's name first) and the number of rows."""
     digest, counts = hashlib.sha256(), {}
     for table in TABLES:
         rows = journal.execute(f"SELECT * FROM {table} ORDER BY {ORDER.get(table, 'id')}")  # noqa: S608
@@ -182,50 +182,50 @@ def _digest(journal: sqlite3.Connection) -> tuple[str, dict[str, int]]:
     return digest.hexdigest(), counts
 
 
-def _require_one_truth(run: CertificateRun) -> None:
-    """ConfigError where summary, journal and files do not tell of one and the same run."""
-    rows, told = run.folder.rows(), run.rows.maps
-    if len(rows) != len(told):
+def _require_consistent(run: CertificateRun) -> None:
+    """ConfigError if summary, journal and files contradict each other."""
+    rows, maps = run.folder.rows(), run.rows.maps
+    if len(rows) != len(maps):
         raise ConfigError(
-            f"{run.path}: summary.json has {len(rows)} measurements, its journal {len(told)}; restore both as they were"
+            f"{run.path}: summary.json has {len(rows)} measurements, the journal {len(maps)}. Restore both files."
         )
-    for row, measured in zip(rows, told, strict=True):
+    for row, measured in zip(rows, maps, strict=True):
         for key in FIGURES:
             if row.get(key) != measured["stats"].get(key):
                 raise ConfigError(
                     f"{run.path / SUMMARY}: {key} of measurement {measured['cycle']} is {row.get(key)}, and "
-                    f"{measured['stats'].get(key)} in the journal; restore the file as it was"
+                    f"{measured['stats'].get(key)} in the journal. Restore the file."
                 )
-        _require_file(run, run.file(measured["cycle"], "map"), measured["sha256"])
+        _require_file(run.file(measured["cycle"], "map"), measured["sha256"])
     for done in run.rows.passes:
-        _require_file(run, run.file(done["cycle"], "program"), done["program_sha256"])
+        _require_file(run.file(done["cycle"], "program"), done["program_sha256"])
     named = run.rows.terms.get("instrument.profile")
     if isinstance(named, dict) and (run.path / PROFILE).exists():
-        _require_file(run, run.path / PROFILE, named["sha256"])
+        _require_file(run.path / PROFILE, named["sha256"])
 
 
-def _require_file(run: CertificateRun, path: Path | None, sha256: str) -> None:
-    """What is there must be what the journal names. What is not there is said in the certificate."""
+def _require_file(path: Path | None, sha256: str) -> None:
+    """ConfigError if a file differs from that of the journal. A missing file is listed in the certificate."""
     if path is not None and sha256_of(path) != sha256:
         raise ConfigError(
-            f"{path}: is not the file that the journal names (sha256 {sha256[:12]}…); restore it, or take it out of "
-            f"{run.path.name}: the certificate then says that it is missing"
+            f"{path}: SHA-256 differs from {sha256[:12]}… in the journal. Restore the file, or remove it: the "
+            "certificate then lists it as missing."
         )
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file's content; ConfigError where it cannot be read."""
+    """Return the SHA-256 of a file; ConfigError if it cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; mend its rights") from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}. Check its permissions.") from error
 
 
-# The first and the last map of a run, made again from their files as the daemon judged them: one surface, one figure.
+# First and last map of a run, reconstructed from their files in the way of the daemon.
 
 SAME = 1e-6
-"""Relative: figures that were made again from the same file may differ by so much, on another processor."""
+"""Relative difference that figures of the same file may have on another processor."""
 HSF_MM = 0.12
 TERMS = 36
 E_LINE_NM = 546.07
@@ -233,31 +233,31 @@ E_LINE_NM = 546.07
 
 @dataclass(frozen=True, slots=True)
 class ReconstructedMap:
-    """A map with all its figures."""
+    """Map with its figures."""
 
     cycle: int
     reported: MapReportData
     figure_nm: FloatArray
-    """(ny, nx) on the map's own samples, without what is alignment; NaN outside the clear aperture."""
+    """(ny, nx) on the samples of the map, alignment removed; NaN outside the clear aperture."""
     clear: BoolArray
-    """(ny, nx) the clear aperture there."""
+    """(ny, nx) clear aperture on the samples of the map."""
     pitch_mm: float
     source: SurfaceMap
-    """As its file gives it."""
+    """The map as read from its file."""
 
     def beyond_nm(self, cutoff_mm: float) -> float:
-        """RMS of the periods below that."""
+        """Return the RMS of the periods below a cut-off."""
         return float(split_bands(self.figure_nm, self.clear, self.pitch_mm, (cutoff_mm,))[1][self.clear].std())
 
 
 def profile_of(run: CertificateRun) -> InstrumentProfile | None:
-    """The instrument's, as it was; None where the cell named none."""
+    """Return the instrument's profile at the time of the run; None if the cell had none."""
     path = run.path / PROFILE
     return load_profile(path) if path.exists() else None
 
 
 class MapReconstructor:
-    """Makes maps of one run again, and keeps the reasons of what cannot be."""
+    """Reconstructs maps of a run, and lists those that it cannot."""
 
     def __init__(self, run: CertificateRun, wavelength_nm: float) -> None:
         self.left_out: list[str] = []
@@ -267,14 +267,14 @@ class MapReconstructor:
         self._readers = load_plugins(self._terms["plugins.load"]).surface_readers()
 
     def surface(self, measured: Row) -> ReconstructedMap | None:
-        """That measurement's map; None, with the reason kept, where it cannot be had."""
+        """Return the map of a measurement; None, listed with the reason, if it cannot be reconstructed."""
         name = f"cycle-{measured['cycle']:02d}"
         try:
             found = self._found(measured)
         except PolishdError as error:
             self.left_out.append(f"figures of the map in {name}: {error}")
             return None
-        if wrong := _otherwise(found, measured["stats"]):
+        if wrong := _differences(found, measured["stats"]):
             self.left_out.append(f"figures of the map in {name}: {wrong}")
             return None
         self.left_out += [f"{name}: {reason}" for reason in found.reported.answer["left_out"]]
@@ -284,67 +284,67 @@ class MapReconstructor:
         run, cycle, stats = self._run, measured["cycle"], measured["stats"]
         path = run.file(cycle, "map")
         if path is None:
-            raise ConfigError(f"{run.cycle(cycle)}: the map's file is not there")
+            raise ConfigError(f"{run.cycle(cycle)}: the file of the map is missing")
         profile = profile_of(run)
         instrument = None if profile is None else profile.instrument
         source = read_map(path, self._readers.values())
-        lies = record_of(Registration, stats.get("registration") or {})
-        lying = steps.map_on_part(source, instrument, self._system(profile, stats.get("system") or ""))
-        clean, _ = steps.of_part(lying, self._terms["instrument.spike_mads"], self._nominal(), lies)
+        registration = record_of(Registration, stats.get("registration") or {})
+        on_part = steps.map_on_part(source, instrument, self._system(profile, stats.get("system") or ""))
+        clean, _ = steps.of_part(on_part, self._terms["instrument.spike_threshold_mad"], self._nominal(), registration)
         grid, mask = _aperture(run, cycle)
         alignment = self._terms["part.alignment"]
-        figure, clear = steps.figure_of(clean, grid, mask, lies, alignment)
+        figure, clear = steps.figure_of(clean, grid, mask, registration, alignment)
         lsf_mm = float(self._terms["job.lsf_period_mm"])
         edges = (lsf_mm, HSF_MM) if lsf_mm > HSF_MM else (lsf_mm,)
-        asked = MapReportOptions(self._wavelength_nm, "fringe", TERMS, alignment=alignment)
-        made = reported(figured(clean.with_height(figure), 0, edges, alignment), asked)
+        options = MapReportOptions(self._wavelength_nm, "fringe", TERMS, alignment=alignment)
+        made = reported(figured(clean.with_height(figure), 0, edges, alignment), options)
         return ReconstructedMap(cycle, made, figure, clear, clean.grid.pitch_mm, source)
 
     def _nominal(self) -> SurfaceMap | None:
-        named = self._terms.get("part.nominal")
+        named = self._terms.get("part.form")
         if not named:
             return None
-        path = self._named(named["file"], named["sha256"], "the form wanted (part.nominal)")
+        path = self._named(named["file"], named["sha256"], "the nominal form (part.form)")
         return read_map(path, self._readers.values())
 
     def _system(self, profile: InstrumentProfile | None, sha256: str) -> SystemMap | None:
         if not sha256:
             return None
         if profile is None or profile.system is None:
-            raise ConfigError(f"{PROFILE}: does not name the system map that was taken off ({sha256[:12]}…)")
+            raise ConfigError(f"{PROFILE}: does not name the system map that was subtracted ({sha256[:12]}…)")
         path = self._named(profile.system.map, sha256, "the instrument's system map")
         surface = read_map(path, self._readers.values())
         if surface.history is None:
-            raise ConfigError(f"{path}: does not say how sure its terms are")
+            raise ConfigError(f"{path}: has no uncertainty of its terms")
         return SystemMap(surface, AbsoluteTestResult.load(surface.history.options["told"]))
 
     def _named(self, name: str, sha256: str, what: str) -> Path:
-        """A file that lies beside the cell or its profile: found by its name, believed by its content."""
+        """Return a file in the folder of the run, the cell or the profile, found by name and SHA-256."""
         cell = self._run.cell
-        places = [self._run.path / name, Path(name)]
+        candidates = [self._run.path / name, Path(name)]
         if cell is not None:
-            places.append(cell.resolve(name))
-            places += [] if cell.profile_path is None else [cell.profile_path.parent / name]
-        for path in places:
+            candidates.append(cell.resolve(name))
+            candidates += [] if cell.profile_path is None else [cell.profile_path.parent / name]
+        for path in candidates:
             if path.is_file() and sha256_of(path) == sha256:
                 return path
         raise ConfigError(
-            f"{what}, {name} (sha256 {sha256[:12]}…), is not at hand; put it into the run folder, or name CELL.toml"
+            f"{what}, {name} (sha256 {sha256[:12]}…), was not found. Copy it into the run folder, or name CELL.toml."
         )
 
 
 def _aperture(run: CertificateRun, cycle: int) -> tuple[Grid, BoolArray]:
-    """The process grid, and the clear aperture on it."""
+    """Return the process grid and the clear aperture on it."""
     path = run.cycle(cycle) / "surface.npz"
     surface = run.surface(cycle)
     if surface is None:
-        raise ConfigError(f"{path}: is not there, or cannot be read: nobody knows the clear aperture")
+        raise ConfigError(f"{path}: missing, or cannot be read: the clear aperture is not known")
     ny, nx = surface.height_nm.shape
     return Grid(ny, nx, surface.pitch_mm), surface.metric_mask
 
 
-def _otherwise(found: ReconstructedMap, stats: Mapping[str, Any]) -> str:
-    """In what a map that was made again is not what the journal says of it; empty where it is."""
+def _differences(found: ReconstructedMap, stats: Mapping[str, Any]) -> str:
+    """Return the differences between a reconstructed map and the journal; empty if there are none."""
     bands = found.reported.answer["bands"]
     made = {
         "rms_nm": found.reported.answer["rms_nm"],
@@ -352,16 +352,16 @@ def _otherwise(found: ReconstructedMap, stats: Mapping[str, Any]) -> str:
         "lsf_rms_nm": bands[0]["rms_nm"] if bands else math.nan,
         "samples": int(np.count_nonzero(found.clear)),
     }
-    apart = [
-        f"{key} comes out as {value:.9g}, and the journal has {stats[key]:.9g}"
+    differences = [
+        f"{key} is {value:.9g}, and {stats[key]:.9g} in the journal"
         for key, value in made.items()
         if value is not None and not math.isclose(value, stats[key], rel_tol=SAME, abs_tol=SAME)
     ]
-    return f"{'; '.join(apart)}: another polishd measured it" if apart else ""
+    return f"{'; '.join(differences)}: measured by another version of polishd" if differences else ""
 
 
 def as_one_source(found: ReconstructedMap, stats: Mapping[str, Any]) -> ReconstructedMap:
-    """The same with the journal's own digits of the figures that it has: no figure is told twice."""
+    """Return the map with the journal's digits of the figures that the journal has."""
     answer = dict(found.reported.answer)
     answer |= {key: stats[key] for key in ("rms_nm", "pv_nm")}
     if answer["bands"]:

@@ -11,14 +11,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator import FaultSection, SimActuatorSection, SimSpindleSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.cia402 import node as stage
 from polishd.sim_backends.cia402.node import Node, Objects, Power
 from polishd.sim_backends.common.can import CanWire
 from polishd.sim_backends.common.hidden_truth import stream
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
-from polishd.sim_backends.common.voice_coil import CoilDynamics, VoiceCoil
+from polishd.sim_backends.common.voice_coil import COIL_FAULTS, CoilDynamics, VoiceCoil
 
 # A spindle motor behind the drive: profile velocity with ramps, and a rotor that follows them a little late.
 
@@ -169,7 +170,7 @@ async def actuator(runtime: SimRuntime) -> None:
         rng=stream(runtime.start.seed, "coil"),
         report=runtime.link.event,
         now_s=now_s,
-        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.cling, config.rest_n),
+        pace=CoilDynamics(config.land_s / speed, config.lift_s / speed, config.stick_share, config.resting_force_n),
         touch_um=runtime.link.welcome.get("touch_um"),
     )
 
@@ -194,3 +195,24 @@ async def _serve(runtime: SimRuntime, drive: Node, moved: Motor | VoiceCoil, wir
             runtime.link.samples(moved.samples, drive.now_s)
             moved.samples, marked_s = [], drive.now_s
         await asyncio.sleep(TICK_S)
+
+
+CAN_LINKS = {"slcan": {"": "slcan"}, "socketcand": {"": "socketcand"}}
+SIM_DEVICES = [
+    SimDevice(
+        name="cia402",
+        device="spindle",
+        section=SimSpindleSection,
+        links=CAN_LINKS,
+        main=spindle,
+        faults=("reverse",),
+    ),
+    SimDevice(
+        name="cia402",
+        device="actuator",
+        section=SimActuatorSection,
+        links=CAN_LINKS,
+        main=actuator,
+        faults=COIL_FAULTS,
+    ),
+]

@@ -90,7 +90,7 @@ class SimDeviceProfile:
 
     def orders(self) -> Iterator[tuple[str, list[str]]]:
         """Each order and its steps."""
-        yield from self.raw.get("orders", {}).items()
+        yield from self.raw.get("commands", {}).items()
 
     def written(self, register: str, stored: Mapping[str, float]) -> tuple[str, float] | None:
         """(order, what is asked in N, rpm or ms) that a write to the register has just made whole."""

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator import FRAMES, MOTION, STATES, FaultSection, SimConfig
+from polishd.config.simulator import FRAMES, STATES, FaultSection, SimConfig
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.common import framing as numbered
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
 from polishd.sim_backends.common.framing import crc16
 from polishd.sim_backends.common.hidden_truth import stream
+from polishd.sim_backends.common.registry import find_device
 
 # What faults must know of a link's protocol: where a frame ends, and what a reply to be feared looks like.
 
@@ -207,7 +208,7 @@ class ActiveFault:
     def lasts(self) -> bool:
         """It is a state, and not a single blow."""
         fault = self.fault
-        return bool(fault.for_s) or fault.rate is not None or fault.what in {"hang", *STATES}
+        return bool(fault.duration_s) or fault.rate is not None or fault.what in {"hang", *STATES}
 
     @property
     def always(self) -> bool:
@@ -229,7 +230,7 @@ class ActiveFault:
 
     def ended(self, now_s: float) -> bool:
         """Its time is over."""
-        return self.begun_s is not None and 0.0 < self.fault.for_s <= now_s - self.begun_s
+        return self.begun_s is not None and 0.0 < self.fault.duration_s <= now_s - self.begun_s
 
 
 @dataclass(slots=True)
@@ -332,7 +333,7 @@ class FaultScript:
         elif fault.what == "unplug":
             for pull, _ in self._plugs(fault):
                 pull()
-            if not fault.for_s:
+            if not fault.duration_s:
                 self._end(trouble, now_s)
 
     def _end(self, trouble: ActiveFault, now_s: float) -> None:
@@ -391,15 +392,8 @@ def _with_a_bit_turned(frame: bytes, rng: np.random.Generator) -> bytes:
 
 # Which links a simulated cell has, which protocol each speaks, and which faults make no sense there.
 
-CAN_SUFFER: Mapping[str, tuple[str, ...]] = {
-    "robot": MOTION,
-    "actuator": ("freeze", "drift", "stick", "spike", "press", "lie"),
-    "force_sensor": ("freeze", "drift", "saturate", "halt", "spike", "lie"),
-    "spindle": ("reverse",),
-}
-"""The states that a device can be in: what is measured, or moved, goes wrong."""
-ROBOTS = {"link": "robot_link", "opcua": "opcua", "ads": "ads", "modbus": "modbus_tcp"}
-UNIVERSAL_ROBOTS = {"rtde": "rtde", "dashboard": "dashboard", "primary": "primary"}
+PROFILED = {"profile": "modbus_rtu", "profile_tcp": "modbus_tcp"}
+"""Protocols that a device profile names: the one that they are where it has registers."""
 
 
 def protocols(config: SimConfig, device: str) -> Mapping[str, str]:
@@ -407,22 +401,16 @@ def protocols(config: SimConfig, device: str) -> Mapping[str, str]:
 
     The one link of a device that has but one is called ``""``. ConfigError where a profile cannot be read.
     """
-    if device == "robot":
-        kind = config.robot.kind
-        return UNIVERSAL_ROBOTS if kind == "universal_robots" else {"": ROBOTS[kind]} if kind in ROBOTS else {}
-    if device in {"actuator", "spindle"}:
-        section = config.actuator if device == "actuator" else config.spindle
-        if section.kind in {"profile", "profile_tcp"}:
-            return {"": _profiled(config, section.profile, tcp=section.kind == "profile_tcp")}
-        return {"": "numbered lines" if section.kind == "serial" else section.kind}
-    return {"": "numbered lines"}
+    links = find_device(config, device).links[getattr(getattr(config, device), "kind", "")]
+    return {link: _profiled(config, device, name) if name in PROFILED else name for link, name in links.items()}
 
 
-def _profiled(config: SimConfig, profile: str, *, tcp: bool) -> str:
-    raw = SimDeviceProfile.read(config.resolve(profile)).raw
+def _profiled(config: SimConfig, device: str, kind: str) -> str:
+    """The protocol that the profile of a device names."""
+    raw = SimDeviceProfile.read(config.resolve(getattr(config, device).profile)).raw
     if "lines" in raw:
         return "numbered lines" if raw["lines"].get("framing") == "numbered" else "lines"
-    return "modbus_tcp" if tcp else "modbus_rtu"
+    return PROFILED[kind]
 
 
 def require_possible(config: SimConfig) -> None:
@@ -442,7 +430,7 @@ def _problems(config: SimConfig, fault: FaultSection) -> Iterator[tuple[str, str
         yield "device", f"there is no {fault.device} in this cell; add [{fault.device}], or remove the fault"
         return
     if fault.what in STATES:
-        can = CAN_SUFFER.get(fault.device, ())
+        can = find_device(config, fault.device).faults
         if fault.what not in can:
             yield "what", f"the {fault.device} cannot {fault.what}; it can {', '.join(can) or 'do none of that kind'}"
         if not fault.reported and config.robot.kind == "linuxcnc":

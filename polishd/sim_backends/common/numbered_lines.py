@@ -8,12 +8,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from polishd.config.simulator import SimForceSensorSection, SimLoaderSection, SimMonitorSection
+from polishd.config.simulator import SimLineSection
 from polishd.sim_backends.common.framing import MAX_LINE, body, line
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 
-OnLines = SimForceSensorSection | SimMonitorSection | SimLoaderSection
 Answer = Callable[[str], str]
 """What is answered to a request."""
 
@@ -44,7 +43,9 @@ class NumberedSlave:
         self._buffer = self._buffer[-MAX_LINE:]
 
 
-async def serve(runtime: SimRuntime, config: OnLines, machine: LineDeviceModel, answer: Answer, tick_s: float) -> None:
+async def serve(
+    runtime: SimRuntime, config: SimLineSection, machine: LineDeviceModel, answer: Answer, tick_s: float
+) -> None:
     """Answer for the machine, for good; it is brought to the present before each answer, and every ``tick_s``."""
 
     def receiver(outlet: FaultyLink) -> Feed:

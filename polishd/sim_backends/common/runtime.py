@@ -23,6 +23,7 @@ import numpy as np
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.faults import FaultScript, require_possible
+from polishd.sim_backends.common.registry import config_model
 
 # The local socket between the plant and the devices: who is there, what they do, and up to when they vouch for it.
 
@@ -131,7 +132,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def read_config(path: Path) -> SimConfig:
     """SIM.toml; ConfigError, too, where it scripts a fault that its device or its link cannot have."""
-    config = load_simulator(path)
+    config = load_simulator(path, config_model)
     require_possible(config)
     return config
 

@@ -28,6 +28,10 @@ MOST_DRIFT_N = 4.0
 Refusal = Literal["", "range", "fault"]
 
 
+COIL_FAULTS = ("freeze", "drift", "stick", "spike", "press", "lie")
+"""States of ``[[fault]]`` that it can be in."""
+
+
 @dataclass(frozen=True, slots=True)
 class CoilDynamics:
     """How fast it moves, wall time, and what its tool weighs."""
@@ -35,9 +39,9 @@ class CoilDynamics:
     land_s: float = 0.125
     """From its rest to the part."""
     lift_s: float = 0.0625
-    """From force off to its rest: for the share ``cling`` the tool stays where it is, under ``rest_n``."""
-    cling: float = 0.0
-    rest_n: float = 0.0
+    """From force off to its rest: for ``stick_share`` of it the tool stays in place, under ``resting_force_n``."""
+    stick_share: float = 0.0
+    resting_force_n: float = 0.0
 
 
 @dataclass(slots=True)
@@ -222,7 +226,7 @@ class VoiceCoil:
             return
         lifted_um = self._touched_um - LIFTED_UM
         above = self.position_um > lifted_um
-        lift_s = self.pace.lift_s * (1.0 - self.pace.cling)
+        lift_s = self.pace.lift_s * (1.0 - self.pace.stick_share)
         self.position_um = max(self.position_um - TOUCH_UM / lift_s * dt, 0.0)
         if above and self.position_um <= lifted_um:
             self.report("tool_lifted", self.now_s)
@@ -231,14 +235,14 @@ class VoiceCoil:
 
     def _clings(self, dt: float) -> bool:
         """The force goes, and the tool still rests on the part for a while."""
-        rest_n = min(self.pace.rest_n, self.force_n)
-        if self.force_n > rest_n:
-            self.force_n = max(self.force_n - FALL_N_S * dt, rest_n)
-            if self.force_n == rest_n > 0.0:
-                self.report("force_off", self.now_s, rests_n=rest_n)
+        resting_force_n = min(self.pace.resting_force_n, self.force_n)
+        if self.force_n > resting_force_n:
+            self.force_n = max(self.force_n - FALL_N_S * dt, resting_force_n)
+            if self.force_n == resting_force_n > 0.0:
+                self.report("force_off", self.now_s, rests_n=resting_force_n)
             return True
         self._clung_s += dt
-        clings = self._clung_s < self.pace.lift_s * self.pace.cling
+        clings = self._clung_s < self.pace.lift_s * self.pace.stick_share
         self._clung_s = self._clung_s if clings else 0.0
         return clings
 

@@ -11,9 +11,12 @@ import time
 from functools import partial
 from pathlib import Path
 
+from polishd.config import simulator
+from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ConfigError, DeviceFault
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.faults import SpeedOverride
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime
 from polishd.sim_backends.linuxcnc import pendant
 from polishd.sim_backends.linuxcnc.machine import (
@@ -53,7 +56,7 @@ class LinuxCncServer:
         hidden = hidden_truth.draw(start.config.hidden_truth, start.seed)
         self.folder = start.state / "linuxcnc"
         self.machine = LinuxCncConfig(start.config.robot, pose, hidden.accel_mm_s2)
-        self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.turns))
+        self.sampled = Sampled(pose, time.monotonic(), to_pose=partial(pose_of, start.config.robot.rotary_axes_carry))
         self._runtime = runtime
         self._process: asyncio.subprocess.Process | None = None
         self._moved = self._rested = False
@@ -178,3 +181,15 @@ async def main(runtime: SimRuntime) -> None:
     if shutil.which("linuxcnc") is None:
         raise ConfigError("linuxcnc is not installed. To do: apt-get install linuxcnc-uspace")
     await LinuxCncServer(runtime).run()
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="linuxcnc",
+        device="robot",
+        section=SimRobotSection,
+        links={"linuxcnc": {}},
+        main=main,
+        faults=simulator.MOTION,
+    )
+]

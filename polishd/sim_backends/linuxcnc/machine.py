@@ -241,14 +241,14 @@ class LinuxCncConfig:
             top=top,
             mount=MOUNT,
             programs=PROGRAMS,
-            kinematics=KINEMATICS[robot.turns],
+            kinematics=KINEMATICS[robot.rotary_axes_carry],
         )
         ranges = (robot.x_mm, robot.y_mm, robot.z_mm, self._tilt_deg, (-ANY_DEG, ANY_DEG))
-        homes = joints_of(robot.turns, self.pose)
+        homes = joints_of(robot.rotary_axes_carry, self.pose)
         reach = math.hypot(*(max(map(abs, limits)) for limits in ranges[:3]))
         for joint, (axis, (low, high), home) in enumerate(zip(AXES, ranges, homes, strict=True)):
             turns = axis in "AC"
-            wide = robot.turns == "table" and not turns
+            wide = robot.rotary_axes_carry == "table" and not turns
             head += _AXIS.format(
                 axis=axis,
                 joint=joint,
@@ -266,7 +266,7 @@ class LinuxCncConfig:
     @property
     def _tilt_deg(self) -> tuple[float, float]:
         low, high = self.robot.a_deg
-        return (low, high) if self.robot.turns == "tool" else (-high, -low)
+        return (low, high) if self.robot.rotary_axes_carry == "tool" else (-high, -low)
 
     def hal(self) -> str:
         """``machine.hal``: motors that are where they are told, a sampler that tells where, the gate.

@@ -99,7 +99,7 @@ def swelling_nm(part: TruePart, config: SimConfig, since_s: float) -> FloatArray
     """(map rows, map columns) by which the part stands higher so long after a pass (simulated clock): it is warm."""
     rows, columns = part.valid.shape
     radius = Grid(rows, columns, part.grid.pitch_mm).radius_mm() / config.plant.outline.radius_mm
-    return np.asarray(config.hidden_truth.warm_nm * math.exp(-since_s / config.hidden_truth.warm_s) * radius**2)
+    return np.asarray(config.hidden_truth.thermal_nm * math.exp(-since_s / config.hidden_truth.thermal_s) * radius**2)
 
 
 def fill(height_nm: FloatArray) -> FloatArray:

@@ -344,7 +344,9 @@ class World:
         booked = self.account.way_out is not None or self.account.pit is not None
         before = self.part.height_nm.copy() if booked else None
         touches = ContactPoints(place, axis, self._shape.under(place))
-        rate = (1.0 - self.config.hidden_truth.worn) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
+        rate = (
+            (1.0 - self.config.hidden_truth.tool_wear) * self.hidden.rate_at(begin) * self.effects.rate(place, worked)
+        )
         seconds = rows[:, DT] * rate
         self._tool.wear(self.part, touches, self._frames, force_n=force, rpm=rpm, seconds=seconds)
         self._book(program, rows, place, np.stack([force, np.abs(rpm)], axis=1))
@@ -417,7 +419,7 @@ class World:
         grid = self.part.grid
         half_x, half_y = grid.nx * grid.pitch_mm / 2.0, grid.ny * grid.pitch_mm / 2.0
         flat = (np.abs(place[:, 0]) <= half_x) & (np.abs(place[:, 1]) <= half_y)
-        if self.config.plant.seat_empty:
+        if self.config.plant.part_missing:
             flat &= ~self.config.plant.outline.contains(place[:, 0], place[:, 1])
         return np.asarray(flat & (np.abs(self._gap_mm(place, local)) <= REACH_MM))
 
@@ -442,9 +444,9 @@ class World:
 
     def _force_noise(self, seconds: FloatArray) -> FloatArray:
         """Relative force error, correlated over ``force_noise_s`` of process time."""
-        truth = self.config.hidden_truth
-        keep = np.exp(-seconds / truth.force_noise_s)
-        kick = truth.force_noise * np.sqrt(1.0 - keep**2) * self.rng.standard_normal(len(seconds))
+        hidden_truth = self.config.hidden_truth
+        keep = np.exp(-seconds / hidden_truth.force_noise_s)
+        kick = hidden_truth.force_noise * np.sqrt(1.0 - keep**2) * self.rng.standard_normal(len(seconds))
         noise = np.empty(len(seconds))
         level = self._noise
         for k, (k_keep, k_kick) in enumerate(zip(keep.tolist(), kick.tolist(), strict=True)):

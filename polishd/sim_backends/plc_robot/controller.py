@@ -256,5 +256,5 @@ class Plc:
         if self._state() == PAUSED and executed:
             return done, wall(executed[-1][1])
         began_s = wall(executed[-1][2]) if executed else motion.changed_s
-        ahead = self.config.reads_ahead if motion.state == "running" else 0
+        ahead = self.config.read_ahead_lines if motion.state == "running" else 0
         return min(done + 1 + ahead, max(motion.path.blocks, 1)), began_s

@@ -7,6 +7,8 @@ import signal
 import time
 from pathlib import Path
 
+from polishd.config.simulator import MOTION, SimRobotSection
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import SimTcpConnection, SimWire
 from polishd.sim_backends.plc_robot import servers
@@ -81,3 +83,15 @@ async def _over_ads(runtime: SimRuntime, server: PlcServer) -> None:
     await loop.create_server(lambda: SimTcpConnection(wire), host, servers.TCP_PORT)
     wire.ready(f"ads://{host}/{host}.1.1:{servers.AMS_PORT}")
     await server.run()
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="plc_robot",
+        device="robot",
+        section=SimRobotSection,
+        links={"opcua": {"": "opcua"}, "ads": {"": "ads"}, "modbus": {"": "modbus_tcp"}},
+        main=main,
+        faults=MOTION,
+    )
+]

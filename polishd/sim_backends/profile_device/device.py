@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Protocol
 
+from polishd.config.simulator import SimSpindleSection
 from polishd.sim_backends.common import framing as numbered
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
 from polishd.sim_backends.common.framing import RtuSlave, TcpSlave
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 from polishd.sim_backends.profile_device.machine import Inverter, ProfileDeviceModel
@@ -177,7 +179,7 @@ class ProfileRegisters:
     def _read(self, function: int, address: int, count: int) -> bytes | int:
         table = self._cells(TABLES[function])
         values = [table.get(address + at) for at in range(count)]
-        if not 1 <= count <= self.sheet.raw["modbus"].get("most", 125) or None in values:
+        if not 1 <= count <= self.sheet.raw["modbus"].get("max_registers", 125) or None in values:
             return ILLEGAL_ADDRESS
         words = [value or 0 for value in values]
         if function > 2:
@@ -239,7 +241,7 @@ class ProfileRegisters:
         refusal = self.machine.order(*order) if order else self._foreign(name)
         if refusal and before is not None:
             self.stored[name] = before
-        if order and order[0] == "beat":
+        if order and order[0] == "heartbeat":
             self.stored["beat_echo"] = number
         return CODES[refusal] if refusal else 0
 
@@ -335,3 +337,15 @@ async def _tick(runtime: SimRuntime, drive: Inverter) -> None:
         runtime.link.samples(drive.samples, drive.now_s)
         drive.samples = []
         await asyncio.sleep(TICK_S)
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="profile_device",
+        device="spindle",
+        section=SimSpindleSection,
+        links={"profile": {"": "profile"}, "profile_tcp": {"": "profile_tcp"}},
+        main=main,
+        faults=("reverse",),
+    )
+]

@@ -76,7 +76,7 @@ class ForceDrive:
             return ("fault" if lands and coil.faults else coil.set_force(asked)) or (coil.engage() if lands else "")
         if name == "watchdog":
             return coil.set_watchdog(round(asked))
-        if name == "beat":
+        if name == "heartbeat":
             return coil.feed(round(asked))
         orders: dict[str, Callable[[], str]] = {"engage": coil.engage, "retract": coil.retract, "clear": coil.retract}
         return orders[name]()

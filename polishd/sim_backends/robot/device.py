@@ -6,7 +6,9 @@ import asyncio
 import signal
 import time
 
+from polishd.config.simulator import MOTION, SimRobotSection
 from polishd.sim_backends.common import framing
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 from polishd.sim_backends.robot.controller import Client, SimRobotController
@@ -72,3 +74,15 @@ async def main(runtime: SimRuntime) -> None:
     runtime.button(signal.SIGUSR2, lambda: server.controller.press("pause at the pendant", time.monotonic()))
     wire.ready(f"tcp://{address}")
     await server.run()
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="robot_link",
+        device="robot",
+        section=SimRobotSection,
+        links={"link": {"": "robot_link"}},
+        main=main,
+        faults=MOTION,
+    )
+]

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polishd.config.simulator import MOTION, SimRobotSection
 from polishd.sim_backends.common import hidden_truth
+from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 from polishd.sim_backends.universal_robots.arm import (
@@ -314,3 +316,15 @@ async def main(runtime: SimRuntime) -> None:
     runtime.button(signal.SIGUSR2, machine.pause)
     wires[0].ready(f"tcp://{address}")
     await server.run()
+
+
+SIM_DEVICES = [
+    SimDevice(
+        name="universal_robots",
+        device="robot",
+        section=SimRobotSection,
+        links={"universal_robots": {"rtde": "rtde", "dashboard": "dashboard", "primary": "primary"}},
+        main=main,
+        faults=MOTION,
+    )
+]

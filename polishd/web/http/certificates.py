@@ -1,4 +1,4 @@
-"""The TLS certificate of a server while it runs: said before it expires, and taken up when its files change."""
+"""The TLS certificate of a running server: warn before it expires, and load it again when its files change."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from polishd.util.secret_files import require_private
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
-"""Between two looks at the files."""
+"""Interval between two checks of the files."""
 WARN_S = 21 * 86400.0
-"""So long before it expires that is said."""
+"""Lead time of the warning before the certificate expires."""
 EXPIRY_AGAIN_S = 86400.0
-"""After so long it is said again."""
+"""Time until the warning is repeated."""
 
 
 class Certificate:
-    """The files of ``[web]``, and the context that was made of them last. New connections use the newest context."""
+    """The files of ``[web]``, and the newest context made from them. New connections use the newest context."""
 
     def __init__(self, document: TomlDocument, cert: str, key: str, clock: Callable[[], float] = time.time) -> None:
         """ConfigError, with the key's line, where the files are no certificate with its key."""
@@ -43,7 +43,7 @@ class Certificate:
 
     @classmethod
     def of(cls, document: TomlDocument, web: WebSection) -> Self | None:
-        """None where the section names none. ConfigError as above."""
+        """Certificate of a section; None where it names none. ConfigError as above."""
         return None if web.cert is None or web.key is None else cls(document, web.cert, web.key)
 
     def context(self) -> ssl.SSLContext:
@@ -56,12 +56,12 @@ class Certificate:
         return self._first
 
     def look(self) -> None:
-        """Take the files up where they have changed, and say what is wrong.
+        """Load the files again where they changed, and return the problems.
 
-        Files that cannot be used change nothing.
+        Invalid files change nothing.
         """
         signature = self._signature()
-        if signature != self._seen or self._problem:  # a problem may have been that they were half replaced
+        if signature != self._seen or self._problem:  # the files may have been replaced only in part
             try:
                 found = self._loaded()
             except PolishdError as error:
@@ -94,7 +94,7 @@ class Certificate:
         return ""
 
     def _say(self) -> None:
-        """Each thing once, and again each day."""
+        """Log each problem once, and again each day."""
         wrong = "; ".join(filter(None, (self._problem, self._expiry())))
         kind = f"{self._problem} {self._expires_s} {self._expires_s < self._clock()}" if wrong else ""
         said, at_s = self._said
@@ -115,7 +115,7 @@ class Certificate:
         return tuple(found)
 
     def _loaded(self) -> tuple[ssl.SSLContext, float]:
-        """A context of the files as they are, and until when the certificate is valid."""
+        """TLS context of the present files, and the end of the certificate's validity."""
         self._require_private_key()
         try:
             chain = x509.load_pem_x509_certificates(self._cert.read_bytes())
@@ -146,22 +146,22 @@ class Certificate:
         return self._document.error(key, f"{path} {problem}. Name the {named}")
 
 
-class Watch:
-    """Looks at a certificate in a thread of its own, until it is ended: a disk that hangs holds up nothing else."""
+class CertificateMonitor:
+    """Check a certificate in a separate thread, so that a disk that hangs blocks nothing else."""
 
     def __init__(self, certificate: Certificate) -> None:
         self._certificate, self._ended = certificate, threading.Event()
         threading.Thread(target=self._look_on, name="certificate", daemon=True).start()
 
     def end(self) -> None:
-        """Idempotent; the thread ends by itself."""
+        """End the thread, without waiting for it. Idempotent."""
         self._ended.set()
 
     def _look_on(self) -> None:
         while not self._ended.is_set():
             try:
                 self._certificate.look()
-            except Exception:  # whatever is in the files: this thread goes on
+            except Exception:  # the thread must survive any content of the files
                 log.exception("looking at the TLS certificate failed; it is looked at again")
             self._ended.wait(LOOK_S)
 

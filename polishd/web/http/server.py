@@ -1,4 +1,4 @@
-"""The server of an application: one process, one address, and the errors that all applications answer alike."""
+"""The server of an application: one process, one address, and common answers to errors."""
 
 from __future__ import annotations
 
@@ -24,35 +24,37 @@ from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from polishd.config.server_sections import WebSection
 from polishd.model.errors import ConfigError, JournalDamage, PolishdError
 from polishd.util.serialization import finite
-from polishd.web.http.certificates import Certificate, Watch
+from polishd.web.http.certificates import Certificate, CertificateMonitor
 
-# Connections that cost: how many one address may hold open, and how long the head of a request may take to come.
+# Limits of connections: number for each address, and time for the head of a request.
 
 HEAD_S = 10.0
-"""Within so long of its first byte, or of the connection, the head of a request must have come."""
+"""Time limit for the head of a request, from its first byte or from the connection."""
 MOST_OF_ADDRESS = 300
-"""Open at once from one address: each page that watches has two or three."""
+"""Most open connections from one address: each page has two or three."""
 MOST = 1000
-"""Open at once from all."""
+"""Most open connections in all."""
 
 
-class Bounded(H11Protocol):
-    """Uvicorn's, with these bounds; what breaks them is closed without a word."""
+class BoundedProtocol(H11Protocol):
+    """Uvicorn's protocol with these limits; a client that exceeds them is disconnected."""
 
     _head: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take it, or close it where there are too many."""
+        """Accept the connection, or close it where there are too many."""
         super().connection_made(transport)
         host = self.client[0] if self.client else ""
-        of_it = sum(1 for one in self.connections if isinstance(one, Bounded) and one.client and one.client[0] == host)
+        of_it = sum(
+            1 for one in self.connections if isinstance(one, BoundedProtocol) and one.client and one.client[0] == host
+        )
         if len(self.connections) > MOST or of_it > MOST_OF_ADDRESS:
             transport.abort()
         else:
             self._await_head()
 
     def data_received(self, data: bytes) -> None:
-        """Of a request whose head has come nothing more is asked here: its body is the guard's business."""
+        """End the time limit after the head of a request: the guard limits its body."""
         super().data_received(data)
         if self.conn.their_state is not h11.IDLE:
             self._rest()
@@ -60,7 +62,7 @@ class Bounded(H11Protocol):
             self._await_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is awaited any more."""
+        """End the time limit."""
         self._rest()
         super().connection_lost(exc)
 
@@ -74,16 +76,16 @@ class Bounded(H11Protocol):
 
     def _too_slow(self) -> None:
         self._head = None
-        cycle: RequestResponseCycle | None = self.cycle  # before a first request there is none, whatever its type says
+        cycle: RequestResponseCycle | None = self.cycle  # None before a first request, despite its type
         if not self.transport.is_closing() and (cycle is None or cycle.response_complete):
             self.transport.abort()
 
 
-# What stands before every handler: names by which it is asked for, how large and slow a body may be, and headers.
+# Checks before every handler: host names, size and time of a body, and headers.
 
 BODY_BYTES = 1 << 16
 BODY_S = 5.0
-"""Within so long all of a body must have come."""
+"""Time limit for a whole body."""
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -97,7 +99,7 @@ HEADERS = {
 
 
 def hosts_of(web: WebSection) -> set[str]:
-    """Names by which it may be asked for, without ports."""
+    """Valid host names, without ports."""
     return {"localhost", "127.0.0.1", "::1", web.address.lower(), *(host.lower() for host in web.hosts)}
 
 
@@ -108,7 +110,7 @@ class RequestGuard:
         self._app, self._hosts, self._most_bytes = app, hosts, most_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse it, or hand it on with its body whole."""
+        """Refuse the request, or pass it on with its whole body."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -141,7 +143,7 @@ class RequestGuard:
 
 
 async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: int) -> bytes | JSONResponse:
-    """The whole body, or the refusal of it."""
+    """Read the whole body, or refuse it."""
     if method in {"GET", "HEAD"}:
         return b""
     try:
@@ -152,8 +154,8 @@ async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: in
         return refusal(413, str(error))
 
 
-class Json(JSONResponse):
-    """JSON in ASCII: all text has an encoding, and shown as it came, as by curl, it moves no terminal."""
+class JsonAnswer(JSONResponse):
+    """JSON in ASCII: every text can be encoded, and control characters cannot reach a terminal."""
 
     def render(self, content: Any) -> bytes:
         """See JSONResponse."""
@@ -161,12 +163,12 @@ class Json(JSONResponse):
 
 
 def refusal(status: int, error: str) -> JSONResponse:
-    """In the form that all errors have."""
-    return Json({"ok": False, "error": error}, status)
+    """Error answer in the common form."""
+    return JsonAnswer({"ok": False, "error": error}, status)
 
 
 def host_name(value: str) -> str:
-    """Of a ``Host`` header, without its port."""
+    """Name in a ``Host`` header, without its port."""
     name = value.strip().lower()
     if name.startswith("["):
         name = name[1:].partition("]")[0]
@@ -179,8 +181,8 @@ def host_name(value: str) -> str:
 
 
 async def _body(headers: Headers, receive: Receive, most_bytes: int) -> bytes:
-    told = headers.get("content-length", "0")
-    if not told.isdecimal() or int(told) > most_bytes:
+    length = headers.get("content-length", "0")
+    if not length.isdecimal() or int(length) > most_bytes:
         raise ValueError(f"the body is more than {most_bytes} bytes")
     body, more = b"", True
     async with asyncio.timeout(BODY_S):
@@ -198,31 +200,31 @@ async def _body(headers: Headers, receive: Receive, most_bytes: int) -> bytes:
 log = logging.getLogger(__name__)
 
 LEAVE_S = 2
-"""For so long the process waits at its end for those who watch."""
+"""Time for which the process waits at its end for open streams."""
 NONE = ("none of that job", "no such map")
-"""Words of what is not there, and was not asked for wrongly."""
+"""Messages about missing resources."""
 
 
 def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> None:
-    """Until Ctrl-C or SIGTERM, where that section says; ``certificate``: the one that it names."""
+    """Serve at the section's address until Ctrl-C or SIGTERM; ``certificate``: the one of the section."""
     settings = uvicorn.Config(
         app,
         host=web.address,
         port=web.port,
-        access_log=False,  # of whoever watches; who ordered what is in a journal
-        log_config=None,  # so that what it logs reaches the terminal as all else does
+        access_log=False,  # orders are in a journal
+        log_config=None,  # so that its log reaches the terminal
         log_level="warning",
         server_header=False,
         date_header=False,
         proxy_headers=False,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=LEAVE_S,
-        http=Bounded,
+        http=BoundedProtocol,
         ws="none",
     )
     settings.load()
     settings.ssl = None if certificate is None else certificate.context()
-    watch = None if certificate is None else Watch(certificate)
+    watch = None if certificate is None else CertificateMonitor(certificate)
     try:
         _Server(settings).run()
     finally:
@@ -231,7 +233,7 @@ def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> Non
 
 
 class _Server(uvicorn.Server):
-    """Says where it listens, once it does."""
+    """Print the address once it listens."""
 
     async def startup(self, sockets: list[Any] | None = None) -> None:
         await super().startup(sockets)
@@ -240,11 +242,11 @@ class _Server(uvicorn.Server):
             for socket in server.sockets:
                 host, port = socket.getsockname()[:2]
                 name = f"[{host}]" if ":" in host else host
-                print(f"{scheme}://{name}:{port}/", flush=True)  # noqa: T201 - whoever started it waits for this line
+                print(f"{scheme}://{name}:{port}/", flush=True)  # noqa: T201 - the starting process waits for this line
 
 
 async def answered(work: Awaitable[Any]) -> Response:
-    """What a handler gives, as JSON; an error of the tree as a refusal."""
+    """Result of a handler as JSON; a polishd error as a refusal."""
     try:
         found = await work
     except JournalDamage as error:
@@ -253,47 +255,47 @@ async def answered(work: Awaitable[Any]) -> Response:
         return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
     except PolishdError as error:
         return refusal(502, str(error))
-    return found if isinstance(found, Response) else Json(finite(found))
+    return found if isinstance(found, Response) else JsonAnswer(finite(found))
 
 
 async def _no_such(_request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
     said = refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
-    said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 says what can be done
+    said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 lists the allowed methods
     return said
 
 
 async def _fault(request: Request, error: Exception) -> Response:
-    """It is in the log; nobody outside is told what the source looks like."""
+    """Log the fault; the answer reveals nothing about the source."""
     log.error("%s %s failed: %s", request.method, request.url.path, type(error).__name__)
     return refusal(500, "a fault of polishd; its log says more")
 
 
 HANDLERS: Mapping[Any, Any] = {HTTPException: _no_such, Exception: _fault}
-"""Of a Starlette application: how it answers what nobody foresaw."""
+"""Exception handlers of a Starlette application."""
 
 
-# How much one may ask, and how often be wrong.
+# Rate limits and lockout.
 
 PER_S, BURST = 50.0, 100.0
-"""Requests of one user, or of one address that has not signed in."""
+"""Requests of one user, or of one address without a user."""
 WRONG, LOCKED_S = 5, 60.0
-"""Wrong tokens of one user at one address, and the time for which this user is then locked out there."""
+"""Wrong tokens of one user at one address, and the time of the lockout there."""
 BUDGET = 30
-"""Wrong tokens of one address, whatever users they name, within ``LOCKED_S``."""
+"""Wrong tokens of one address for any users, within ``LOCKED_S``."""
 MOST_KEPT = 10_000
-"""Addresses, and users at addresses, that are remembered."""
+"""Most remembered addresses, and users at addresses."""
 
 
 class RateLimiter:
-    """A bucket for each name, which fills by ``PER_S``."""
+    """Token bucket for each name, filled at ``PER_S``."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._left: dict[str, tuple[float, float]] = {}
 
     def takes(self, name: str) -> bool:
-        """Whether one more fits."""
+        """Whether one more request is allowed."""
         now_s = self._clock()
         left, at_s = self._left.pop(name, (BURST, now_s))
         left = min(BURST, left + PER_S * (now_s - at_s))
@@ -303,9 +305,9 @@ class RateLimiter:
 
 
 class LoginLockout:
-    """Counts wrong tokens, by user and address and by address alone.
+    """Count wrong tokens, by user and address, and by address alone.
 
-    A user who has signed in from an address is not locked out there by the wrong tokens of others.
+    Wrong tokens of others do not lock out a user who has signed in from the same address.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -315,11 +317,11 @@ class LoginLockout:
         self._signed_in: dict[tuple[str, str], tuple[float, float]] = {}
 
     def knows(self, address: str, user: str) -> bool:
-        """Return whether that user has brought a right token from that address."""
+        """Return whether that user has used a valid token from that address."""
         return (address, user) in self._signed_in
 
     def locked(self, address: str, user: str) -> bool:
-        """Return whether no token of that user is taken at that address now."""
+        """Return whether that user is locked out at that address now."""
         key = address, user
         count, at_s = self._wrong.get(key, (0, 0.0))
         if count and self._clock() - at_s > LOCKED_S:
@@ -328,7 +330,7 @@ class LoginLockout:
         return count >= WRONG or self._budget(address) < 1.0
 
     def wrong(self, address: str, user: str) -> None:
-        """Count one more; what a locked user tries costs the address nothing."""
+        """Count one more wrong token; trials of a locked-out user do not count against the address."""
         key = address, user
         count, _ = self._wrong.pop(key, (0, 0.0))
         self._wrong[key] = (count + 1, self._clock())
@@ -352,15 +354,15 @@ class LoginLockout:
         return min(float(BUDGET), left + BUDGET / LOCKED_S * (self._clock() - at_s))
 
 
-class Shares:
-    """Streams that each user holds open, at most ``most`` each and ``in_all`` together."""
+class ClientShares:
+    """Open streams of each user, at most ``most`` each and ``in_all`` together."""
 
     def __init__(self, most: int, in_all: int) -> None:
         self._most, self._in_all = most, in_all
         self._open: Counter[str] = Counter()
 
     def refusal(self, user: str) -> tuple[int, str] | None:
-        """Return status and reason why one more does not fit; None where it fits."""
+        """Return status and reason where one more stream is refused; None where it is allowed."""
         if self._open[user] >= self._most:
             return 429, f"{user} holds {self._most} event streams open, the most for one user: close a page"
         if self._open.total() >= self._in_all:
@@ -369,13 +371,13 @@ class Shares:
 
     @contextmanager
     def one(self, user: str) -> Iterator[None]:
-        """Hold one of that user open inside this block."""
+        """Hold one stream of that user open inside this block."""
         self._open[user] += 1
         try:
             yield
         finally:
             self._open[user] -= 1
-            self._open += Counter()  # those at zero are forgotten
+            self._open += Counter()  # forget names at zero
 
 
 def _forget(kept: dict[Any, tuple[float, float]]) -> None:

@@ -1,4 +1,4 @@
-"""Who may watch and order: names, roles, and hashes of tokens. A token is told once, when it is made."""
+"""Users who may watch and give orders: names, roles, and hashes of tokens. A token is shown once, when it is made."""
 
 from __future__ import annotations
 
@@ -23,51 +23,51 @@ from polishd.web.http.server import LoginLockout
 
 FILE_NAME = "web-users.json"
 MOST_CHARACTERS = 200
-"""Of a token that is looked at."""
+"""Longest token that is checked."""
 NAME = r"[\w.-]{1,64}"
 
 
 class Role(StrEnum):
-    """Each may what those before it may."""
+    """Roles in rising order; each has the rights of those before it."""
 
     WATCH = "watch"
     OPERATE = "operate"
     ENGINEER = "engineer"
 
     def may(self, needed: Role) -> bool:
-        """Whether that suffices."""
+        """Whether the role has these rights."""
         return list(Role).index(self) >= list(Role).index(needed)
 
 
 @dataclass(frozen=True, slots=True)
 class User:
-    """Somebody who has a token."""
+    """A user with a token."""
 
     name: str
     role: Role
 
 
 def users_path(config: CellConfig) -> Path:
-    """Where they are kept."""
+    """Path of the users' file."""
     return config.state_dir / FILE_NAME if config.web.users is None else config.resolve(config.web.users)
 
 
 class UserFile:
-    """Those of one file. It is read anew at each question: who was removed is out at once."""
+    """Users of one file, which is read at each request, so that a removed user has no access at once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Whether there are users."""
         return bool(self._read())
 
     def __iter__(self) -> Iterator[str]:
-        """Their names."""
+        """Names of the users."""
         return iter(sorted(self._read()))
 
     def of_token(self, token: str) -> User | None:
-        """Whose token it is; all hashes are compared, in constant time each."""
+        """User of a token; all hashes are compared, in constant time each."""
         digest, found = _digest(token[:MOST_CHARACTERS]), None
         for name, facts in self._read().items():
             if hmac.compare_digest(digest, facts["token_sha256"]):
@@ -75,12 +75,12 @@ class UserFile:
         return found
 
     def still(self, user: User) -> bool:
-        """Whether that user is there with that role."""
+        """Whether this user has this role."""
         facts = self._read().get(user.name)
         return facts is not None and facts["role"] == user.role
 
     def add(self, name: str, role: Role) -> str:
-        """A new token for that name, in the place of an older one. ConfigError where the name is none."""
+        """Make a new token for a name, in place of an older one. ConfigError for an invalid name."""
         if not re.fullmatch(NAME, name, re.ASCII):
             raise ConfigError(f"{name!r} is no name of a user: up to 64 letters, digits, '.', '_' and '-'")
         token = f"{name}.{secrets.token_urlsafe(32)}"
@@ -88,7 +88,7 @@ class UserFile:
         return token
 
     def remove(self, name: str) -> None:
-        """ConfigError where there is none."""
+        """Remove a user. ConfigError where there is none."""
         known = dict(self._read())
         if known.pop(name, None) is None:
             raise ConfigError(f"{self.path}: there is no user {name!r}")
@@ -118,11 +118,11 @@ def named_by(token: str) -> str:
 
 
 def _digest(token: str) -> str:
-    """Of 256 random bits no slow hash is needed: nobody guesses them. Text that is no Unicode has a hash, too."""
+    """Hash of a token. 256 random bits cannot be guessed, so a fast hash is safe. Invalid Unicode has a hash, too."""
     return hashlib.sha256(token.encode(errors="surrogatepass")).hexdigest()
 
 
-# Who asks: by the cookie of a browser that has signed in, or by the token of a program.
+# Identification by the cookie of a signed-in browser, or by the token of a program.
 
 COOKIE = "polishd"
 MOST_SESSIONS = 1000
@@ -130,22 +130,22 @@ MOST_SESSIONS = 1000
 
 @dataclass(frozen=True, slots=True)
 class HttpSession:
-    """A browser that has signed in, or a program that brings its token with each request."""
+    """A signed-in browser, or a program that sends its token with each request."""
 
     user: User
     csrf: str = ""
-    """What a page must send along with whatever changes something; empty: of a program, which no other site can use."""
+    """Token that a page must send with each change; empty for a program, which another site cannot use."""
 
 
 class SessionStore:
-    """Those of this process: with its end all are out."""
+    """Sessions of this process; its end ends all."""
 
     def __init__(self, users: UserFile) -> None:
         self._users, self.lockout = users, LoginLockout()
         self._of_cookie: dict[str, HttpSession] = {}
 
     def of(self, request: Request, *, exempt: bool = False) -> HttpSession | None:
-        """Whose request it is; ``exempt``: a token is looked at also from where too many wrong ones came."""
+        """Session of a request; ``exempt``: check a token also from an address with too many wrong ones."""
         bearer = request.headers.get("authorization", "")
         if bearer[:7].lower() == "bearer ":
             user = self.user_of(bearer[7:].strip(), address_of(request), exempt=exempt)
@@ -181,7 +181,7 @@ class SessionStore:
         return not self.lockout.knows(address, user.name) and self.lockout.locked(address, user.name)
 
     def begin(self, user: User) -> tuple[str, HttpSession]:
-        """A new one, and its cookie's value."""
+        """Begin a session; return it with its cookie's value."""
         cookie, session = secrets.token_urlsafe(32), HttpSession(user, secrets.token_urlsafe(32))
         self._of_cookie[cookie] = session
         while len(self._of_cookie) > MOST_SESSIONS:
@@ -189,28 +189,28 @@ class SessionStore:
         return cookie, session
 
     def end(self, request: Request) -> None:
-        """That of this browser."""
+        """End the session of this browser."""
         self._of_cookie.pop(request.cookies.get(COOKIE, ""), None)
 
 
 def address_of(request: Request) -> str:
-    """Where it comes from; no header is believed on that."""
+    """Address of the request; headers are not trusted for it."""
     return "" if request.client is None else request.client.host
 
 
 def forged(request: Request, session: HttpSession) -> str:
-    """Why a request that changes something is not of our own page; empty where it is, or of a program."""
+    """Reason why a changing request is not from this page; empty where it is, or for a program."""
     if foreign_origin(request):
         return "it comes from another site's page"
     if session.csrf and not hmac.compare_digest(
         request.headers.get("x-csrf-token", "").encode(), session.csrf.encode()
     ):
-        return "x-csrf-token is missing or wrong; GET /api/session tells it"
+        return "x-csrf-token is missing or wrong; get it from GET /api/session"
     return ""
 
 
 def foreign_origin(request: Request) -> bool:
-    """A page of another site asks."""
+    """Whether a page of another site sends the request."""
     origin = request.headers.get("origin")
     if origin is None:
         return request.headers.get("sec-fetch-site", "same-origin") not in {"same-origin", "none"}

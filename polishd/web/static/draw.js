@@ -44,7 +44,7 @@ export function line(canvas, title, points, { marks = [], log = false, dots = fa
   for (const p of marks) { g.beginPath(); g.arc(...at(p), 7, 0, 7); g.stroke(); }
 }
 
-// Blue is low, yellow is high (as cividis), so that lightness alone tells it.
+// Blue is low, yellow is high (as cividis), so that lightness alone shows the height.
 function shade(t) {
   const a = [0, 34, 78], b = [124, 123, 120], c = [254, 232, 56], u = t < 0.5 ? t * 2 : t * 2 - 1;
   const [p, q] = t < 0.5 ? [a, b] : [b, c];

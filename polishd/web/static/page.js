@@ -66,7 +66,7 @@ function watch() {
   });
   stream.addEventListener("happened", (event) => {
     const { name } = JSON.parse(event.data);
-    if (name !== "progress") refresh();
+    if (name !== "pass_progressed") refresh();
   });
   stream.addEventListener("error", () => { known.heard = -Infinity; show(); });
   stream.addEventListener("open", refresh);
@@ -78,11 +78,11 @@ function link() {
 setInterval(() => known.session && show(), 250);
 
 function keepLines() {
-  const told = known.state.live?.told ?? {};
+  const readings = known.state.live?.readings ?? {};
   const fresh = (one) => one && one.age_s < OLD_S;
   const add = (name, value) => { const kept = known.lines[name]; kept.push([Date.now() / 1000, value]); if (kept.length > KEPT) kept.shift(); };
-  add("force", fresh(told.force) ? told.force.force_n : null);
-  add("speed", fresh(told.speed) ? told.speed.rpm : null);
+  add("force", fresh(readings.force) ? readings.force.force_n : null);
+  add("speed", fresh(readings.speed) ? readings.speed.rpm : null);
 }
 
 // what is shown at once
@@ -106,7 +106,7 @@ function show() {
   table(live, Number.isFinite(passed) ? passed : 1e9);
   draw.line($("force-line"), texts.charts.force, known.lines.force);
   draw.line($("speed-line"), texts.charts.speed, known.lines.speed);
-  if (known.map) draw.map($("map"), $("map-said").textContent, known.map, known.plan, up && live.pressing ? live.told.robot?.executed ?? null : null);
+  if (known.map) draw.map($("map"), $("map-said").textContent, known.map, known.plan, up && live.pressing ? live.readings.robot?.executed ?? null : null);
 }
 function buttons(how, live) {
   const may = known.session && known.session.role !== "watch";
@@ -118,7 +118,7 @@ function buttons(how, live) {
   set("acknowledge", may && how === "up");
 }
 function progress(live) {
-  const total = known.plan?.block.at(-1), done = live.told.robot?.executed;
+  const total = known.plan?.block.at(-1), done = live.readings.robot?.executed;
   const running = live.phase === "run" && total && done !== undefined;
   $("done").hidden = !running;
   if (running) $("done").value = Math.min(1, done / total);
@@ -126,14 +126,15 @@ function progress(live) {
     + (running ? `, ${texts.block} ${done} / ${total}` : "") + `; ${live.pressing ? texts.touches : texts.off}`);
 }
 function table(live, passed) {
-  const told = live.told, rows = [];
+  const { readings } = live, rows = [];
   const add = (name, value, age) => rows.push([name, value, age === null || age === undefined ? null : age + passed]);
   const { names } = texts;
-  add(names.force, told.force ? `${told.force.force_n.toFixed(2)} N (${told.force.setpoint_n.toFixed(1)})` : texts.none, told.force?.age_s);
-  add(names.speed, told.speed ? `${told.speed.rpm.toFixed(0)} rpm` : texts.none, told.speed?.age_s);
-  if (told.sensed) add(names.sensed, `${told.sensed.force_n.toFixed(2)} N`, told.sensed.age_s);
-  add(names.robot, told.robot ? `${told.robot.state}, ${texts.block} ${told.robot.executed}` : texts.none, told.robot?.age_s);
-  if (told.robot) add(names.buffer, `${told.robot.buffer_s.toFixed(1)} s`, told.robot.age_s);
+  const { force, speed, sensed, robot } = readings;
+  add(names.force, force ? `${force.force_n.toFixed(2)} N (${force.setpoint_n.toFixed(1)})` : texts.none, force?.age_s);
+  add(names.speed, speed ? `${speed.rpm.toFixed(0)} rpm` : texts.none, speed?.age_s);
+  if (sensed) add(names.sensed, `${sensed.force_n.toFixed(2)} N`, sensed.age_s);
+  add(names.robot, robot ? `${robot.state}, ${texts.block} ${robot.executed}` : texts.none, robot?.age_s);
+  if (robot) add(names.buffer, `${robot.buffer_s.toFixed(1)} s`, robot.age_s);
   for (const [name, age] of Object.entries(live.ages_s ?? {})) add(texts.devices(name), "", age);
   for (const [name, one] of Object.entries(live.signals ?? {})) add(name, one.wrong || one.text, 0);
   for (const [name, one] of Object.entries(live.health ?? {})) {

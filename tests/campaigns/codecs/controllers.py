@@ -142,7 +142,7 @@ def ads(monkeypatch: pytest.MonkeyPatch, seed: int) -> tuple[Controller, Variabl
 
 
 Make = Callable[[pytest.MonkeyPatch, int], tuple[Controller, Variables]]
-MAKERS: dict[str, Make] = {"handover, OPC UA": opcua, "handover, ADS": ads}
+MAKERS: dict[str, Make] = {"PLC robot, OPC UA": opcua, "PLC robot, ADS": ads}
 
 
 async def read_for_ever(variables: Variables, controller: Controller, bad: int) -> Counter[str]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.api import PlainLines
-from polishd.drivers.force_sensor_line import ForceSensorLine
+from polishd.config.device_profile_checks import profile_of
 from polishd.drivers.linuxcnc.protocol import AXES, RshConnection
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.monitor_line import MonitorLine
@@ -90,13 +90,16 @@ class Sampled(Numbered):
             raise
 
 
+PROFILE = profile_of("force_sensor_line", Path())
+
+
 class ForceSensor(Sampled):
     name = "force sensor"
-    driver = "force_sensor_line"
+    driver = "profile_device"
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
-        self.device = ForceSensorLine(self.address, SensorTimes(silence_s=self.silence_s))
+        self.device = build.force_sensor(PROFILE, self.address, SensorTimes(silence_s=self.silence_s))
 
     def answer(self, request: str) -> str:
         number = next(self.numbers)

@@ -218,7 +218,7 @@ class ProfiledRtu(RtuSlave, ProfiledTcp):
 class Controller(TcpSlave):
     """The shipped profile of a PLC; its registers are read in three requests."""
 
-    name = "handover, Modbus"
+    name = "PLC robot, Modbus"
     driver = "plc_robot"
     least = 0.2  # two answers are one reading
 

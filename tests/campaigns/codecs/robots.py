@@ -130,10 +130,13 @@ class Rtde(Talk):
     def __init__(self, address: Tcp = HOST, **how: Any) -> None:
         super().__init__(**how)
         registers = UrRegisters()
-        self.link = RtdeConnection(address, 100.0, registers, self.silence_s)
+        self.link = RtdeConnection(address, 100.0, registers, self.silence_s, self._take)
         self._names = (*OUTPUTS, *registers.outputs())
         self._timer: asyncio.TimerHandle | None = None
         self._own: list[bytes] = []
+
+    async def _take(self, _sample: object) -> None:
+        """The samples are read from the link."""
 
     async def open(self) -> None:
         await self.link.open()

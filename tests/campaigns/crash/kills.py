@@ -34,7 +34,7 @@ QUICK = {
     "robot": {"silence_s": 1.2, "watchdog_s": 3.0},
     "actuator": {"silence_s": 0.6, "watchdog_ms": 1000, "retract_s": 1.0},
     "spindle": {"silence_s": 1.0, "watchdog_s": 1.0},
-    "job": {"lookahead_s": 3.0},
+    "job": {"stream_ahead_s": 3.0},
 }
 """Real time, as short as a busy machine allows: one that is too slow for it leaves contact, which is an attack, too."""
 STANDS_S = 0.05

@@ -184,5 +184,5 @@ def disagreeing(files: DemoFiles, link: str) -> Iterator[str]:
     for book in books:
         if book["loads"] != 1:
             yield f"program {book['sha256'][:8]} was loaded {book['loads']} times"
-    by_model = LINKS[link].driver == "handover"
+    by_model = LINKS[link].driver == "plc_robot"
     yield from disagreements(files.state_dir / "journal.sqlite", books, by_model=by_model)

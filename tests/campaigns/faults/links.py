@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from tests.system import handover_rig, universal_robots_rig
+from tests.system import plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
-from tests.system.test_cia402 import ACTUATOR, EDS, SPINDLE
+from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
 
 Fault = Mapping[str, Any]
@@ -20,10 +20,10 @@ Fault = Mapping[str, Any]
 SILENCE_S = 1.0
 """Of each link here: long enough for a busy machine, short enough for a fault to cost seconds only."""
 PLC_SILENCE_S = 3.0
-QUIET = {"rate": 1.0, "for_s": 60.0}
+QUIET = {"rate": 1.0, "duration_s": 60.0}
 LOST: Mapping[str, Fault] = {
     "hangs": {"what": "hang"},
-    "unplugged": {"what": "unplug", "for_s": 60.0},
+    "unplugged": {"what": "unplug", "duration_s": 60.0},
     "reboots": {"what": "reboot"},
 }
 """Nothing comes any more: contact must end."""
@@ -112,7 +112,7 @@ SILENT = {
     "robot": {"silence_s": SILENCE_S},
     "actuator": {"silence_s": SILENCE_S, "watchdog_ms": 2000},
     "spindle": {"silence_s": SILENCE_S, "watchdog_s": 3.0},
-    "job": {"lookahead_s": 8.0},
+    "job": {"stream_ahead_s": 8.0},
 }
 
 
@@ -149,15 +149,14 @@ def _cia402(folder: Path) -> DemoFiles:
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0, "travel_mm_s": 2.0}, "spindle": SILENT["spindle"]}
     files.cell.write_text(with_keys(text, prompt))
-    (files.out / "drive.eds").write_bytes(EDS.read_bytes())
     return files
 
 
 def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
     """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
     files = _small(folder)
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "force_sensor", "monitors"') + text
-    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_grace_s": 1.3}}), silent or {}))
+    cell = files.cell.read_text() + text
+    files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_alarm_delay_s": 1.3}}), silent or {}))
     files.sim.write_text(files.sim.read_text() + sim)
     return files
 
@@ -168,11 +167,11 @@ def _sensed(folder: Path) -> DemoFiles:
 
 def _monitored(folder: Path) -> DemoFiles:
     silent = {"monitor": {"type": "monitor_line", "address": "serial:sim/monitor", "silence_s": SILENCE_S}}
-    return _watched(folder, MONITOR.format(leads_to="lift"), '\n[monitor]\nkind = "serial"\n', silent)
+    return _watched(folder, MONITOR.format(action="lift"), '\n[monitor]\nkind = "serial"\n', silent)
 
 
 def _plc(folder: Path, kind: str) -> DemoFiles:
-    files = handover_rig.write_files(folder, kind, 30.0, **ONE_PASS)
+    files = plc_robot_rig.write_files(folder, kind, 30.0, **ONE_PASS)
     profile = files.out / "controller.toml"
     profile.write_text(profile.read_text().replace("silence_s = 6.0", f"silence_s = {PLC_SILENCE_S}"))
     return files
@@ -193,8 +192,8 @@ CIA402 = partial(Link, write=_cia402, driver="cia402", simulator="cia402")
 ASIDE: Mapping[str, Fault] = {name: LOST[name] for name in ("hangs", "unplugged")}
 LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
-    "handover over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
-    "handover over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
+    "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
+    "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),
@@ -202,10 +201,9 @@ LINKS: Mapping[str, Link] = {
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),
     "actuator beside a force sensor": Link("actuator", _sensed, DRIFT),
-    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}, driver="spindle_can"),
-    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}, driver="spindle_can"),
+    "spindle, slcan": Link("spindle", _small, {**ALL, **UNIT}, driver="cia402", simulator="cia402"),
+    "spindle, socketcand": Link("spindle", _spindle, {**ALL, **UNIT}, driver="cia402", simulator="cia402"),
     "actuator, CiA 402": CIA402("actuator", faults={**ALL, **UNIT, **FORCE}),
-    "spindle, CiA 402": CIA402("spindle", faults={**ALL, **UNIT}),
-    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="force_sensor_line"),
+    "force sensor": Link("force_sensor", _sensed, {**ALL, **REFUSES, **CELL}, driver="profile_device"),
     "monitor": Link("monitor", _monitored, {**ALL, **REFUSES}, driver="monitor_line"),
 }

@@ -89,7 +89,7 @@ def _script(files: DemoFiles, template: str, name: str, number: int) -> None:
     """When the next loss comes, and how."""
     link, how = LINKS[name], ("hangs", "unplugged")[number % 2]
     contact_s = round(Random(f"{name} {number}").uniform(*CONTACT_S), 3)
-    fault = {**link.fault(how), "contact_s": contact_s, "for_s": link.silence_s + AGAIN_S}
+    fault = {**link.fault(how), "contact_s": contact_s, "duration_s": link.silence_s + AGAIN_S}
     files.sim.write_text(with_faults(template, fault))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.campaigns.faults import links as f
-from tests.system import handover_rig, linuxcnc_rig
+from tests.system import linuxcnc_rig, plc_robot_rig
 from tests.system.cell_rig import PATIENT, Daemon, Sections, with_faults, with_keys, write_small
 from tests.system.test_profiled_cell import ACTUATOR, with_section
 
@@ -83,10 +83,10 @@ def _demo(write: Callable[[Path], DemoFiles], folder: Path) -> DemoFiles:
     return files
 
 
-def _plc(kind: handover_rig.Kind, folder: Path) -> DemoFiles:
+def _plc(kind: plc_robot_rig.Kind, folder: Path) -> DemoFiles:
     """With a controller that takes as long for a block as is planned: what it costs beyond that is another matter."""
-    files = handover_rig.write_files(folder, kind, 30.0, **JOB)
-    files.sim.write_text(_without(files.sim.read_text(), *handover_rig.TRUTH))
+    files = plc_robot_rig.write_files(folder, kind, 30.0, **JOB)
+    files.sim.write_text(_without(files.sim.read_text(), *plc_robot_rig.TRUTH))
     return files
 
 
@@ -104,7 +104,7 @@ def _linuxcnc(folder: Path) -> DemoFiles:
 
 def _profiled(folder: Path) -> DemoFiles:
     files = write_small(folder, **JOB)
-    cell = files.cell.read_text().replace('"spindle", ', '"spindle", "device_profiles", ')
+    cell = files.cell.read_text()
     files.cell.write_text(with_section(cell, "actuator", ACTUATOR))
     return files
 
@@ -134,9 +134,9 @@ ALL = {**MOTION, **SILENT}
 LINKS: Mapping[str, Link] = {
     "robot link": _robot(partial(_demo, f._small), ALL, "robot_link", "robot"),
     "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
-    "handover, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
-    "handover, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
-    "handover, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),
+    "PLC robot, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
+    "PLC robot, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
+    "PLC robot, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),
     "LinuxCNC": Link(
         "robot", _linuxcnc, MOTION, ("polishd/drivers/linuxcnc", "polishd/sim_backends/linuxcnc"), linuxcnc=True
     ),

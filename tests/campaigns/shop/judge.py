@@ -22,7 +22,7 @@ def lost_or_twice(shop: Shop, cells: Sequence[ShopCell]) -> list[str]:
     wrong = []
     for cell in cells:
         wrong += _differences(f"{cell.name}: passes", _passes(shop, cell.name), Counter(cell.rows(PASSES)))
-        events = "SELECT id, job, at, cycle, name, data FROM event WHERE name != 'progress'"
+        events = "SELECT id, job, at, cycle, name, data FROM event WHERE name != 'pass_progressed'"
         taken = f"SELECT seq, job, at, cycle, name, data FROM event WHERE cell = '{cell.name}'"
         wrong += _differences(f"{cell.name}: events", _hashed(shop.rows(taken)), _hashed(cell.rows(events)))
     return [*wrong, *_parts(shop, cells)]

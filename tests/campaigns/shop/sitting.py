@@ -26,7 +26,7 @@ PART_S = 120.0
 LOOKS = 5
 """So often what is known is held against the journals, while these still grow."""
 PATIENCE = 6
-"""So often a person says of one job that it may go on; then it is put aside."""
+"""So often a person says of one job that it may go on; then it is set aside."""
 
 
 @dataclass(slots=True)
@@ -125,7 +125,7 @@ class Sitting:
                 parts.remove(sql, row["job"], "the campaign", "the sitting ends")
 
     def _visit(self, cell: ShopCell) -> None:
-        """A person reads why it is held, and says that it may go on; with a job that does not, that it is put aside."""
+        """A person reads why it is held, and says that it may go on; with a job that does not, that it is set aside."""
         status = cell.status()
         if status.get("state") != "held":
             return

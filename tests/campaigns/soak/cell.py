@@ -35,7 +35,7 @@ QUICK = {
     "actuator": {"silence_s": 2.5, "watchdog_ms": 3500, "retract_s": 1.0},
     "spindle": {"silence_s": 3.0, "watchdog_s": 3.0},
     "metrology": {"timeout_s": 15.0},
-    "job": {"lookahead_s": 8.0},
+    "job": {"stream_ahead_s": 8.0},
 }
 """Real time: longer than a busy machine keeps a process waiting, short enough for a fault to cost seconds only."""
 REPEATABILITY_NM = 0.3
@@ -183,7 +183,7 @@ def write_cell(folder: Path) -> DemoFiles:
     """A small cell's files, with a loader; nothing is proved yet."""
     files = write_small(folder, patient=False)
     port = free_port()
-    cell = files.cell.read_text().replace('"interferometer"', '"interferometer", "loader"')
+    cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
     sim = with_faults(files.sim.read_text()) + "\n[loader.faults]\n"

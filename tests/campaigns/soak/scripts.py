@@ -15,7 +15,7 @@ from tests.campaigns.soak.cell import SoakCell
 Strike = Callable[[SoakCell], None]
 When = Literal["", "between jobs", "in contact", "solving"]
 
-ACCEPTED, ASIDE = "accepted", "put aside"
+ACCEPTED, ASIDE = "accepted", "set aside"
 THIS = "THE PART"
 """In a simulator's section: the name of the part itself."""
 
@@ -123,10 +123,16 @@ BY_A_PERSON = (
         visits=(Visit("was interrupted"),),
         restarts=1,
     ),
-    Script("loader jams", 1.5, {"loader.faults": {"jams": THIS}}, visits=(_jammed("jammed"),)),
-    Script("loader drops the part", 1.5, {"loader.faults": {"drops": THIS}}, visits=(_jammed("dropped"),)),
+    Script("loader jams", 1.5, {"loader.faults": {"jammed": THIS}}, visits=(_jammed("jammed"),)),
+    Script("loader drops the part", 1.5, {"loader.faults": {"dropped": THIS}}, visits=(_jammed("dropped"),)),
     Script("loader brings another part", 1.5, {"loader.faults": {"wrong": THIS}}, end=ASIDE, faults=("WrongPart",)),
-    Script("... and does not notice", 1.5, {"loader.faults": {"mistaken": THIS}}, end=ASIDE, faults=("WrongPart",)),
+    Script(
+        "... and does not notice",
+        1.5,
+        {"loader.faults": {"wrong_part_unnoticed": THIS}},
+        end=ASIDE,
+        faults=("WrongPart",),
+    ),
     Script(
         "worker killed as it computes", 1.0, {}, "solving", SoakCell.kill_worker, end=ASIDE, faults=("ComputeError",)
     ),
@@ -173,7 +179,7 @@ BY_A_PERSON = (
     Script(
         "tool has lost half of its rate",
         2.0,
-        {"hidden_truth": {"worn": 0.5}},
+        {"hidden_truth": {"tool_wear": 0.5}},
         end=ASIDE,
         faults=("RemovalCheckStop", "ToolStop"),
         visits=(TOOL,),

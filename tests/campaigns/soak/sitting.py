@@ -75,9 +75,9 @@ class Sitting:
             job = f'[job]\nid = "{part.name}"\ntolerance_nm = {part.tolerance_nm}\nmax_cycles = 4\n'
             path.write_text(f'{job}[part]\nid = "{part.name}"\n')
             paths.append(str(path))
-        said = self._cell.polishd("job", "add", self._path, *paths)
+        said = self._cell.polishd("queue", "add", self._path, *paths)
         if said.returncode:
-            raise Stuck(f"polishd job add: {said.stderr}")
+            raise Stuck(f"polishd queue add: {said.stderr}")
 
     def _follow(self, under: Under, landed: int) -> None:
         """Until its job has ended, seeing to what comes. ``landed``: how often the tool had landed before."""
@@ -149,7 +149,7 @@ class Sitting:
         if len(record.unexpected) > 2 * PATIENCE:
             raise Stuck(f"held again and again: {reason}")
         aside = len(record.unexpected) > PATIENCE and told.get("job") == record.part
-        verb = ("job", "remove", self._path, record.part) if aside else ("resume", self._path)
+        verb = ("queue", "remove", self._path, record.part) if aside else ("resume", self._path)
         done = self._cell.polishd(*verb)
         if done.returncode:
             record.unexpected.append(f"{verb[0]} is refused: {done.stderr.strip()}")

@@ -51,7 +51,7 @@ def test_parts_in_peace_are_added_together_and_all_others_alone() -> None:
 
 def test_a_script_names_its_part_in_the_simulators_file() -> None:
     jams = next(script for script in SCRIPTS if script.name == "loader jams")
-    assert jams.sections("P") == {"loader.faults": {"jams": ["P"]}}
+    assert jams.sections("P") == {"loader.faults": {"jammed": ["P"]}}
     assert jams.needs_person
     assert not CALM.needs_person
 

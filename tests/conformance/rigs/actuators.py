@@ -15,8 +15,8 @@ from polishd.testing.suites.actuator import ActuatorRig
 from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
 from tests.fakes import cia402
 from tests.fakes.actuator import AsciiCoil, Coil, ModbusCoil
+from tests.fakes.can_peers import SlcanPeer, SocketcandPeer
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
-from tests.fakes.drive import SlcanPeer, SocketcandPeer
 from tests.fakes.profiled import IdealDrive, ProfiledPeer
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
 from tests.kinds import kind

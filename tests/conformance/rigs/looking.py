@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from polishd.api import ForceSensor, Monitor, MonitorTimes, SensorTimes
-from polishd.drivers.force_sensor_line import ForceSensorLine
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profile_device import build
 from polishd.drivers.transport.address import SerialLine, Tcp
@@ -28,19 +27,23 @@ PATIENT_MONITOR = MonitorTimes(silence_s=1.0)
 L = TypeVar("L", ForceSensor, Monitor)
 
 
+def _line_sensor(address: SerialLine | Tcp) -> ForceSensor:
+    return build.force_sensor(shipped("force_sensor_line"), address, PATIENT_SENSOR)
+
+
 @asynccontextmanager
 async def force_sensor_serial(folder: Path) -> AsyncIterator[ForceSensorRig]:
-    """force_sensor_line on a serial line."""
+    """The profile force_sensor_line on a serial line."""
     wire = PtyWire(FakeAmplifier(), folder / "force_sensor")
-    async with _looking(wire, ForceSensorLine(SerialLine(wire.path), PATIENT_SENSOR)) as rig:
+    async with _looking(wire, _line_sensor(SerialLine(wire.path))) as rig:
         yield rig
 
 
 @asynccontextmanager
 async def force_sensor_tcp_dribbled(_: Path) -> AsyncIterator[ForceSensorRig]:
-    """force_sensor_line over TCP, byte by byte, with garbage before each answer."""
+    """The profile force_sensor_line over TCP, byte by byte, with garbage before each answer."""
     wire = await TcpWire(_dribbling(FakeAmplifier())).start()
-    async with _looking(wire, ForceSensorLine(Tcp("127.0.0.1", wire.port), PATIENT_SENSOR)) as rig:
+    async with _looking(wire, _line_sensor(Tcp("127.0.0.1", wire.port))) as rig:
         yield rig
 
 

@@ -118,7 +118,7 @@ async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
 
 @asynccontextmanager
 async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
-    """handover over OPC UA."""
+    """PLC robot over OPC UA."""
     fake = handover.FakePlc(folder)
     async with handover.over_opcua(fake) as (device, relay):
         yield Rig(device, relay.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
@@ -126,7 +126,7 @@ async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
 
 @asynccontextmanager
 async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
-    """handover over ADS."""
+    """PLC robot over ADS."""
     fake = handover.FakePlc(folder)
     async with handover.over_ads(fake) as (device, cut):
         yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)

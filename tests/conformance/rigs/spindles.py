@@ -8,50 +8,20 @@ from pathlib import Path
 
 from polishd.api import Spindle
 from polishd.drivers.profile_device import build
-from polishd.drivers.spindle_can import SpindleCan
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp
 from polishd.model.devices import SpindleTimes
 from polishd.testing.device_rig import TestScope
 from polishd.testing.suites.spindle import SpindleRig
 from tests.conformance.rigs.wired import cia402_drive, on_wire, stands
 from tests.fakes import cia402
+from tests.fakes.can_peers import SlcanPeer, SocketcandPeer
 from tests.fakes.devices_by_profile import file_of, shipped
-from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.profiled import ProfiledPeer, inverter
 from tests.fakes.wires import PtyWire, TcpWire
 from tests.kinds import kind
 
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 """A busy machine is silent for longer than most wires would be."""
-
-
-@asynccontextmanager
-async def spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
-    """spindle_can behind a serial adapter."""
-    drive = Drive()
-    wire = PtyWire(SlcanPeer(drive), folder / "slcan")
-    async with _spindle(drive, wire, SpindleCan(SlcanAddress(wire.path), PATIENT_SPINDLE)) as rig:
-        yield rig
-
-
-@asynccontextmanager
-async def spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
-    """spindle_can behind a socketcand server."""
-    drive = Drive()
-    wire = await TcpWire(SocketcandPeer(drive)).start()
-    async with _spindle(
-        drive, wire, SpindleCan(SocketcandAddress("127.0.0.1", wire.port, "can0"), PATIENT_SPINDLE)
-    ) as rig:
-        yield rig
-
-
-@asynccontextmanager
-async def _spindle(drive: Drive, wire: PtyWire | TcpWire, device: Spindle) -> AsyncIterator[SpindleRig]:
-    try:
-        async with on_wire(wire, device, lambda: drive.rpm == 0) as rig:
-            yield rig
-    finally:
-        drive.stop()
 
 
 @asynccontextmanager
@@ -108,7 +78,6 @@ def _inverter(
 
 
 SPINDLES = [
-    *kind(spindle_slcan, spindle_socketcand),
     *kind(cia402_spindle_slcan, cia402_spindle_socketcand),
     *kind(spindle_ms300, spindle_gs2, spindle_wj200),
 ]

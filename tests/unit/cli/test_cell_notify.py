@@ -18,7 +18,7 @@ from tests.unit.said import Polishd
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "notifications.md"
 SECRET = "hunter2-and-more"
-LOAD = '"plan_guard"'
+LOAD = '"plan_checks"'
 PAGER = """
 from pydantic import BaseModel
 
@@ -105,7 +105,7 @@ MAIL = '[notify.mail]\ntype = "email"\nhost = "here"\nsender = "a@b.c"\nto = ["a
         (MAIL, (), "notify.mail.type: unknown type 'email'. The loaded plugins have: none; plugins.load must name its"),
         ("[notify.mail]\n", OWN, "notify.mail.type: is missing; add it: type = ..."),
         (MAIL + 'severity = "loud"\n', OWN, "notify.mail.severity: 'loud' is not allowed; must be 'info'"),
-        (MAIL + "repeat_s = -1.0\n", OWN, "notify.mail.repeat_s: -1.0 is out of range; must be at least 0"),
+        (MAIL + "remind_after_s = -1.0\n", OWN, "notify.mail.remind_after_s: -1.0 is out of range; must be at least 0"),
         (MAIL + "prot = 25\n", OWN, "notify.mail.prot: unknown key; did you mean 'port'? Known here:"),
         (MAIL + f'user = "u"\npassword = "{SECRET}"\n', OWN, "password: a secret does not stand in a config"),
         (MAIL + 'user = "u"\npassword = "file:none"\n', OWN, "notify.mail.password: 'file:none': cannot be"),

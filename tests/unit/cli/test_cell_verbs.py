@@ -26,7 +26,7 @@ from polishd.model import errors
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.programs import plan as planning
-from polishd.util.command_line import at_the_terminal
+from polishd.util.command_line import terminal_user
 from tests.unit.maps.maps import dat, surface
 from tests.unit.said import Polishd, Said
 
@@ -83,7 +83,7 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
         ({"dwell": {"solver": "newton"}}, 3, "newton_cg"),
         ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: robot stops by itself: 2 s; at least 6.7 s"),
         ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: robot stops by itself: 8 s; at least 10.7 s"),
-        ({"job": {"lookahead_s": 1.0}}, 3, "job.lookahead_s: motion held by the robot: 1 s; at least 6.2 s"),
+        ({"job": {"stream_ahead_s": 1.0}}, 3, "job.stream_ahead_s: motion held by the robot: 1 s; at least 6.2 s"),
         ({"program": {"path": "gone.rnc"}}, 9, "gone.rnc"),
         ({"robot": {"type": "robot"}}, 3, "robot_link"),
         ({"plugins": {"load": ["rnc_robot", "rnc_rboot"]}}, 3, "rnc_rboot"),
@@ -311,7 +311,7 @@ def test_orders(polishd: Polishd, files: DemoFiles, verb: str, monkeypatch: pyte
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd(verb, files.cell, "--json").out) == {"ok": True, "state": "held"}
     polishd(verb, files.cell, "--reason", "a scratch")
-    by = {"by": at_the_terminal()}
+    by = {"by": terminal_user()}
     assert asked == [(files.state_dir, verb, args) for args in (by, {"reason": "a scratch", **by})]
 
 
@@ -370,7 +370,7 @@ def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
 def test_plugins(polishd: Polishd) -> None:
     said = json.loads(polishd("plugins", "--json").out)
     names = [plugin["name"] for plugin in said["loaded"]]
-    assert {"rnc_robot", "voice_coil", "spindle", "interferometer", "run_report"} <= set(names)
+    assert {"rnc_robot", "devices", "voice_coil", "interferometer", "run_report"} <= set(names)
     assert said["refused"] == []
     brings = {plugin["name"]: plugin["brings"] for plugin in said["loaded"]}
     solvers = brings["dwell_solvers"]["polishd_dwell_solvers"]

@@ -12,7 +12,7 @@ from polishd.cli import cell as web
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
 from polishd.daemon.socket import client
-from polishd.util.command_line import account, at_the_terminal
+from polishd.util.command_line import account_name, terminal_user
 from polishd.web.http.users import Role, User, UserFile, users_path
 from tests.unit.said import Polishd
 
@@ -64,8 +64,8 @@ def test_approve_is_for_the_plan_that_waits_now(polishd: Polishd, cell: Path, mo
 
     monkeypatch.setattr(client, "request", request)
     assert json.loads(polishd("approve", cell, "--json").out)["ok"]
-    assert asked == [("live", None), ("approve", {"program_sha256": "ab", "by": at_the_terminal()})]
+    assert asked == [("live", None), ("approve", {"program_sha256": "ab", "by": terminal_user()})]
 
 
 def test_an_account_of_another_computer_is_its_number() -> None:
-    assert account(2**31 - 5) == str(2**31 - 5)
+    assert account_name(2**31 - 5) == str(2**31 - 5)

@@ -48,7 +48,7 @@ def polishd_device_types():
     return [DeviceType(name="soft_tool", port="actuator", options=Options, build=build)]
 """
 LIFTS = "    async def retract(self): ..."
-OWN = ["rnc_robot", "voice_coil", "spindle", "interferometer", "removal_models", "dwell_solvers", "plan_guard"]
+OWN = ["rnc_robot", "devices", "voice_coil", "interferometer", "removal_models", "dwell_solvers", "plan_checks"]
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""``polishd beliefs``: what a cell has learned, for people and for programs, and how it is forgotten."""
+"""``polishd estimates``: what a cell has learned, for people and for programs, and how it is forgotten."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from polishd.pipeline.records import EstimatesInUse
 from tests.unit.daemon.job.test_initial_estimates_remembering import journal_of
 from tests.unit.said import Polishd
 
-TOOL = {"memory.tool": "bonnet 7"}
+TOOL = {"estimates.tool": "bonnet 7"}
 MACHINE = MachineEstimates(
     Estimate(0.82, 0.01),
     applied={"offset_x": 0.4},
@@ -44,7 +44,7 @@ def taught(state_dir: Path, name: str, terms: dict[str, str], beliefs: Estimates
 
 
 def test_the_last_lesson_of_each_tool_and_all_that_identification_believes(polishd: Polishd, cell: Path) -> None:
-    said = polishd("beliefs", cell)
+    said = polishd("estimates", cell)
     assert said.code == 0
     text = " ".join(said.out.split())
     assert "- mirror-3 1 20" in text
@@ -56,7 +56,7 @@ def test_the_last_lesson_of_each_tool_and_all_that_identification_believes(polis
 
 
 def test_for_programs(polishd: Polishd, cell: Path) -> None:
-    answer = json.loads(polishd("beliefs", cell, "--json").out)
+    answer = json.loads(polishd("estimates", cell, "--json").out)
     assert answer["remember"] is True
     assert [(one["job"], one["tool"]) for one in answer["beliefs"]] == [("mirror-3", ""), ("mirror-2", "bonnet 7")]
     assert answer["beliefs"][1]["believed"]["removal"]["applied"] == {"offset_x": 0.4}
@@ -64,25 +64,25 @@ def test_for_programs(polishd: Polishd, cell: Path) -> None:
 
 def test_a_tool_that_a_person_had_to_see_to_is_another_one(polishd: Polishd, cell: Path) -> None:
     taught(cell.parent / "state", "mirror-4", {}, Estimates(Estimate(0.5)), stops=True)
-    (one,) = json.loads(polishd("beliefs", cell, "--json").out)["beliefs"]
+    (one,) = json.loads(polishd("estimates", cell, "--json").out)["beliefs"]
     assert one["tool"] == "bonnet 7"
 
 
 def test_forgetting(polishd: Polishd, cell: Path) -> None:
-    said = polishd("beliefs", cell, "--forget", "--reason", "another pad")
+    said = polishd("estimates", cell, "--forget", "--reason", "another pad")
     assert "the next job begins with nothing learned" in " ".join(said.out.split())
-    assert json.loads(polishd("beliefs", cell, "--json").out)["beliefs"] == []
-    assert "nothing is remembered" in polishd("beliefs", cell).out
+    assert json.loads(polishd("estimates", cell, "--json").out)["beliefs"] == []
+    assert "nothing is remembered" in polishd("estimates", cell).out
 
 
 def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, cell: Path) -> None:
     with locked(cell.parent / "state"):
-        said = polishd("beliefs", cell, "--forget")
+        said = polishd("estimates", cell, "--forget")
         assert said.code == 3
         assert "another polishd runs this cell" in said.err
-        assert len(json.loads(polishd("beliefs", cell, "--json").out)["beliefs"]) == 2, "reading disturbs nobody"
+        assert len(json.loads(polishd("estimates", cell, "--json").out)["beliefs"]) == 2, "reading disturbs nobody"
 
 
 def test_a_cell_that_is_told_not_to_remember_says_so(polishd: Polishd, cell: Path) -> None:
     cell.write_text(cell.read_text().replace("# remember = true", "remember = false"))
-    assert "memory.remember is false" in polishd("beliefs", cell).out
+    assert "estimates.use_previous is false" in polishd("estimates", cell).out

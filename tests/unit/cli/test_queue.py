@@ -1,4 +1,4 @@
-"""``polishd job`` where no daemon runs: judged as a whole, all or none, and written to the journal."""
+"""``polishd queue`` where no daemon runs: judged as a whole, all or none, and written to the journal."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ def job(folder: Path, name: str, more: str = "") -> Path:
 
 
 def waiting(polishd: Polishd, cell: Path) -> list[str]:
-    return [found["name"] for found in polishd("job", "list", cell, "--json").answer["jobs"] if not found["verdict"]]
+    return [found["name"] for found in polishd("queue", "list", cell, "--json").answer["jobs"] if not found["verdict"]]
 
 
 @pytest.mark.full
 def test_jobs_are_added_listed_moved_and_taken_out(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
-    said = polishd("job", "add", cell, *(job(tmp_path, name) for name in ("a", "b", "c")))
+    said = polishd("queue", "add", cell, *(job(tmp_path, name) for name in ("a", "b", "c")))
     assert said.code == 0, said.err
     assert "P-b" in said.out
-    assert polishd("job", "move", cell, "c", "before", "b").code == 0
+    assert polishd("queue", "move", cell, "c", "before", "b").code == 0
     assert waiting(polishd, cell) == ["a", "c", "b"]
-    found = polishd("job", "remove", cell, "a", "--reason", "a chip", "--json").answer["jobs"]
+    found = polishd("queue", "remove", cell, "a", "--reason", "a chip", "--json").answer["jobs"]
     assert [(one["name"], one["state"], one["reason"]) for one in found if one["verdict"]] == [
         ("a", "removed", "a chip")
     ]
@@ -53,7 +53,7 @@ def test_jobs_are_added_listed_moved_and_taken_out(polishd: Polishd, cell: Path,
 @pytest.mark.full
 def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     good, wrong = job(tmp_path, "a"), job(tmp_path, "b", "[process]\nforce_n = -1.0\n")
-    said = polishd("job", "add", cell, good, wrong)
+    said = polishd("queue", "add", cell, good, wrong)
     assert said.code == 3
     assert f"{wrong}:6: process.force_n: -1.0 is out of range" in said.err
     assert waiting(polishd, cell) == []
@@ -73,7 +73,7 @@ def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path:
 def test_each_is_judged_as_check_does(
     polishd: Polishd, cell: Path, tmp_path: Path, more: str, code: int, problem: str
 ) -> None:
-    said = polishd("job", "add", cell, job(tmp_path, "a", more))
+    said = polishd("queue", "add", cell, job(tmp_path, "a", more))
     assert (said.code, problem in said.err) == (code, True), said.err
     assert waiting(polishd, cell) == []
 
@@ -81,8 +81,8 @@ def test_each_is_judged_as_check_does(
 @pytest.mark.full
 def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Path) -> None:
     path = job(tmp_path, "a")
-    assert polishd("job", "add", cell, path).code == 0
-    said = polishd("job", "add", cell, path)
+    assert polishd("queue", "add", cell, path).code == 0
+    said = polishd("queue", "add", cell, path)
     assert said.code == 3
     assert "job.id: 'a' is in the queue already" in said.err
 
@@ -95,7 +95,7 @@ def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) ->
 def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(
     polishd: Polishd, cell: Path, tmp_path: Path
 ) -> None:
-    """Not once each part is refused by itself: the first of them would be put aside for it."""
+    """Not once each part is refused by itself: the first of them would be set aside for it."""
     profile = cell.parent / "unproved.toml"
     profile.write_text((cell.parent / "instrument.toml").read_text().partition("[commissioned]")[0])
     cell.write_text(cell.read_text().replace('"instrument.toml"', '"unproved.toml"'))

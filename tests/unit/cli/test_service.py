@@ -80,7 +80,7 @@ def test_words_are_quoted_as_systemd_reads_them() -> None:
         quoted("a\nb")
 
 
-BESIDE = {"web": "web", "opcua": "opcua", "shop-link": "shop link", "shop-serve": "shop serve"}
+BESIDE = {"web": "web", "opcua": "opcua", "shop-connect": "shop link", "shop-serve": "shop serve"}
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ token = "file:shop.token"
     cell.write_text(cell.read_text() + more)
     (cell.parent / "shop.token").write_text("t" * 43)
     (tmp_path / "shop.toml").write_text('[shop]\nname = "hall"\nstate_dir = "shop"\n')
-    return {**dict.fromkeys(("web", "opcua", "shop-link"), cell), "shop-serve": tmp_path / "shop.toml"}
+    return {**dict.fromkeys(("web", "opcua", "shop-connect"), cell), "shop-serve": tmp_path / "shop.toml"}
 
 
 @pytest.mark.one_of_each
@@ -123,7 +123,7 @@ def test_what_runs_beside_a_daemon_has_a_unit_of_its_own(
         require_readable(unit, "--user", home)
 
 
-@pytest.mark.parametrize("of", ["opcua", "shop-link"])
+@pytest.mark.parametrize("of", ["opcua", "shop-connect"])
 def test_a_cell_without_the_section_has_no_such_unit(polishd: Polishd, of: str) -> None:
     said = polishd("service", "show", EXAMPLE, "--user", "--of", of)
     assert said.code == ConfigError.exit_code

@@ -112,6 +112,6 @@ def test_a_cell_without_a_shop_has_no_link(tmp_path: Path) -> None:
     from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
-    done = CliRunner().invoke(app, ["shop", "link", str(cell)])
+    done = CliRunner().invoke(app, ["shop", "connect", str(cell)])
     assert isinstance(done.exception, ConfigError)
     assert "this cell belongs to no shop; add [shop]" in str(done.exception)

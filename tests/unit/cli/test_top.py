@@ -29,7 +29,7 @@ LIVE = {
     "job": "demo",
     "cycle": 1,
     "pressing": True,
-    "told": {
+    "readings": {
         "force": {"force_n": 11.94, "setpoint_n": 12.0, "age_s": 0.1},
         "speed": {"rpm": 1000.0, "age_s": 0.1},
         "sensed": None,

@@ -19,8 +19,8 @@ from polishd.maps.convert import store
 from polishd.maps.map_files import MapSource
 from polishd.model.instrument import SystemErrorRecord
 from polishd.model.surface import FloatArray, MapStep, SurfaceMap
-from polishd.process.metrology.statistics import without
-from polishd.process.metrology.system_map import AbsoluteTestResult
+from polishd.process.metrology.absolute_test import AbsoluteTestResult
+from polishd.process.metrology.statistics import remove_terms
 from tests.commissioned import commissioned
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.said import Polishd
@@ -59,7 +59,7 @@ class Desk:
         source = MapSource.of(None, self.profile)
         one = source.read(self.raw)
         told = AbsoluteTestResult(4, ((0, 0),), np.eye(1), {}, 0.0, (29.5, 23.5, 30.0))
-        options = {"profile": profile.instrument.name, "result": "instrument", "told": told.facts()}
+        options = {"profile": profile.instrument.name, "result": "instrument", "terms": told.facts()}
         system = replace(one, height_nm=SYSTEM, history=MapStep("absolute", "0", options, ()))
         sha256 = store(system, self.folder / "system.x3p", source)["sha256"]
         at = datetime(2026, 5, 5, tzinfo=UTC)
@@ -114,7 +114,7 @@ def average(desk: Desk, *how: Any) -> None:
     out = desk.folder / "a.x3p"
     said = desk.run("map", "average", *repeats, "--out", out, *how)
     assert said.code == 0, said.err
-    level = without(seen(RAW), np.isfinite(RAW[:, ::-1]), "tilt")
+    level = remove_terms(seen(RAW), np.isfinite(RAW[:, ::-1]), "tilt")
     np.testing.assert_allclose(desk.read(out).height_nm, level, atol=0.05)
 
 
@@ -124,7 +124,7 @@ def average_less_a_system(desk: Desk, *how: Any) -> None:
     out = desk.folder / "a.x3p"
     said = desk.run("map", "average", *repeats, "--system", desk.folder / "system.x3p", "--out", out, *how)
     assert said.code == 0, said.err
-    level = without(seen(RAW), np.isfinite(RAW[:, ::-1]), "tilt")
+    level = remove_terms(seen(RAW), np.isfinite(RAW[:, ::-1]), "tilt")
     np.testing.assert_allclose(desk.read(out).height_nm, level, atol=0.05)
 
 

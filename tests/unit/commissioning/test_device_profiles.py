@@ -102,6 +102,6 @@ def test_a_broken_profile_is_told_with_its_place(polishd: Polishd, tmp_path: Pat
 
 
 def test_find_where_nobody_is(polishd: Polishd) -> None:
-    said = polishd("device", "find", "hitachi_wj200", "tcp://127.0.0.1:1", "--units", 2)
+    said = polishd("device", "scan", "hitachi_wj200", "tcp://127.0.0.1:1", "--units", 2)
     assert said.code == 5
     assert "tcp://127.0.0.1:1: " in said.err

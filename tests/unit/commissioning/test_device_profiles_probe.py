@@ -15,8 +15,8 @@ import serial
 from polishd.commissioning.device_profiles import TEMPLATES
 from polishd.commissioning.rehearsal.simulated_cell import with_values, write_demo
 from polishd.drivers.transport.address import SerialLine
+from tests.fakes.can_peers import BeatingNode, SlcanPeer, SocketcandPeer
 from tests.fakes.devices_by_profile import EXAMPLES, file_of
-from tests.fakes.drive import Drive, SlcanPeer, SocketcandPeer
 from tests.fakes.loader import FakeLoader
 from tests.fakes.looking import FakeAmplifier, FakeInputs
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, gauge, inverter
@@ -25,8 +25,8 @@ from tests.fakes.wires import Peer
 from tests.unit.said import Polishd
 
 LOADED = [
-    "rnc_robot", "voice_coil", "spindle", "device_profiles", "cia402", "loader", "monitors", "force_sensor",
-    "interferometer", "removal_models", "dwell_solvers", "plan_guard", "run_report",
+    "rnc_robot", "devices", "voice_coil", "interferometer",
+    "removal_models", "dwell_solvers", "plan_checks", "run_report",
 ]  # fmt: skip
 LINE = SerialLine(Path(), 9600)
 
@@ -49,8 +49,9 @@ class DeadBus(SlcanPeer):
     """An adapter that takes orders and hears nothing."""
 
     def __init__(self) -> None:
-        super().__init__(Drive())
-        self.drive.stop()
+        node = BeatingNode()
+        super().__init__(node)
+        node.stop()
 
     def on_bytes(self, data: bytes) -> None:
         self.send(b"\r" * data.count(b"\r"))
@@ -62,7 +63,7 @@ def profiled(name: str, *, tcp: bool = False) -> Callable[[], Peer]:
 
 
 def on_can(node: int, host: type[SlcanPeer | SocketcandPeer] = SlcanPeer) -> Callable[[], Peer]:
-    return lambda: host(Drive(node))
+    return lambda: host(BeatingNode(node))
 
 
 SPINDLE = '[spindle]\ntype = "spindle_profile"\nprofile = "delta_ms300"'
@@ -70,8 +71,7 @@ ACTUATOR = '[actuator]\ntype = "actuator_profile"\nwatchdog_s = 1.0\nprofile'
 LINES = f'{ACTUATOR} = "{file_of("line_drive.toml")}"'
 MODBUS, NUMBERED = f'{ACTUATOR} = "voice_coil_modbus"', f'{ACTUATOR} = "voice_coil_serial"'
 LOADER, MONITOR = '[loader]\ntype = "loader_line"', '[monitor]\ntype = "monitor_line"'
-SENSOR = '[force_sensor]\ntype = "force_sensor_line"'
-CAN = '[spindle]\ntype = "spindle_can"'
+SENSOR = '[force_sensor]\ntype = "force_sensor_profile"\nprofile = "force_sensor_line"'
 CIA402 = f'[spindle]\ntype = "cia402_spindle"\neds = "{EXAMPLES / "drive.eds"}"\nrpm_per_unit = 0.1\nnode = 5'
 
 NO_ANSWER = r"within [\d.]+ s at 9600 8N1; see whether it has power, and this baud rate"
@@ -95,7 +95,7 @@ class Case:
 
     @property
     def wire(self) -> str:
-        return "can" if self.section in {CAN, CIA402} else "stream"
+        return "can" if self.section == CIA402 else "stream"
 
 
 WRONG = {
@@ -110,9 +110,8 @@ def wrong_lines() -> Iterator[Case]:
         yield Case("rtu", what, SPINDLE, profiled("delta_ms300"), rf"unit 1: no answer {NO_ANSWER}", true)
         yield Case("lines", what, LINES, profiled("line_drive.toml"), rf"no answer to '\?' {NO_ANSWER}", true)
         yield Case("loader", what, LOADER, FakeLoader, rf"no answer to ST\? {NO_ANSWER}", true)
-        yield Case("sensor", what, SENSOR, FakeAmplifier, rf"no answer to ID\? {NO_ANSWER}", true)
+        yield Case("sensor", what, SENSOR, FakeAmplifier, rf"no answer to F\? {NO_ANSWER}", true)
         yield Case("monitor", what, MONITOR, FakeInputs, rf"no answer to ID\? {NO_ANSWER}", true)
-        yield Case("slcan", what, CAN, on_can(5), "and the adapter's 9600 baud$", true)
         yield Case("cia402", what, CIA402, on_can(5), "and the adapter's 9600 baud", true)
 
 
@@ -127,8 +126,6 @@ CASES = [
     Case("loader", "a sensor there", LOADER, FakeAmplifier, rf"ST\? was refused: unknown.*; {OTHER}"),
     Case("sensor", "a loader there", SENSOR, FakeLoader, rf"F\? was refused: unknown.*; {OTHER}"),
     Case("monitor", "a loader there", MONITOR, FakeLoader, rf"LS\?,0 was refused: unknown.*; {OTHER}"),
-    Case("slcan", "node", CAN, on_can(9), "node 5: .*; heard are nodes 9: see the node number"),
-    Case("slcan", "bit rate", CAN, DeadBus, "nothing is heard on the bus: see power, bit rate, wires and termination"),
     Case("cia402", "node", CIA402, on_can(9), "node 5: .*; heard are nodes 9: see the node number"),
     Case("cia402", "bit rate", CIA402, DeadBus, "nothing is heard on the bus: see power, bit rate, wires"),
 ]  # fmt: skip
@@ -138,9 +135,9 @@ TCP = [
     Case("modbus tcp", "lines there", MODBUS, DRIVE, f"no answer {SILENT}"),
     Case("lines tcp", "Modbus there", LINES, COIL, rf"no answer to '\?' {SILENT}"),
     Case("loader tcp", "nobody", LOADER, Mute, rf"no answer to ST\? {SILENT}"),
-    Case("sensor tcp", "a web server", SENSOR, Web, rf"ID\?: 'HTTP.*' within .* is no answer; {OTHER}"),
-    Case("socketcand", "node", CAN, on_can(9, SocketcandPeer), "node 5: .*; heard are nodes 9: see the node number"),
-    Case("socketcand", "nobody", CAN, Mute, "no greeting within 1 s; is it a socketcand server"),
+    Case("sensor tcp", "a web server", SENSOR, Web, rf"F\?: 'HTTP.*' within .* is no answer; {OTHER}"),
+    Case("socketcand", "node", CIA402, on_can(9, SocketcandPeer), "node 5: .*; heard are nodes 9: see the node number"),
+    Case("socketcand", "nobody", CIA402, Mute, "no greeting within 1 s; is it a socketcand server"),
 ]  # fmt: skip
 
 
@@ -210,13 +207,13 @@ def test_a_wrong_peer_on_tcp_is_told_in_one_line(asked: Asked, served: Served, c
 
 @pytest.mark.parametrize(
     "section",
-    [CAN, *(pytest.param(one, marks=pytest.mark.full) for one in (SPINDLE, LINES, LOADER, CIA402))],
-    ids=["slcan", "rtu", "lines", "loader", "cia402"],
+    [CIA402, *(pytest.param(one, marks=pytest.mark.full) for one in (SPINDLE, LINES, LOADER))],
+    ids=["slcan", "rtu", "lines", "loader"],
 )
 def test_a_port_that_does_not_open_is_told_in_one_line(
     asked: Asked, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, section: str
 ) -> None:
-    scheme = "slcan" if section in {CAN, CIA402} else "serial"
+    scheme = "slcan" if section == CIA402 else "serial"
     path = served.serial(Mute, LINE, LINE)
     with serial.Serial(str(path), exclusive=True):
         assert BUSY in asked.told(section, f"{scheme}:{path}")

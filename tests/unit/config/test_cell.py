@@ -97,12 +97,12 @@ def test_defaults_are_those_of_the_example(example: str, section: str) -> None:
 @pytest.mark.parametrize(
     ("keys", "says"),
     [
-        ('choose = "budget"', 'dwell.budget_s: goes with choose = "budget", and only with it'),
-        ('choose = "least"\ntarget_nm = 1.0', 'dwell.target_nm: goes with choose = "target", and only with it'),
+        ('objective = "budget"', 'dwell.budget_s: goes with objective = "budget", and only with it'),
+        ('objective = "least"\ntarget_nm = 1.0', 'dwell.target_nm: goes with objective = "target", and only with it'),
     ],
 )
 def test_a_rule_of_the_curve_goes_with_its_figure(tmp_path: Path, example: str, keys: str, says: str) -> None:
-    assert says in refused(tmp_path, replaced(example, "choose", keys, "dwell"))
+    assert says in refused(tmp_path, replaced(example, "objective", keys, "dwell"))
 
 
 def test_values_of_a_config_never_change(tmp_path: Path, example: str) -> None:
@@ -124,7 +124,7 @@ def test_values_of_a_config_never_change(tmp_path: Path, example: str) -> None:
 def test_sections_have_the_keys_and_defaults_of_their_nouns(section: type[BaseModel], noun: Any) -> None:
     own = {"type"} if section is HybridSection else set()
     own |= (
-        {"removal_model", "learns", "correction", "grid_mm", "tif", "force_max_n"}
+        {"removal_model", "estimates", "correction", "grid_mm", "tif", "force_max_n"}
         if section is ProcessSection
         else set()
     )
@@ -215,8 +215,8 @@ WRONG = [
     (
         "program",
         "format",
-        'covers = "some"',
-        "program.covers: 'some' is not allowed; must be 'aperture' or 'zone'",
+        'coverage = "some"',
+        "program.coverage: 'some' is not allowed; must be 'aperture' or 'zone'",
     ),
     ("job", "max_cycles", "max_cycles = 4.5", "job.max_cycles: must be a whole number, not 4.5"),
     ("job", "max_cycles", "max_cycles = 0", "job.max_cycles: 0 is out of range; must be at least 1"),
@@ -329,7 +329,7 @@ def kind(name: str, port: Any, options: type[BaseModel] = Options) -> DeviceType
     return DeviceType(name, port, options, lambda options, context: None)  # type: ignore[arg-type, return-value]
 
 
-TYPES = {item.name: item for item in (kind("voice_coil_modbus", "actuator"), kind("spindle_can", "spindle"))}
+TYPES = {item.name: item for item in (kind("voice_coil_modbus", "actuator"), kind("cia402_spindle", "spindle"))}
 
 
 def actuator(tmp_path: Path, example: str, lines: str) -> tuple[CellConfig, int]:
@@ -360,7 +360,11 @@ def test_device_options_are_those_of_the_type(tmp_path: Path, example: str) -> N
             1,
             "unknown type 'other'. The loaded plugins have: 'voice_coil_modbus'; a type",
         ),
-        ('type = "spindle_can"\naddress = "x"', 1, "actuator.type: 'spindle_can' is a kind of spindle; use one of"),
+        (
+            'type = "cia402_spindle"\naddress = "x"',
+            1,
+            "actuator.type: 'cia402_spindle' is a kind of spindle; use one of",
+        ),
         ('type = "voice_coil_modbus"', 0, "actuator.address: is missing; add it: address = ..."),
         ('type = "voice_coil_modbus"\naddress = 3', 2, "actuator.address: must be a string"),
         ('type = "voice_coil_modbus"\naddress = "x"\nunti = 3', 3, "actuator.unti: unknown key; did you mean 'unit'?"),
@@ -467,7 +471,7 @@ def test_each_tool_replaces_what_it_names_and_nothing_else(tmp_path: Path, examp
     assert small.touch_off.position_mm == 4.0
     assert small.kinematics.tool_length_mm == 410.0
     assert (large.program_path, small.program_path) == (cell.program_path, tmp_path / "fine.rnc")
-    assert (large.memory.tool, small.memory.tool) == ("large", "small"), "what is learned of each is its own"
+    assert (large.estimates.tool, small.estimates.tool) == ("large", "small"), "what is learned of each is its own"
     assert not large.tools
     assert load_config(path).of_tool("small").turns[0].process == small.process
 
@@ -500,9 +504,9 @@ def test_wrong_tools_are_named_by_file_line_and_key(
 
 def test_what_does_not_go_with_several_tools(tmp_path: Path, example: str) -> None:
     own = example.replace('# tool = "bonnet 7"', 'tool = "bonnet 7"')
-    assert "memory.tool: there are [tools], each with its name; remove the line" in refused(tmp_path, own + TOOLS)
+    assert "estimates.tool: there are [tools], each with its name; remove the line" in refused(tmp_path, own + TOOLS)
     start = example.index("[touch_off]")
-    bare = example[:start] + example[example.index("[between]", start) :]
+    bare = example[:start] + example[example.index("[part_handling]", start) :]
     assert "tools.small.position_mm: is of [touch_off], and the cell has none" in refused(tmp_path, bare + TOOLS)
 
 
@@ -515,3 +519,10 @@ def test_what_is_wrong_with_a_tools_value_is_said_where_it_was_written(tmp_path:
     assert str(small.error("process.dip_deg", "is odd")) == f"{path}:{other}: process.dip_deg: is odd"
     assert f"tools.small.program: {path.parent}" not in str(small.error("program.path", "is missing"))
     assert "tools.small.program: is missing" in str(small.error("program.path", "is missing"))
+
+
+def test_a_removed_device_type_and_plugin_are_refused_with_what_takes_their_place(tmp_path: Path, example: str) -> None:
+    text = example.replace('type = "cia402_spindle"', 'type = "spindle_can"', 1).replace('"cia402", ', '"spindle", ', 1)
+    said = refused(tmp_path, text).splitlines()
+    assert "spindle.type: 'spindle_can' is removed. Use 'cia402_spindle'" in "\n".join(said)
+    assert "plugins.load: 'spindle' is now 'cia402'" in "\n".join(said)

@@ -33,7 +33,7 @@ def config(tmp_path: Path) -> CellConfig:
 
 def test_the_example_has_the_seven_signals(config: CellConfig) -> None:
     assert tuple(config.signals) == SEVEN
-    assert {section.leads_to for section in config.signals.values()} == {"notify", "hold", "lift", "estop"}
+    assert {section.action for section in config.signals.values()} == {"notify", "hold", "lift", "estop"}
 
 
 def test_limits_reach_the_daemon(config: CellConfig) -> None:
@@ -72,7 +72,9 @@ def test_a_signal_may_measure_the_force_and_nothing_else_be_asked_of_it(tmp_path
 def test_the_band_of_the_force_sensor_reaches_the_daemon(tmp_path: Path, config: CellConfig) -> None:
     limits = contact_limits(config)
     assert (limits.apart_n, limits.apart_s) == (1.0, 0.5)
-    several = EXAMPLE.replace("[force_sensor]", "[force_sensor.flange]").replace("band_n = 1.0", "band_n = 2.5")
+    several = EXAMPLE.replace("[force_sensor]", "[force_sensor.flange]").replace(
+        "max_difference_n = 1.0", "max_difference_n = 2.5"
+    )
     limits = contact_limits(loaded(tmp_path, several + '[roles]\nforce_sensor = "flange"\n'))
     assert limits.apart_n == 2.5
 
@@ -96,9 +98,14 @@ def test_the_band_of_the_force_sensor_reaches_the_daemon(tmp_path: Path, config:
         ("min = 20.0, max = 22.0", "min = 22.0, max = 20.0", "before = { min = 22", "before.min: must be at most max"),
         ("{ min = 75.0 }", "{ wait_s = 1.0 }", "before = { wait_s", "before: says nothing; write min, max, or state"),
         ("{ state = true, wait_s", "{ state = true, min = 1.0, wait_s", "before = { state = true, min", "goes without"),
-        ('leads_to = "lift"', 'leads_to = "left"', 'leads_to = "left"', "'left' is not allowed"),
-        ("in_contact = { min = 0.8, grace_s = 1.0 }\n", "", 'leads_to = "lift"', "leads_to: goes with in_contact"),
-        ("band_n = 1.0", "band_n = 0.0", "band_n = 0.0", "force_sensor.band_n: 0.0 is out of range"),
+        ('action = "lift"', 'action = "left"', 'action = "left"', "'left' is not allowed"),
+        ("in_contact = { min = 0.8, alarm_delay_s = 1.0 }\n", "", 'action = "lift"', "action: goes with in_contact"),
+        (
+            "max_difference_n = 1.0",
+            "max_difference_n = 0.0",
+            "max_difference_n = 0.0",
+            "force_sensor.max_difference_n: 0.0 is out of range",
+        ),
         ("[job]", '[roles]\nmonitor = "slurry"\n\n[job]', 'monitor = "slurry"', "roles.monitor: unknown key"),
     ],
 )
@@ -127,15 +134,15 @@ def test_one_monitor_has_no_name(tmp_path: Path, example: str) -> None:
 
 
 def test_keys_of_the_port_and_of_the_type_are_known_together(tmp_path: Path) -> None:
-    config = loaded(tmp_path, EXAMPLE.replace("band_n = 1.0", "bend_n = 1.0"))
+    config = loaded(tmp_path, EXAMPLE.replace("max_difference_n = 1.0", "max_diference_n = 1.0"))
     with pytest.raises(ConfigError) as caught:
         device_options(config, "force_sensor", load_own().device_types())
-    assert "force_sensor.bend_n: unknown key; did you mean 'band_n'?" in str(caught.value)
+    assert "force_sensor.max_diference_n: unknown key; did you mean 'max_difference_n'?" in str(caught.value)
 
 
 def test_keys_above_several_sensors_are_nobodys(tmp_path: Path) -> None:
-    text = EXAMPLE.replace("[force_sensor]", "[force_sensor]\ngrace_s = 1.0\n[force_sensor.flange]")
-    with pytest.raises(ConfigError, match=r"force_sensor\.grace_s: is no device; write it into one of 'flange'"):
+    text = EXAMPLE.replace("[force_sensor]", "[force_sensor]\nalarm_delay_s = 1.0\n[force_sensor.flange]")
+    with pytest.raises(ConfigError, match=r"force_sensor\.alarm_delay_s: is no device; write it into one of 'flange'"):
         loaded(tmp_path, text)
 
 
@@ -153,15 +160,15 @@ def test_the_example_holds(config: CellConfig) -> None:
     chain = require_time_limits(config, build_cell(config, load_own()))
     assert [limit.key for limit in chain][:3] == [
         "force_sensor.silence_s",
-        "force_sensor.grace_s",
-        "limits.force_grace_s",
+        "force_sensor.alarm_delay_s",
+        "limits.force_alarm_delay_s",
     ]
 
 
 def test_a_grace_that_a_landing_outlasts_is_refused(tmp_path: Path) -> None:
     said = refused(tmp_path, EXAMPLE.replace("delay_s = 0.1", "delay_s = 0.4"))
-    assert "force_sensor.grace_s: actuator and force sensor may disagree for: 0.5 s; at least 0.7 s" in said
-    assert "limits.force_grace_s: force may be off its set point for: 0.3 s; at least 0.55 s" in said
+    assert "force_sensor.alarm_delay_s: actuator and force sensor may disagree for: 0.5 s; at least 0.7 s" in said
+    assert "limits.force_alarm_delay_s: force may be off its set point for: 0.3 s; at least 0.55 s" in said
 
 
 def test_an_actuator_that_presses_without_power_is_refused_by_its_place(tmp_path: Path) -> None:

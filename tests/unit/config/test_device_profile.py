@@ -60,12 +60,17 @@ CASES = [
         MODBUS,
         'engage = ["command = 1"]',
         'engage = ["comand = 1"]',
-        "orders.engage: there is no [registers.comand]; did you mean 'command'?",
+        "commands.engage: there is no [registers.comand]; did you mean 'command'?",
     ),
-    (MODBUS, 'engage = ["command = 1"]', 'engage = ["GO"]', "orders.engage: 'GO' is no write"),
-    (MODBUS, 'engage = ["command = 1"]', 'engage = ["command = 65536"]', "orders.engage: 65536 does not fit 'command'"),
-    (MODBUS, 'engage = ["command = 1"]', 'engage = ["force = 1"]', "orders.engage: 'force' cannot be written"),
-    (MODBUS, 'engage = ["command = 1"]', 'stop = ["command = 1"]', "orders.stop: no actuator is told that"),
+    (MODBUS, 'engage = ["command = 1"]', 'engage = ["GO"]', "commands.engage: 'GO' is no write"),
+    (
+        MODBUS,
+        'engage = ["command = 1"]',
+        'engage = ["command = 65536"]',
+        "commands.engage: 65536 does not fit 'command'",
+    ),
+    (MODBUS, 'engage = ["command = 1"]', 'engage = ["force = 1"]', "commands.engage: 'force' cannot be written"),
+    (MODBUS, 'engage = ["command = 1"]', 'stop = ["command = 1"]', "commands.stop: no actuator is told that"),
     (MODBUS, "max_force_n = 20.0", "max_force_n = -1", "actuator.max_force_n: -1 is out of range"),
     (MODBUS, 'value = "faults"', 'value = "fault"', "faults.value: there is no value 'fault'; did you mean 'faults'?"),
     (MODBUS, 'state = "contact"', 'state = "running"', 'no actuator is "running"'),
@@ -73,8 +78,8 @@ CASES = [
     (MODBUS, 'title = "TODO: maker and model"', "", ":1: title: is missing"),
     (LINES, 'send = "?"', 'sent = "?"', "asks.status.sent: unknown key; did you mean 'send'?"),
     (LINES, "(?P<state>[UDCL])", "(?P<state>[UDCL]", "asks.status.answer: "),
-    (LINES, 'force = ["F{asked:.2f}"]', 'force = ["F{force:.2f}"]', "orders.force: 'F{force:.2f}' cannot be sent"),
-    (LINES, 'retract = ["R"]', "", "orders.retract: is missing, and every actuator needs it"),
+    (LINES, 'force = ["F{asked:.2f}"]', 'force = ["F{force:.2f}"]', "commands.force: 'F{force:.2f}' cannot be sent"),
+    (LINES, 'retract = ["R"]', "", "commands.retract: is missing, and every actuator needs it"),
     (
         LINES,
         'position = { unit = "mm" }',
@@ -94,7 +99,7 @@ CASES = [
     (
         SPINDLE,
         "unit = 1\n",
-        'unit = 1\nmost = 1\n[registers.long]\naddress = 5\ntype = "u32"\n',
+        'unit = 1\nmax_registers = 1\n[registers.long]\naddress = 5\ntype = "u32"\n',
         "fills 2 registers, and",
     ),
     (
@@ -119,7 +124,7 @@ def test_faults_are_told_with_their_place(tmp_path: Path, text: str, old: str, n
 def test_the_place_is_the_line(tmp_path: Path) -> None:
     broken = MODBUS.replace('engage = ["command = 1"]', 'engage = ["comand = 1"]')
     (told,) = faults(tmp_path, broken)
-    assert told.startswith(f":{line_of(broken, 'comand')}: orders.engage: ")
+    assert told.startswith(f":{line_of(broken, 'comand')}: commands.engage: ")
 
 
 def test_unknown_names_are_told_with_what_there_is() -> None:

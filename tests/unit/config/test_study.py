@@ -64,7 +64,7 @@ def test_fig_12_is_ten_passes() -> None:
         ("[33.0, 120.0]", "[120.0, 33.0]", "period_mm", "surface.period_mm: [120.0, 33.0] is no range"),
         ("[33.0, 120.0]", "[0.0, 33.0]", "period_mm", "surface.period_mm: must be above 0"),
         ("seed = 3", "seed = -3", "seed", "surface.seed: -3 is out of range"),
-        ("unreached = 0.005", "unreached = 1.0", "unreached", "solve.unreached: 1.0 is out of range"),
+        ("unreachable = 0.005", "unreachable = 1.0", "unreachable", "solve.unreachable: 1.0 is out of range"),
         ("edge_mm = 3.0", "edge_mm = 30.0", "edge_mm", "part.edge_mm: no clear aperture is left"),
         ('type = "hybrid"', 'type = "delta"', "[kinematics]", "must be 'hybrid', 'serial' or 'measured'"),
         (
@@ -152,7 +152,7 @@ def test_a_measured_robot_is_a_table_beside_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("study", "after", "line", "says"),
     [
-        (TABLE_IV, "edge_mm = 3.0", 'nominal = "form.dat"', "part.nominal: a drawn surface is the error already"),
+        (TABLE_IV, "edge_mm = 3.0", 'form = "form.dat"', "part.form: a drawn surface is the error already"),
         (TABLE_IV, "grid_mm = 1.0", 'correction = "linear"', "process.correction: a study has its own corrections"),
         (
             TABLE_III,
@@ -160,7 +160,7 @@ def test_a_measured_robot_is_a_table_beside_the_file(tmp_path: Path) -> None:
             'removal_model = "hertz_preston"',
             "process.removal_model: a study has",
         ),
-        (FIG_12, "edge_mm = 5.0", 'nominal = "form.dat"', "part.nominal: this study has no map; drop it"),
+        (FIG_12, "edge_mm = 5.0", 'form = "form.dat"', "part.form: this study has no map; drop it"),
         (FIG_12, "edge_mm = 5.0", 'alignment = "tilt"', "part.alignment: this study has no map; drop it"),
     ],
 )

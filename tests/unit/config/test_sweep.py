@@ -127,7 +127,7 @@ def test_files_are_found_from_the_studys_folder(tmp_path: Path) -> None:
 
 def test_keys_of_loops_have_dots_of_their_own() -> None:
     assert location_of("cell_with.process.force_n") == ("cell_with", "process.force_n")
-    assert location_of("loops.exact.process.force_n") == ("loops", "exact", "process.force_n")
+    assert location_of("controllers.exact.process.force_n") == ("controllers", "exact", "process.force_n")
     assert location_of("plant_with.hidden_truth.rate") == ("plant_with", "hidden_truth", "rate")
     raw: dict[str, Any] = {"cell_with": {"a": 1}}
     put(raw, "cell_with.process.force_n", 12.0)
@@ -159,7 +159,7 @@ REFUSED = {
     'over."process.force_n" = 3': "process.force_n: is one value, 3; give a list, or a table",
     'over."process.force_n" = [nan]': "process.force_n: nan is not allowed; must be a finite number",
     'over."process.force_n" = { normal = [12.0, -0.5] }': "standard deviation of normal is -0.5; it must be above 0",
-    'over."loops.other.process.force_n" = [12.0]': "the study has no loop 'other', only none; mend the name",
+    'over."controllers.other.process.force_n" = [12.0]': "the study has no loop 'other', only none; mend the name",
     "over = {}": "over: has 0 entries",
 }
 

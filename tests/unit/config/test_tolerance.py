@@ -121,10 +121,10 @@ def test_the_power_is_not_judged_where_it_is_alignment(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("accept", ["bound", "bound_without_power"])
 def test_what_has_no_bound_is_not_accepted_by_one(tmp_path: Path, accept: str) -> None:
-    text = EXAMPLE.read_text().replace(SHORT, f'accept = "{accept}"\ntolerance_nm = 2.0 ')
+    text = EXAMPLE.read_text().replace(SHORT, f'accept_by = "{accept}"\ntolerance_nm = 2.0 ')
     path = tmp_path / "cell.toml"
     path.write_text(text)
-    assert load_config(path).job.accept == accept
+    assert load_config(path).job.accept_by == accept
     for wrong, words in (
         (text.replace('alignment = "tilt"', 'alignment = "piston"'), "each map has a tilt of its own"),
         (text.replace("tolerance_nm = 2.0", "#") + "\n[[tolerance]]\npv_nm = 9.0\n", "no line is an RMS"),
@@ -134,5 +134,5 @@ def test_what_has_no_bound_is_not_accepted_by_one(tmp_path: Path, accept: str) -
         ),
     ):
         path.write_text(wrong)
-        with pytest.raises(ConfigError, match=rf"cell\.toml:\d+: job\.accept: {words}"):
+        with pytest.raises(ConfigError, match=rf"cell\.toml:\d+: job\.accept_by: {words}"):
             load_config(path)

@@ -35,7 +35,7 @@ from polishd.pipeline.records import EstimatesInUse
 from polishd.pipeline.run_folder import RunFolder
 from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.dwell import newton_cg
-from polishd.process.metrology.statistics import fitted
+from polishd.process.metrology.statistics import fit_terms
 from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import raster
 from tests.fakes.devices import FakeCell
@@ -47,7 +47,7 @@ CERTIFICATE = OptimalityCertificate(
     "newton_cg", 1.0, 1e-6, 0.0, 0.5, 3.0, 60.0, 50.0, at_lower=1, at_upper=0, iterations=9, seconds=0.1, stopped="x"
 )
 MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
-LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3)
 
 
 def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
@@ -71,7 +71,7 @@ def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
 
 
 PART = PartSection(id="P-1", aperture_mm=APERTURE_MM, edge_mm=2.0, origin_mm=(0, 0, 0), rotation_rpy_deg=(0, 0, 0))
-DWELL = DwellSection(extension="none", within_s=30.0)
+DWELL = DwellSection(extension="none", cpu_limit_s=30.0)
 JOB = JobSection(id="small", tolerance_nm=0.5, lsf_period_mm=10.0)
 
 
@@ -84,7 +84,7 @@ def small_recipe(**changes: Any) -> Recipe:
         dwell=DWELL,
         job=JOB,
         instrument=None,
-        spike_mads=0.0,
+        spike_threshold_mad=0.0,
         nominal=None,
         grid_mm=1.0,
         process=ToolProcess(dip_deg=0.0),
@@ -128,7 +128,7 @@ def small_map(rms_nm: float = 20.0, seed: int = 0, part_id: str = "P-1") -> Surf
     grid = Grid(n, n, 0.5)
     height = rough(grid, rms_nm, seed)
     part = grid.radius_mm() <= APERTURE_MM / 2 + 0.5
-    height -= fitted(height, part, "tilt")
+    height -= fit_terms(height, part, "tilt")
     return as_map(np.where(part, height * rms_nm / height[part].std(), np.nan), part_id)
 
 
@@ -162,7 +162,7 @@ def small_job(
         "publish": told.append,
         "check_plan": accept,
         "max_cycles": 3,
-        "lookahead_s": 8.0,
+        "stream_ahead_s": 8.0,
     }
     contact = changes.pop("contact", LIMITS)
     one = (ToolStepState(recipe or small_recipe(), program or small_program(), contact),)

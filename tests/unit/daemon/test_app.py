@@ -17,11 +17,13 @@ import pytest
 from polishd.daemon import app, assembly
 from polishd.daemon.assembly import run_folder
 from polishd.daemon.cell import cell
+from polishd.daemon.job_runner import JobRunner
+from polishd.daemon.job_source import SingleJob
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
+from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.runtime.events import EventBus
 from polishd.daemon.socket.client import request
-from polishd.daemon.state_machine import Daemon
 from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import (
     ConfigError,
@@ -67,7 +69,9 @@ class Running:
         self.told: list[Event] = []
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
         bus = EventBus(sinks=(bench.journal.record_event, self.told.append))
-        self.daemon = Daemon(bench.fake.cell, job, bus, holds=holds)
+        jobs = SingleJob(bench.journal, job.folder, job)
+        requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
+        self.daemon = JobRunner(bench.fake.cell, jobs, requests, bus, holds=holds)
         self.task: asyncio.Task[Outcome] | None = None
 
     async def __aenter__(self) -> Self:
@@ -94,7 +98,7 @@ class Running:
             await asyncio.sleep(0)
 
     def states(self) -> list[str]:
-        return [event.data["state"] for event in self.told if event.name == "state"]
+        return [event.data["state"] for event in self.told if event.name == "state_changed"]
 
 
 def begin_earlier(tmp_path: Path, *, interrupted: bool) -> None:
@@ -463,7 +467,7 @@ class Site:
             base_dir=tmp_path,
             notify={},
             part=SimpleNamespace(id="P-1"),
-            job=SimpleNamespace(id="small", max_cycles=3, lookahead_s=8.0),
+            job=SimpleNamespace(id="small", max_cycles=3, stream_ahead_s=8.0),
             resolve=lambda text: tmp_path / text,
             effective=lambda: {"part": self.part, "program": {"path": "program.rnc"}},
             error=lambda key, problem: ConfigError(f"cell.toml: {key}: {problem}"),
@@ -518,7 +522,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 
 def test_a_job_that_no_map_could_end_is_refused_before_anything_is_opened(site: Site) -> None:
-    site.recipe = small_recipe(tolerance_nm=1.5, accept="bound")
+    site.recipe = small_recipe(tolerance_nm=1.5, accept_by="bound")
     with pytest.raises(ConfigError, match=r"no map can be accepted.*power, 5 nm by itself.*nothing was opened"):
         app._own_work(site.config, site.hooks)
     assert site.bench is None
@@ -547,9 +551,9 @@ async def test_run_cell_leaves_a_whole_folder(site: Site) -> None:
     assert (site.config.run_dir / "cell.toml").read_text() == "# a cell"
     assert (site.config.run_dir / "journal.sqlite").stat().st_size > 0
     assert not (site.config.state_dir / "polishd.sock").exists()
-    finished = next(event for event in site.told if event.name == "job_finished")
+    finished = next(event for event in site.told if event.name == "run_folder_completed")
     assert finished.data["run_dir"] == str(site.config.run_dir)
-    assert [e.data["state"] for e in site.told if e.name == "state"][-1] == "finished"
+    assert [e.data["state"] for e in site.told if e.name == "state_changed"][-1] == "finished"
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:
         assert not journal.resumed, "the job is over: the next one is a new one"
 
@@ -567,7 +571,7 @@ async def test_run_cell_tells_what_failed_and_leaves_the_summary(site: Site) -> 
         ("MapError", "all holes", True)
     ]
     assert summary["notes"][0].endswith(" ended: MapError: all holes")
-    failed = next(event for event in site.told if event.name == "failed")
+    failed = next(event for event in site.told if event.name == "daemon_failed")
     assert (failed.data["error"], failed.data["kind"], failed.data["tool_off"]) == ("all holes", "MapError", "yes")
     assert failed.data["next"] == summary["next"]
     with Journal.open(site.config.state_dir, job="small", part_id="P-1") as journal:

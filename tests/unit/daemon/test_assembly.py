@@ -58,7 +58,7 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
         program={"offset_mm": [1.0, 2.0, 0.0], "rotation_deg": 90.0},
         process={"correction": "linear", "grid_mm": 0.8},
         job={"tolerance_nm": 3.0, "tolerance_period_mm": 12.0},
-        dwell={"within_s": 7.0, "kkt_tolerance": 1e-5},
+        dwell={"cpu_limit_s": 7.0, "kkt_tolerance": 1e-5},
         limits={"max_rate_change": 0.2},
     )
     recipe = make_recipe(config, hooks)
@@ -69,7 +69,7 @@ def test_the_recipe_is_the_configs(configured: Any, hooks: Hooks) -> None:
         0.8,
     )
     assert (recipe.program.offset_mm, recipe.program.rotation_deg) == ((1.0, 2.0, 0.0), 90.0)
-    assert (recipe.correction, recipe.dwell.within_s, recipe.dwell.kkt_tolerance) == ("linear", 7.0, 1e-5)
+    assert (recipe.correction, recipe.dwell.cpu_limit_s, recipe.dwell.kkt_tolerance) == ("linear", 7.0, 1e-5)
     assert (recipe.job.tolerance_nm, recipe.job.tolerance_period_mm, recipe.max_rate_change) == (3.0, 12.0, 0.2)
     assert (recipe.format.name, recipe.model.name, recipe.solver.name) == ("rs274", "hertz_preston", "auto")
     assert recipe.cross_check is not None
@@ -86,13 +86,13 @@ def test_the_form_wanted_is_read_with_the_recipe(configured: Any, hooks: Hooks, 
     reader = hooks.surface_readers()["x3p"]
     assert reader.write is not None
     (tmp_path / "form.x3p").write_bytes(reader.write(form))
-    nominal = make_recipe(configured(part={"nominal": "form.x3p"}), hooks).nominal
+    nominal = make_recipe(configured(part={"form": "form.x3p"}), hooks).nominal
     assert nominal is not None
     np.testing.assert_allclose(nominal.height_nm, form.height_nm)
     np.save(tmp_path / "form.npy", form.height_nm)
     for name, reason in (("none.x3p", "No such file"), ("form.npy", "does not say its pitch and surface and unit")):
-        with pytest.raises(ConfigError, match=rf"cell\.toml.*part\.nominal.*{reason}"):
-            make_recipe(configured(part={"nominal": name}), hooks)
+        with pytest.raises(ConfigError, match=rf"cell\.toml.*part\.form.*{reason}"):
+            make_recipe(configured(part={"form": name}), hooks)
 
 
 def test_the_recipe_travels_to_the_worker(configured: Any, hooks: Hooks) -> None:
@@ -109,7 +109,7 @@ def test_no_cross_check(configured: Any, hooks: Hooks) -> None:
     [
         ("program", "format", "rs247", "rs274"),
         ("process", "removal_model", "preston", "hertz_preston"),
-        ("process", "learns", "machin", "machine"),
+        ("process", "estimates", "machin", "machine"),
         ("dwell", "solver", "newton", "newton_cg"),
         ("dwell", "cross_check", "pq", "qp"),
     ],
@@ -128,7 +128,7 @@ def test_what_no_plugin_serves_is_named(
 
 @pytest.mark.parametrize(("learns", "believes"), [("rate", Estimates), ("machine", MachineEstimates)])
 def test_a_cell_says_how_its_model_learns(configured: Any, hooks: Hooks, learns: str, believes: type) -> None:
-    model = make_recipe(configured(process={"learns": learns}), hooks).model
+    model = make_recipe(configured(process={"estimates": learns}), hooks).model
     assert type(model.beliefs) is believes
     assert pickle.loads(pickle.dumps(model)) == model, "it goes to the worker"
 
@@ -165,7 +165,7 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
         "spindle.left, spindle.right (not used by this job), metrology"
     )
     keys = [limit["key"] for limit in facts["time limits"]]
-    assert {"actuator.left.retract_s", "robot.left.watchdog_s", "job.lookahead_s"} <= set(keys)
+    assert {"actuator.left.retract_s", "robot.left.watchdog_s", "job.stream_ahead_s"} <= set(keys)
     cell = build_cell(config, hooks)
     assert cell.robot is cell.devices["robot.left"]
     right = config.path.read_text().replace('= "left"', '= "right"')
@@ -179,7 +179,7 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
     ("section", "values", "says"),
     [
         ("robot", {"type": "robot_lnik"}, "robot_link"),
-        ("robot", {"type": "spindle_can"}, "robot"),
+        ("robot", {"type": "cia402_spindle"}, "robot"),
         ("actuator", {"unit": 999}, "unit"),
         ("spindle", {"node": "five"}, "node"),
     ],
@@ -195,9 +195,9 @@ def test_a_device_that_the_config_gets_wrong(
 
 def test_contact_limits(configured: Any) -> None:
     limits = contact_limits(
-        configured(process={"force_n": 9.0, "rpm": 800.0}, limits={"force_band": 0.1, "force_grace_s": 0.2})
+        configured(process={"force_n": 9.0, "rpm": 800.0}, limits={"force_band": 0.1, "force_alarm_delay_s": 0.2})
     )
-    assert (limits.force_n, limits.rpm, limits.force_band, limits.grace_s) == (9.0, 800.0, 0.1, 0.2)
+    assert (limits.force_n, limits.rpm, limits.force_band, limits.alarm_delay_s) == (9.0, 800.0, 0.1, 0.2)
     assert (limits.force_max_n, limits.force_max_key) == (13.5, "process.force_max_n")
 
 

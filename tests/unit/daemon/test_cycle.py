@@ -136,7 +136,7 @@ async def test_a_pass_that_will_hardly_gain_is_not_made(bench: Bench) -> None:
 
 
 async def test_a_pass_that_is_to_teach_is_made_whatever_the_map_says(bench: Bench) -> None:
-    job = bench.job(recipe=small_recipe(tolerance_nm=50.0, choose="as_programmed"), max_cycles=1)
+    job = bench.job(recipe=small_recipe(tolerance_nm=50.0, objective="as_programmed"), max_cycles=1)
     assert await bench.polish(job) is Outcome.AS_PROGRAMMED, "although the part is in tolerance, and gets worse"
     (record,) = bench.journal.passes
     assert record.how == "done"
@@ -172,8 +172,8 @@ async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) 
     assert blocks.contact.all()
     assert not blocks.recovered.any()
     assert job.executed_s(0).sum() > record.facts["dwell_s"] + 0.04 * small_program().n
-    names = [event.name for event in job.told if event.name != "progress"]
-    assert names == ["measured", "solved", "pass_begun", "pass_ended", "measured", *names[5:]]
+    names = [event.name for event in job.told if event.name != "pass_progressed"]
+    assert names == ["measured", "solved", "pass_started", "pass_ended", "measured", *names[5:]]
 
 
 async def test_the_tool_stays_until_samples_have_told_of_the_last_block(bench: Bench) -> None:
@@ -256,7 +256,7 @@ async def test_a_map_that_is_turned_over_stops_at_the_gate_and_leaves_what_it_co
         await bench.polish(job)
     assert bench.phases() == [*whole(0), "1 measure done", "1 learn failed"]
     folder = bench.tmp_path / "run" / "cycle-01"
-    (stopped,) = [event for event in job.told if event.name == "gate_stopped"]
+    (stopped,) = [event for event in job.told if event.name == "removal_check_failed"]
     assert stopped.data["cycle_dir"] == str(folder)
     verdict = json.loads((folder / "gate.json").read_text())
     assert verdict["stop"] == stopped.data["stop"]

@@ -9,17 +9,17 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
 
 from polishd.config.job import JobFile
-from polishd.daemon import state_machine as daemon_module
-from polishd.daemon.app import _serve_queue
+from polishd.daemon import job_runner as daemon_module
+from polishd.daemon.app import _serve
 from polishd.daemon.cycle import short_collections
 from polishd.daemon.job.job import Job
-from polishd.daemon.job_runner import IN_THE_WAY, QueueDaemon, QueueRunner, resume_open_job
+from polishd.daemon.job_runner import IN_THE_WAY, JobRunner
+from polishd.daemon.job_source import QueuedJobs
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.queue.queue import NewJob, Queue, QueueEntry
@@ -84,7 +84,7 @@ class Hall:
         return small_job(self.tmp_path, own, folder=folder, publish=publish), folder
 
     async def polish(self, _cell: Any, job: Job, journal: Journal) -> Outcome:
-        entry = self.shift.entry
+        entry = self.jobs.entry
         assert entry is not None
         assert job.journal is journal
         self.polished.append(entry.name)
@@ -103,12 +103,12 @@ class Hall:
         self.task = asyncio.ensure_future(self.daemon.run())
 
     async def build(self, **options: Any) -> None:
-        self.shift = QueueRunner(self.journal, self.make)
-        self.bus = self.shift.bus = EventBus(sinks=(self.shift.record, self.told.append))
-        await resume_open_job(self.shift)
-        desk = QueueRequests(None, self.shift.queue, self.shift.added)  # type: ignore[arg-type]
-        self.queue = self.shift.queue
-        self.daemon = QueueDaemon(self.fake.cell, self.shift, desk, self.bus, **options)
+        self.jobs = QueuedJobs(self.journal, self.make)
+        self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.told.append))
+        await self.jobs.resume()
+        requests = QueueRequests(None, self.jobs.queue, self.jobs.added)  # type: ignore[arg-type]
+        self.queue = self.jobs.queue
+        self.daemon = JobRunner(self.fake.cell, self.jobs, requests, self.bus, **options)
 
     async def run(self, **options: Any) -> Outcome:
         await self.start(**{"until_empty": True} | options)
@@ -224,12 +224,12 @@ async def test_a_loader_brings_part_after_part_to_a_cell_that_is_opened_once(hal
     moves = ["unload P-old", "load P-a", "unload P-a", "load P-b", "unload P-b", "load P-c"]
     assert hall.fake.of("loader.unload", "loader.load") == [f"loader.{move}" for move in moves]
     assert len(hall.fake.of("actuator.open")) == len(hall.fake.of("actuator.close")) == 1
-    assert [(event["job"], event["part_id"]) for event in hall.events("job_begun")] == [
+    assert [(event["job"], event["part_id"]) for event in hall.events("job_started")] == [
         ("a", "P-a"),
         ("b", "P-b"),
         ("c", "P-c"),
     ]
-    assert [event["verdict"] for event in hall.events("job_ended")] == ["accepted"] * 3
+    assert [event["verdict"] for event in hall.events("queue_job_ended")] == ["accepted"] * 3
     assert [event["by"] for event in hall.events("part_changed")] == ["loader"] * 3
     summary = json.loads((hall.tmp_path / "runs" / "b" / "summary.json").read_text())
     assert (summary["job"], summary["verdict"], summary["outcome"]) == ("b", "accepted", "in_tolerance")
@@ -270,7 +270,7 @@ async def test_it_waits_for_a_job_and_takes_one_that_is_added(hall: Hall) -> Non
     await hall.start()
     await hall.until("idle")
     hall.add("a")
-    hall.shift.added()
+    hall.jobs.added()
     await hall.wait(lambda: hall.verdicts() == {"a": "accepted"})
     await hall.until("idle")
     hall.daemon.stop()
@@ -294,8 +294,8 @@ async def test_what_is_the_parts_own_fault_puts_it_aside_and_the_queue_goes_on(h
     hall.add("a", "b").fake.with_loader()
     hall.ends["a"] = [error]
     await hall.run()
-    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
-    (first, _) = hall.events("job_ended")
+    assert hall.verdicts() == {"a": "set aside", "b": "accepted"}
+    (first, _) = hall.events("queue_job_ended")
     assert (first["reason"], first["stops"]) == (f"{type(error).__name__}: x", "")
 
 
@@ -303,7 +303,7 @@ async def test_a_job_that_cannot_begin_is_put_aside_and_nothing_moves_for_it(hal
     hall.add("a", "b").fake.with_loader()
     hall.refused["a"] = ConfigError("lens.rnc was changed since")
     await hall.run()
-    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+    assert hall.verdicts() == {"a": "set aside", "b": "accepted"}
     assert hall.fake.of("loader.load") == ["loader.load P-b"]
 
 
@@ -321,18 +321,18 @@ async def test_two_parts_in_a_row_with_the_same_fault_stop_it_and_resume_goes_on
     await hall.start(until_empty=True)
     await hall.until("held")
     assert hall.daemon.reason == (
-        "the queue stopped: two parts in a row ended with the same fault, MapError; b was put aside: MapError: y"
+        "the queue stopped: two parts in a row ended with the same fault, MapError; b was set aside: MapError: y"
     )
     await hall.order("resume")
     assert await hall.task is Outcome.IN_TOLERANCE
-    assert hall.verdicts() == {"a": "put aside", "b": "put aside", "c": "accepted"}
+    assert hall.verdicts() == {"a": "set aside", "b": "set aside", "c": "accepted"}
 
 
 async def test_other_faults_in_a_row_do_not(hall: Hall) -> None:
     hall.add("a", "b", "c", "d").fake.with_loader()
     hall.ends = {"a": [MapError("x")], "b": [Outcome.CYCLES_USED], "c": [MapError("y")]}
     await hall.run()
-    assert list(hall.verdicts().values()) == ["put aside", "rejected", "put aside", "accepted"]
+    assert list(hall.verdicts().values()) == ["set aside", "rejected", "set aside", "accepted"]
 
 
 async def test_the_gate_stops_it_at_once(hall: Hall) -> None:
@@ -341,7 +341,7 @@ async def test_the_gate_stops_it_at_once(hall: Hall) -> None:
     await hall.start()
     await hall.until("held")
     assert "the queue stopped: instrument or alignment is wrong" in hall.daemon.reason
-    assert hall.verdicts() == {"a": "put aside", "b": "waiting"}
+    assert hall.verdicts() == {"a": "set aside", "b": "waiting"}
     await hall.end()
 
 
@@ -362,7 +362,7 @@ async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_un
     hall.ends["a"] = [torn(SafetyStop("force"))]
     await hall.start(until_empty=True)
     await hall.until("held")
-    assert hall.verdicts() == {"a": "put aside", "b": "under way"}
+    assert hall.verdicts() == {"a": "set aside", "b": "under way"}
     assert IN_THE_WAY in hall.daemon.reason
     assert hall.fake.of("loader.load") == ["loader.load P-a"]
     await hall.order("resume")
@@ -383,13 +383,13 @@ async def test_no_loader_moves_under_a_robot_that_an_order_stopped_amid_a_pass(h
         hall.daemon._endangered("state_disk_mb 60, at least 64")
         await hall.until("held")
     assert IN_THE_WAY in hall.daemon.reason
-    await hall.order("job_remove", job="a")
+    await hall.order("queue_remove", job="a")
     await hall.until_again("held")
     assert hall.fake.of("loader.load") == ["loader.load P-a"]
     assert IN_THE_WAY in hall.daemon.reason
     await hall.order("resume")
     await hall.task
-    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+    assert hall.verdicts() == {"a": "set aside", "b": "accepted"}
 
 
 async def test_nor_under_one_that_a_kill_left_there_though_its_job_was_removed_meanwhile(hall: Hall) -> None:
@@ -420,7 +420,7 @@ async def test_a_robot_that_has_left_a_wrong_seat_is_in_nobodys_way(hall: Hall) 
     hall.add("a", "b").fake.with_loader()
     hall.ends["a"] = [touching(WrongSeat("too high"))]
     await hall.run()
-    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+    assert hall.verdicts() == {"a": "set aside", "b": "accepted"}
 
 
 async def test_without_confirmation_a_cut_pass_ends_the_daemon_and_the_job_stays_open(hall: Hall) -> None:
@@ -455,7 +455,7 @@ async def test_without_a_person_it_ends_where_it_would_stop(hall: Hall) -> None:
     hall.ends["a"] = [RemovalCheckStop("turned")]
     with pytest.raises(RemovalCheckStop):
         await hall.run(holds=False)
-    assert hall.verdicts() == {"a": "put aside", "b": "waiting"}
+    assert hall.verdicts() == {"a": "set aside", "b": "waiting"}
 
 
 async def test_a_tool_that_stops_the_queue_ends_it_with_an_error_where_nobody_is(hall: Hall) -> None:
@@ -515,9 +515,9 @@ async def test_a_part_that_was_put_aside_is_asked_for_again(hall: Hall) -> None:
     await hall.order("resume")
     await hall.until("idle")
     hall.queue.add([NewJob("a", "P-a", JobFile(Path("/a.toml"), ""), {})])
-    hall.shift.added()
+    hall.jobs.added()
     await hall.until("changing")
-    assert [event["part_id"] for event in hall.events("part_wanted")] == ["P-a", "P-a"]
+    assert [event["part_id"] for event in hall.events("part_requested")] == ["P-a", "P-a"]
     await hall.end()
 
 
@@ -527,9 +527,9 @@ async def test_a_part_that_was_put_aside_is_asked_for_again(hall: Hall) -> None:
 async def test_another_part_by_the_loaders_own_word_is_put_aside(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader().brings = {"P-a": "OTHER-7"}
     await hall.run()
-    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+    assert hall.verdicts() == {"a": "set aside", "b": "accepted"}
     assert hall.polished == ["b"]
-    assert hall.events("job_ended")[0]["reason"] == "WrongPart: loader: 'OTHER-7' is on the seat instead of 'P-a'"
+    assert hall.events("queue_job_ended")[0]["reason"] == "WrongPart: loader: 'OTHER-7' is on the seat instead of 'P-a'"
 
 
 async def test_a_jam_holds_and_the_same_part_is_tried_again(hall: Hall) -> None:
@@ -587,11 +587,11 @@ async def test_the_job_over_which_it_is_held_can_be_put_aside(hall: Hall) -> Non
     hall.ends["a"] = [LinkError("gone")]
     await hall.start(until_empty=True)
     await hall.until("held")
-    answer = await hall.order("job_remove", job="a", reason="it fell")
-    assert answer["jobs"][0]["state"] == "put aside"
+    answer = await hall.order("queue_remove", job="a", reason="it fell")
+    assert answer["jobs"][0]["state"] == "set aside"
     assert answer["jobs"][0]["reason"] == "it fell"
     await hall.task
-    assert hall.verdicts() == {"a": "put aside", "b": "accepted"}
+    assert hall.verdicts() == {"a": "set aside", "b": "accepted"}
 
 
 async def test_a_job_under_way_is_not_taken_out_while_it_is_worked(hall: Hall) -> None:
@@ -604,11 +604,11 @@ async def test_a_job_under_way_is_not_taken_out_while_it_is_worked(hall: Hall) -
     await hall.start()
     await hall.until("polishing")
     with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is polishing: hold the cell first"):
-        await hall.order("job_remove", job="a")
-    assert (await hall.order("job_remove", job="b"))["jobs"][0]["state"] == "removed"
+        await hall.order("queue_remove", job="a")
+    assert (await hall.order("queue_remove", job="b"))["jobs"][0]["state"] == "removed"
     await hall.order("hold")
-    await hall.order("job_remove", job="a")
-    assert hall.verdicts() == {"a": "put aside", "b": "removed"}
+    await hall.order("queue_remove", job="a")
+    assert hall.verdicts() == {"a": "set aside", "b": "removed"}
     await hall.until("idle")
     await hall.end()
 
@@ -619,7 +619,7 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
     await hall.until("idle")
     assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by order: cleaning"
     hall.add("a")
-    hall.shift.added()
+    hall.jobs.added()
     assert (await hall.order("resume"))["state"] != "held"
     await hall.wait(lambda: hall.verdicts() == {"a": "accepted"})
     await hall.end()
@@ -632,7 +632,7 @@ async def test_a_job_is_not_taken_out_while_it_is_made_ready(hall: Hall, monkeyp
     async def slow(entry: QueueEntry, *rest: Any) -> tuple[Job, RunFolder]:
         found = await make(entry, *rest)
         with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is idle: hold the cell first"):
-            await hall.order("job_remove", job="a")
+            await hall.order("queue_remove", job="a")
         return found
 
     monkeypatch.setattr(hall, "make", slow)
@@ -653,10 +653,10 @@ async def test_one_whose_device_cannot_be_asked_can_be_put_aside(hall: Hall, mon
     monkeypatch.setattr(hall, "make", no_instrument)
     await hall.start(until_empty=True)
     await hall.until("held")
-    assert (await hall.order("job_remove", job="a"))["jobs"][0]["state"] == "put aside"
+    assert (await hall.order("queue_remove", job="a"))["jobs"][0]["state"] == "set aside"
     await hall.task
-    assert [(event["job"], event["verdict"]) for event in hall.events("job_ended")] == [
-        ("a", "put aside"),
+    assert [(event["job"], event["verdict"]) for event in hall.events("queue_job_ended")] == [
+        ("a", "set aside"),
         ("b", "accepted"),
     ]
 
@@ -681,7 +681,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     hall.add("a").fake.with_loader()
     hall.ends["a"] = [end]
     await hall.build()
-    serving: Any = _serve_queue(SimpleNamespace(state_dir=hall.tmp_path), hall.daemon, hall.shift)  # type: ignore[arg-type]
+    serving: Any = _serve(hall.tmp_path, hall.daemon)
     hall.task = asyncio.ensure_future(serving)
     await hall.wait(hall.journal.cut_off)
     hall.daemon.stop()
@@ -690,9 +690,9 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     outcome = "stopped" if ends is None else "failed"
     assert (summary["job"], summary["outcome"]) == ("a", outcome)
     assert (hall.tmp_path / "runs" / "a" / "journal.sqlite").exists()
-    assert [event["outcome"] for event in hall.events("job_finished")] == [outcome]
-    assert [event["outcome"] for event in hall.events("queue_ended")] == ["stopped"] * (ends is None)
-    concerns = [event for event in hall.told if event.name in {"queue_ended", "failed"}]
+    assert [event["outcome"] for event in hall.events("run_folder_completed")] == [outcome]
+    assert [event["outcome"] for event in hall.events("queue_stopped")] == ["stopped"] * (ends is None)
+    concerns = [event for event in hall.told if event.name in {"queue_stopped", "failed"}]
     assert [concern.severity for event in concerns if (concern := event.concern())] == [
         Severity.INFO if ends is None else Severity.ALARM
     ]
@@ -709,7 +709,7 @@ async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None
         with pytest.raises(RemovalCheckStop):
             await hall.run(holds=False)
         reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
-        reason += "a was put aside: RemovalCheckStop: turned"
+        reason += "a was set aside: RemovalCheckStop: turned"
     else:
         await hall.start()
         if why == "order":
@@ -723,7 +723,7 @@ async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None
     assert hall.daemon.reason == reason
     await hall.order("resume")
     await hall.task
-    assert set(hall.verdicts().values()) <= {"put aside", "accepted"}
+    assert set(hall.verdicts().values()) <= {"set aside", "accepted"}
     await hall.run()
 
 
@@ -738,7 +738,7 @@ async def test_a_job_that_was_under_way_goes_on_held_and_then_the_queue(hall: Ha
     await hall.task
     assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
     assert hall.polished == ["a", "b"]
-    assert [event["job"] for event in hall.events("job_begun")] == ["a", "b"]
+    assert [event["job"] for event in hall.events("job_started")] == ["a", "b"]
 
 
 async def test_a_part_that_a_person_had_put_in_is_not_asked_for_again(hall: Hall) -> None:
@@ -757,7 +757,9 @@ async def test_a_part_that_a_person_had_put_in_is_not_asked_for_again(hall: Hall
         await hall.until("held")
         await hall.order("resume")
         await hall.task
-    assert "changing" in [event["state"] for event in hall.events("state")]
+    states = [event["state"] for event in hall.events("state")]
+    assert states[states.index("held") :] == ["held", "polishing", "idle"], "nothing is changed for it"
+    assert not hall.events("part_requested")
     assert hall.verdicts() == {"a": "rejected"}
 
 
@@ -765,7 +767,7 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
     hall.add("a")
     hall.queue.begin(hall.queue.to_do()[0], hall.journal.of_job("a", "P-a", {}).number)
     hall.refused["a"] = ConfigError("cell.toml:3: part.edge_mm: is 5")
-    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*put it aside: polishd job remove CELL.toml a"):
+    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*put it aside: polishd queue remove CELL.toml a"):
         await hall.start()
     assert hall.fake.events == []
 

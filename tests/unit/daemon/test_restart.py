@@ -56,7 +56,7 @@ class Rerun(Site):
         return as_map(height)
 
     def learned(self) -> list[tuple[int | None, float]]:
-        return [(event.cycle, event.data["rate"]) for event in self.told if event.name == "learned"]
+        return [(event.cycle, event.data["rate"]) for event in self.told if event.name == "estimates_updated"]
 
     def arrays(self, table: str, column: str) -> list[str]:
         """Names in the store, in the order of the cycles."""
@@ -75,7 +75,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rerun:
 
 async def until_held(site: Rerun) -> None:
     """pytest's timeout is the limit."""
-    while not any(event.name == "state" and event.data["state"] == "held" for event in site.told):  # noqa: ASYNC110
+    while not any(event.name == "state_changed" and event.data["state"] == "held" for event in site.told):  # noqa: ASYNC110
         await asyncio.sleep(0.01)
 
 

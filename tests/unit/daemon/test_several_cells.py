@@ -75,7 +75,7 @@ async def test_each_cell_has_a_job_of_its_own(sites: Sites) -> None:
         assert site.summary() == json.loads(json.dumps(found))
         folders = [line["event"]["data"]["run_dir"] for line in logged(site) if line["message"] == "measured"]
         assert set(folders) == {str(site.config.run_dir)}
-        assert [event.name for event in site.told].count("job_finished") == 1
+        assert [event.name for event in site.told].count("run_folder_completed") == 1
 
 
 def no_spindle(bench: Any) -> None:

@@ -68,7 +68,7 @@ async def test_a_run_folder_that_cannot_be_written_does_not_end_a_job_that_was_b
     folder.write_text("a file")
     summary = await resumed(site)
     assert summary["outcome"] == "in_tolerance", "what people cannot be left does not end a job"
-    assert any("is not whole" in note for note in summary["notes"])
+    assert any("is not complete" in note for note in summary["notes"])
 
 
 @pytest.mark.parametrize(

@@ -1,75 +1,70 @@
-"""Orders, and the work that they end."""
+"""The table of states, and its copy in docs/cycle.md."""
 
 from __future__ import annotations
 
-import asyncio
+from itertools import product
+from pathlib import Path
 
 import pytest
 
-from polishd.daemon.state_machine import OperatorCommand, OperatorCommandQueue, run_unless_commanded
-from polishd.model.errors import DeviceFault, ForcesApart, LinkError, PolishdError, SafetyStop
-from polishd.model.states import StateEvent
+from polishd.daemon.socket.client import VERBS
+from polishd.daemon.state_machine import DOES, ORDERS, TRANSITIONS, StateEvent, following, obeyed
+from polishd.model.states import DaemonState
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
 
 
-@pytest.mark.parametrize(
-    ("first", "then", "stands", "reason"),
-    [
-        (LinkError, SafetyStop, SafetyStop, "the force; the link"),
-        (LinkError, DeviceFault, LinkError, "the link"),
-        (SafetyStop, LinkError, SafetyStop, "the link"),
-        (SafetyStop, ForcesApart, SafetyStop, "the link"),
-    ],
-)
-def test_what_nobody_should_go_on_from_counts_more_than_what_can_be_mended(
-    first: type[PolishdError], then: type[PolishdError], stands: type[PolishdError], reason: str
-) -> None:
-    order = OperatorCommand(StateEvent.UNFIT, "the link", error=first)
-    order.worsen("the force", then)
-    assert (order.error, order.reason) == (stands, reason)
+def cause(trigger: StateEvent) -> str:
+    """Orders are verbs, and look like it."""
+    return f"`{trigger}`" if trigger in ORDERS else trigger.value
 
 
-async def test_an_order_ends_the_work() -> None:
-    orders, stop = OperatorCommandQueue(), OperatorCommand(StateEvent.STOP)
-    orders.give(stop)
-    assert await run_unless_commanded(orders.interrupting(), asyncio.Event().wait()) is stop  # type: ignore[arg-type]
+def test_the_docs_have_every_state_and_every_way() -> None:
+    states = [
+        "| state | what happens in it |",
+        "|---|---|",
+        *(f"| `{state}` | {DOES[state]} |" for state in DaemonState),
+    ]
+    ways = ["| in | when | next | with `--no-hold` | |", "|---|---|---|---|---|"]
+    for row in TRANSITIONS:
+        alone = f"`{row.unattended}`" if row.unattended else ""
+        ways.append(f"| `{row.source}` | {cause(row.trigger)} | `{row.target}` | {alone} | {row.note} |")
+    for table in (states, ways):
+        assert "\n".join(table) in DOCS.read_text(), "\n".join(table)
 
 
-async def test_an_order_that_comes_as_the_work_ends_is_not_lost() -> None:
-    """Both are done in one turn of the loop: the order is for what comes next."""
-    orders, done, stop = OperatorCommandQueue(), asyncio.Event(), OperatorCommand(StateEvent.STOP)
-
-    async def work() -> None:
-        await done.wait()
-
-    def both() -> None:
-        done.set()
-        orders.give(stop)
-
-    asyncio.get_running_loop().call_soon(both)
-    assert await run_unless_commanded(orders.interrupting(), work(), late=orders.give) is None
-    async with asyncio.timeout(10):
-        assert await orders.next() is stop
+def test_no_way_stands_in_it_twice_and_none_leads_out_of_the_end() -> None:
+    ways = [(row.source, row.trigger) for row in TRANSITIONS]
+    assert len(set(ways)) == len(ways)
+    assert all(row.source is not DaemonState.FINISHED for row in TRANSITIONS)
 
 
-async def test_an_order_over_which_the_work_fails_is_not_lost() -> None:
-    orders, stop = OperatorCommandQueue(), OperatorCommand(StateEvent.STOP)
-
-    async def work() -> None:
-        try:
-            await asyncio.Event().wait()
-        finally:
-            raise LinkError("the wire is cut")
-
-    orders.give(stop)
-    with pytest.raises(LinkError, match="cut"):
-        await run_unless_commanded(orders.interrupting(), work(), late=orders.give)
-    assert await orders.next() is stop
+def test_every_state_is_come_to_and_can_be_ended() -> None:
+    assert {row.target for row in TRANSITIONS} | {DaemonState.STARTING} == set(DaemonState)
+    for state in set(DaemonState) - {DaemonState.FINISHED}:
+        assert following(state, StateEvent.STOP) is DaemonState.FINISHED
+        assert following(state, StateEvent.ERROR) is DaemonState.FINISHED
 
 
-async def test_what_the_computer_asks_for_is_nothing_to_one_who_waits_for_a_person() -> None:
-    orders, unfit, hold = OperatorCommandQueue(), OperatorCommand(StateEvent.UNFIT), OperatorCommand(StateEvent.HOLD)
-    orders.give(unfit)
-    assert await orders.interrupting() is unfit
-    for order in (unfit, hold):
-        orders.give(order)
-    assert await orders.next() is hold
+def test_what_is_not_in_the_table_raises() -> None:
+    known = {(row.source, row.trigger) for row in TRANSITIONS}
+    for state, trigger in set(product(DaemonState, StateEvent)) - known:
+        with pytest.raises(RuntimeError, match="a fault of polishd"):
+            following(state, trigger)
+
+
+def test_without_a_person_nothing_is_held_but_by_order() -> None:
+    held = {
+        row.trigger for row in TRANSITIONS if following(row.source, row.trigger, unattended=True) is DaemonState.HELD
+    }
+    assert held == {StateEvent.HOLD, StateEvent.ESTOP}
+
+
+def test_an_order_is_obeyed_where_it_leads() -> None:
+    assert set(ORDERS) == {verb.name for verb in VERBS.values() if verb.changes == "an order"}
+    assert {order: obeyed(order) for order in ORDERS} == {
+        StateEvent.HOLD: {DaemonState.HELD, DaemonState.FINISHED},
+        StateEvent.RESUME: {DaemonState.IDLE, DaemonState.POLISHING, DaemonState.FINISHED},
+        StateEvent.STOP: {DaemonState.FINISHED},
+        StateEvent.ESTOP: {DaemonState.HELD, DaemonState.FINISHED},
+    }

@@ -1,104 +1,13 @@
-"""Orders that come one after another: which of them ends what, and that none is lost."""
+"""Each row of the table of states leads where it says, with a person there and without."""
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 
-from polishd.daemon.state_machine import OperatorCommand, OperatorCommandQueue, run_unless_commanded
-from polishd.model.errors import LinkError, SafetyStop
-from polishd.model.states import StateEvent
+from polishd.daemon.state_machine import TRANSITIONS, StateTransition, following
 
 
-def verbs(*orders: OperatorCommand) -> list[StateEvent]:
-    return [order.verb for order in orders]
-
-
-async def test_only_stop_ends_the_opening_and_all_orders_stay_as_they_came() -> None:
-    orders = OperatorCommandQueue()
-    opening = asyncio.ensure_future(orders.asked_to_stop())
-    orders.give(OperatorCommand(StateEvent.HOLD))
-    orders.give(OperatorCommand(StateEvent.RESUME))
-    for _ in range(4):
-        await asyncio.sleep(0)
-    assert not opening.done()
-    orders.give(OperatorCommand(StateEvent.STOP, "tea"))
-    assert (await opening).reason == "tea"
-    assert verbs(*[await orders.next() for _ in range(3)]) == [StateEvent.HOLD, StateEvent.RESUME, StateEvent.STOP]
-
-
-async def test_orders_that_came_while_the_cell_was_opened_come_next() -> None:
-    orders = OperatorCommandQueue()
-    orders.give(OperatorCommand(StateEvent.HOLD))
-    opening = asyncio.ensure_future(orders.asked_to_stop())
-    for _ in range(4):
-        await asyncio.sleep(0)
-    opening.cancel()
-    await asyncio.gather(opening, return_exceptions=True)
-    assert (await orders.interrupting()).verb is StateEvent.HOLD
-
-
-async def test_to_go_on_ends_no_work_and_is_not_kept_for_later() -> None:
-    orders, hold = OperatorCommandQueue(), OperatorCommand(StateEvent.HOLD)
-    orders.give(OperatorCommand(StateEvent.RESUME))
-    orders.give(hold)
-    assert await orders.interrupting() is hold
-
-
-@pytest.mark.parametrize(("reason", "said"), [("", "held"), ("tea", "held: tea")])
-def test_what_is_said_of_an_order(reason: str, said: str) -> None:
-    order = OperatorCommand(StateEvent.HOLD, reason)
-    assert order.said("held") == said
-    assert not order.refused
-    assert not order.taken
-
-
-async def test_the_end_of_any_work_that_is_done_beside_it_ends_the_first_and_no_order_came() -> None:
-    """Of several works the end of one is told by the first: it was cancelled, or came to its end."""
-    orders, ended = OperatorCommandQueue(), []
-
-    async def first() -> None:
-        ended.append("first")
-
-    async def beside() -> None:
-        try:
-            await asyncio.Event().wait()
-        finally:
-            ended.append("beside")
-
-    late: list[OperatorCommand] = []
-    assert await run_unless_commanded(orders.interrupting(), first(), beside(), late=late.append) is None
-    assert ended in (["first"], ["first", "beside"])
-    assert late == []
-
-
-async def test_work_that_fails_without_an_order_tells_why_and_no_order_is_late() -> None:
-    orders, late = OperatorCommandQueue(), []
-
-    async def fails() -> None:
-        raise LinkError("cut")
-
-    with pytest.raises(LinkError, match="cut"):
-        await run_unless_commanded(orders.interrupting(), fails(), late=late.append)
-    assert late == []
-    hold = OperatorCommand(StateEvent.HOLD)
-    orders.give(hold)
-    assert await orders.next() is hold, "the one who waited for it is gone"
-
-
-async def test_where_taking_an_order_fails_too_the_more_telling_error_is_told() -> None:
-    async def no_order() -> OperatorCommand:
-        raise LinkError("the socket is gone")
-
-    async def work() -> None:
-        raise SafetyStop("force")
-
-    late: list[OperatorCommand] = []
-    with pytest.raises(SafetyStop, match="force"):
-        await run_unless_commanded(no_order(), work(), late=late.append)
-    assert late == []
-
-
-def test_an_order_needs_no_reason() -> None:
-    assert OperatorCommand(StateEvent.STOP).said("stopped") == "stopped"
+@pytest.mark.parametrize("row", TRANSITIONS)
+def test_each_way_leads_where_it_says(row: StateTransition) -> None:
+    assert following(row.source, row.trigger) is row.target, "a person is there, where nobody says otherwise"
+    assert following(row.source, row.trigger, unattended=True) is (row.unattended or row.target)

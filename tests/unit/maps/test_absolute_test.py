@@ -75,7 +75,7 @@ def test_people_are_told_what_is_unknown_and_the_file_keeps_how_it_came_about(
     said = polishd("map", "absolute", *files, *QUARTERS, "--out-instrument", system, "--picture", picture).out
     for words in (
         "unknown, and left in the part: power, spherical",
-        "to be told by a reference of known radius or a flat of known power: power",
+        "needs a reference of known radius or a flat of known power: power",
         "one more angle, 45 deg from one of 0, 90, 180, 270: tetrafoil",
         "gravity, counts as instrument",
         "secondary astigmatism cos",
@@ -102,8 +102,8 @@ def test_angles_may_stand_in_a_list(polishd: Polishd, tmp_path: Path, files: lis
     listed.write_text("file,angle_deg,x_mm,y_mm\np0.dat,0,,\np1.dat,90,6,0\n")
     answer = polishd("map", "absolute", *files[:2], "--at", listed, "--json").answer
     assert [one["shift_mm"] for one in answer["maps"]] == [[0, 0], [6, 0]]
-    assert any("where the pose puts it: p0.dat" in note for note in answer["notes"])  # nobody shifted it
-    for text, told in {
+    assert any("where the pose puts it: p0.dat" in note for note in answer["notes"])  # not shifted
+    for text, message in {
         "file,angle_deg\np0.dat,0\np1.dat,quarter\n": "poses.csv:3: angle_deg is 'quarter'",
         "file,angle_deg\np0.dat,0\n": "poses.csv: does not say where p1.dat lies; add a line file,angle_deg",
         "file,turn\np0.dat,0\n": "the column 'angle_deg' is missing",
@@ -111,7 +111,7 @@ def test_angles_may_stand_in_a_list(polishd: Polishd, tmp_path: Path, files: lis
         listed.write_text(text)
         said = polishd("map", "absolute", *files[:2], "--at", listed)
         assert said.code == 3
-        assert told in said.err
+        assert message in said.err
 
 
 def test_a_wrong_sense_is_one_line(polishd: Polishd, files: list[Path]) -> None:
@@ -124,7 +124,7 @@ def test_a_wrong_sense_is_one_line(polishd: Polishd, files: list[Path]) -> None:
 
 @pytest.mark.full
 def test_what_cannot_be_told_apart_is_refused(polishd: Polishd, tmp_path: Path, files: list[Path]) -> None:
-    for asked, code, told in (
+    for asked, code, message in (
         (["--angles", "0,90"], 2, "4 numbers with commas"),
         (["--angles", "0,90,x,1"], 2, "4 numbers with commas"),
         ([], 2, "--angles"),
@@ -135,7 +135,7 @@ def test_what_cannot_be_told_apart_is_refused(polishd: Polishd, tmp_path: Path, 
     ):
         said = polishd("map", "absolute", *files, *asked)
         assert said.code == code, asked
-        assert told in " ".join(said.err.replace("│", " ").split()), asked
+        assert message in " ".join(said.err.replace("│", " ").split()), asked
     one = polishd("map", "absolute", files[0], "--angles", "0")
     assert one.code == 8
     assert "turn the part and measure again" in one.err

@@ -12,7 +12,7 @@ from polishd.maps.map_files import MapSource
 from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.plugins.interferometer.formats.x3p import X3P
-from polishd.process.metrology.averaging import average
+from polishd.process.metrology.averaging import average_maps
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.plugins.interferometer.map_files import HEIGHT_NM, foursight
 from tests.unit.said import Polishd
@@ -65,7 +65,7 @@ def test_repeats_of_unknown_pitch_are_averaged_only_when_asked(
     bare = [dat(tmp_path / f"bare{number}.dat", surface(seed=number), pitch_mm=0.0) for number in range(3)]
     said = polishd("map", "average", *bare)
     assert said.code == 8
-    assert "bare0.dat, bare1.dat, bare2.dat: without a lateral scale nobody knows" in said.err
+    assert "bare0.dat, bare1.dat, bare2.dat: without a lateral scale" in said.err
     assert polishd("map", "average", *bare, "--mixed", "--json").answer["used"] == [path.name for path in bare]
     profile = tmp_path / "p.toml"
     profile.write_text(f'name = "x"\n[lateral]\npitch_mm = {PITCH_MM}\n')
@@ -109,10 +109,10 @@ def test_repeats_of_another_instrument_are_refused_by_name(polishd: Polishd, tmp
     maps = [
         SurfaceMap(surface(seed=n), PITCH_MM, instrument=name, path=Path(f"{n}.dat")) for n, name in enumerate(names)
     ]
-    assert average(maps).used == ("0.dat", "1.dat", "2.dat")
+    assert average_maps(maps).used == ("0.dat", "1.dat", "2.dat")
     other = replace(maps[2], instrument="Zygo, system 651366")
     with pytest.raises(MapError, match=r"2\.dat is of the instrument"):
-        average([*maps[:2], other])
+        average_maps([*maps[:2], other])
 
 
 @pytest.mark.full

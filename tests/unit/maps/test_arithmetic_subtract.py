@@ -64,7 +64,7 @@ def test_people_are_told_the_same(polishd: Polishd, tmp_path: Path) -> None:
     one, two = measured(tmp_path / "a.dat", PART, 1), measured(tmp_path / "b.dat", SYSTEM, 2)
     said = polishd("map", "subtract", one, two).out
     assert "a.dat less b.dat" in said
-    assert "how sure a sample is nobody knows" in said
+    assert "the uncertainty of a sample is unknown" in said
     assert "not written: --out" in said
     assert "written to" in polishd("map", "subtract", one, two, "--out", tmp_path / "c.x3p").out
 

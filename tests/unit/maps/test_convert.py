@@ -146,11 +146,11 @@ def test_a_format_that_claims_to_know_more() -> None:
 
 def test_an_existing_file_is_not_replaced_unasked(polishd: Polishd, source: Path) -> None:
     target = source.with_suffix(".x3p")
-    target.write_text("somebody's")
+    target.write_text("another file")
     said = polishd("map", "convert", source, target)
     assert said.code == 3
     assert "--force" in said.err
-    assert target.read_text() == "somebody's"
+    assert target.read_text() == "another file"
     assert polishd("map", "convert", source, target, "--force").code == 0
     assert polishd("map", target, "--json").answer["rows"] == 60
 

@@ -266,8 +266,8 @@ def test_a_scale_a_million_times_too_large_is_none(polishd: Polishd, tmp_path: P
     assert (answer["pitch_mm"], answer["bands"], answer["unsaid"]) == (None, None, ["pitch"])
     assert "80 samples of 312.5 mm would be a part of 25 m, more than 20 m" in answer["warnings"][0]
     profile.write_text('name = "x"\n[lateral]\npitch_mm = 3.125e-4\n')
-    told = polishd("map", path, "--json", "--profile", profile).answer
-    assert (told["pitch_mm"], told["warnings"], told["unsaid"]) == (3.125e-4, [], [])
+    answer = polishd("map", path, "--json", "--profile", profile).answer
+    assert (answer["pitch_mm"], answer["warnings"], answer["unsaid"]) == (3.125e-4, [], [])
 
 
 @pytest.mark.full
@@ -385,7 +385,7 @@ def test_the_shortest_names_that_tell(paths: list[str], names: list[str]) -> Non
 
 
 def test_a_profile_is_applied(polishd: Polishd, good: Path) -> None:
-    """Turned, negated and halved, and it is said; a profile that is none is exit code 3."""
+    """Turned, negated and halved, with a note; an invalid profile is exit code 3."""
     profile = good.with_name("p.toml")
     profile.write_text('name = "x"\n[orientation]\nrotation_deg = 90\n[height]\nsign = -1\nfactor = 0.5\n')
     plain, turned = polishd("map", good, "--json").answer, polishd("map", good, "--json", "--profile", profile).answer

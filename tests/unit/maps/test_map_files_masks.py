@@ -1,4 +1,4 @@
-"""``--mask`` as from the shell: what each form holds, in every verb, and what is said of one that is none."""
+"""``--mask`` as from the shell: what each form holds, in every verb, and the message for an invalid one."""
 
 from __future__ import annotations
 

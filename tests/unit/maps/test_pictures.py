@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from polishd.maps import pictures as map_pictures
-from polishd.process.metrology.spectra import radial_psd
-from polishd.rendering.plots import figure
 from tests.unit.maps.maps import dat, surface
 from tests.unit.said import Polishd
 
@@ -68,7 +66,6 @@ def test_periods_are_named(limits: tuple[float | None, float | None], words: str
 def test_rounding_errors_are_no_heights() -> None:
     assert map_pictures._nm(3e-13) == "0 nm"
     assert map_pictures._nm(0.25) == "0.25 nm"
-    assert map_pictures._limit(np.full((3, 3), 2e-13)) == 1.0
 
 
 def test_a_picture_does_not_take_a_maps_place(polishd: Polishd, good: Path) -> None:
@@ -101,21 +98,3 @@ def test_names_are_taken_as_they_are(polishd: Polishd, good: Path) -> None:
     assert out.read_bytes().startswith(PNG)
     assert map_pictures._short("a" * 24) == "a" * 24
     assert map_pictures._short("before" + "a" * 40 + "after-3.datx") == "beforeaaaa...fter-3.datx"
-
-
-def test_spikes_do_not_bleach_the_rest() -> None:
-    height = np.random.default_rng(1).normal(0.0, 1.0, (100, 100))
-    height[5, 5] = 1e4
-    assert map_pictures._limit(height) < 10
-    assert map_pictures._limit(np.zeros((3, 3))) == 1.0
-
-
-def test_a_spectrum_ends_at_nyquist() -> None:
-    """White noise has power in the corners of the square of frequencies, up to 1.41 times Nyquist's."""
-    height = np.random.default_rng(1).normal(0.0, 1.0, (64, 64))
-    spectrum = radial_psd(height, np.ones((64, 64), dtype=np.bool_), 0.5)
-    assert spectrum.frequency_per_mm[-1] > 1.3
-    ax = figure(3, 3).subplots()
-    map_pictures._spectra(ax, {"": spectrum}, 0.5)
-    drawn = np.asarray(ax.lines[0].get_xdata(), dtype=np.float64)
-    assert 0.96 < drawn.max() <= 1.0, "the last ring within it"

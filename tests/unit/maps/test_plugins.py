@@ -25,7 +25,7 @@ def read(path):
 def polishd_surface_readers():
     return [SurfaceReader("acme", sniff, read, (".csv", ".dat"))]
 """
-OWN = ["rnc_robot", "voice_coil", "spindle", "interferometer", "removal_models", "dwell_solvers", "plan_guard"]
+OWN = ["rnc_robot", "devices", "voice_coil", "interferometer", "removal_models", "dwell_solvers", "plan_checks"]
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_a_reader_that_fails_is_one_line_wherever_maps_are_read(polishd: Polishd
     (tmp_path / "program.rnc").write_text("G21\n")
     plain = tmp_path / "plain.toml"
     plain.write_text(cell.read_text())
-    cell.write_text(with_values(cell.read_text(), {"part": {"nominal": "odd.csv"}}))
+    cell.write_text(with_values(cell.read_text(), {"part": {"form": "odd.csv"}}))
     calls: list[tuple[int, tuple[Any, ...]]] = [
         (8, ("plan", plain, tmp_path / "odd.csv", "--program", tmp_path / "program.rnc", "--out", tmp_path / "out")),
         (8, ("map", tmp_path / "odd.csv", "--cell", plain)),
@@ -101,4 +101,4 @@ def test_a_reader_that_fails_is_one_line_wherever_maps_are_read(polishd: Polishd
         (line,) = said.err.strip().splitlines()
         assert "odd.csv: the reader 'acme' failed: ValueError: could not convert string 'two'" in line
     assert "cell.toml:" in line
-    assert "part.nominal" in line
+    assert "part.form" in line

@@ -94,10 +94,10 @@ def test_nine_maps_of_a_known_surface_come_back(
     there = np.isfinite(error)
     floor = NOISE_NM * 5 / 6
     assert np.sqrt(np.mean(error[there] ** 2)) < 1.2 * floor
-    told = MapSource.of().read(unsure).height_nm
-    assert 0.8 < np.sqrt(np.mean((error / told)[there] ** 2)) < 1.25
+    sigma = MapSource.of().read(unsure).height_nm
+    assert 0.8 < np.sqrt(np.mean((error / sigma)[there] ** 2)) < 1.25
     assert answer["noise_nm"] == pytest.approx(NOISE_NM, rel=0.03)
-    assert answer["uncertainty_worst_nm"] == pytest.approx(np.nanmax(told), rel=1e-3)
+    assert answer["uncertainty_worst_nm"] == pytest.approx(np.nanmax(sigma), rel=1e-3)
     if "shift" in free:
         found = np.array([one["shift_mm"] for one in answer["maps"]])
         sure = np.array([one["shift_uncertainty_mm"] for one in answer["maps"]])
@@ -106,7 +106,7 @@ def test_nine_maps_of_a_known_surface_come_back(
         assert np.abs(off).max() < 4
         assert 0.4 < np.sqrt(np.mean(off**2)) < 2  # all hang on the few overlaps of the first map
     if power:
-        assert any("cannot be told from the part's" in note for note in answer["notes_power"])
+        assert any("cannot be separated from the part's" in note for note in answer["notes_power"])
 
 
 def test_where_one_map_is_it_is_less_sure_than_where_four_are(polishd: Polishd, tmp_path: Path) -> None:
@@ -114,11 +114,11 @@ def test_where_one_map_is_it_is_less_sure_than_where_four_are(polishd: Polishd, 
     given = mosaic(tmp_path, said=True)
     unsure = tmp_path / "u.x3p"
     answer = polishd("map", "stitch", *given.files, "--at", given.at, "--uncertainty", unsure, "--json").answer
-    told = MapSource.of().read(unsure).height_nm
-    middle = told.shape[0] // 2
-    assert told[middle, middle] == pytest.approx(NOISE_NM, rel=0.1)  # the centre of the middle map: it alone
+    sigma = MapSource.of().read(unsure).height_nm
+    middle = sigma.shape[0] // 2
+    assert sigma[middle, middle] == pytest.approx(NOISE_NM, rel=0.1)  # the centre of the middle map: it alone
     corner = STEP_PX + (SIDE_PX - STEP_PX) // 2  # between four
-    assert told[corner, corner] == pytest.approx(NOISE_NM / 2, rel=0.1)
+    assert sigma[corner, corner] == pytest.approx(NOISE_NM / 2, rel=0.1)
     # the first map lies in a corner, its own furthest sample 47.5 sqrt(2) px off, the result's 2 x 60 px further
     assert answer["power_growth"] == pytest.approx((1 + 120 / 47.5) ** 2, rel=0.05)
 
@@ -155,7 +155,7 @@ def test_a_smooth_part_tells_no_shift(polishd: Polishd, tmp_path: Path) -> None:
     given = mosaic(tmp_path, said=True, rough=False)
     said = polishd("map", "stitch", *given.files, "--at", given.at, "--free", "shift")
     assert said.code == 8
-    assert "no structure that tells a shift" in said.err
+    assert "overlaps have no structure" in said.err
     assert polishd("map", "stitch", *given.files, "--at", given.at, "--json").code == 0
 
 
@@ -163,7 +163,7 @@ def test_a_smooth_part_tells_no_shift(polishd: Polishd, tmp_path: Path) -> None:
 def test_what_is_no_list_of_places_is_told_with_its_line(polishd: Polishd, tmp_path: Path) -> None:
     given = mosaic(tmp_path, said=True)
     two = given.files[:2]
-    for text, told in {
+    for text, message in {
         "file,x_mm,y_mm\np0.dat,0,0\np1.dat,far,0\n": "at.csv:3: x_mm is 'far', it must be a finite number",
         "file,x_mm,y_mm\np0.dat,0,0\np1.dat,30\n": "at.csv:3: y_mm is nothing, it must be a finite number",
         "file,x_mm,y_mm\np0.dat,0,0\np0.dat,30,0\n": "at.csv:3: p0.dat stands there a second time",
@@ -173,18 +173,18 @@ def test_what_is_no_list_of_places_is_told_with_its_line(polishd: Polishd, tmp_p
         given.at.write_text(text)
         said = polishd("map", "stitch", *two, "--at", given.at)
         assert said.code == 3
-        assert told in said.err
+        assert message in said.err
 
 
 def test_maps_of_no_or_of_two_pitches_are_refused(polishd: Polishd, tmp_path: Path) -> None:
     given = mosaic(tmp_path, said=True)
     height = np.ones((SIDE_PX, SIDE_PX))
-    for pitch, told in {0.0: "has no lateral scale", 0.25: "has a pitch of 0.25 mm"}.items():
+    for pitch, message in {0.0: "has no lateral scale", 0.25: "has a pitch of 0.25 mm"}.items():
         dat(given.files[1], height, pitch)
         said = polishd("map", "stitch", *given.files[:2], "--at", given.at)
         assert said.code == 8
         assert "p1.dat" in said.err
-        assert told in said.err
+        assert message in said.err
 
 
 def test_free_is_power_or_shift(polishd: Polishd, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.conditioning import squared
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.conditioning import resample_square
+from polishd.process.metrology.instrument import apply_profile
 from tests.unit.said import Polishd
 
 POINTS = [(x, y, 10.0 * x + 3.0 * y + x * y) for x in range(6) for y in range(5)]
@@ -78,7 +78,7 @@ def _wave(ny: int, nx: int, wide: float, high: float) -> SurfaceMap:
 
 @pytest.mark.parametrize(("wide", "high"), [(0.5, 0.65), (0.65, 0.5), (0.5, 1.0)])
 def test_they_are_resampled_when_the_map_is_conditioned(wide: float, high: float) -> None:
-    found = squared(_wave(80, 90, wide, high))
+    found = resample_square(_wave(80, 90, wide, high))
     assert found.pitch_mm == min(wide, high)
     assert found.pitches_mm is None
     assert found.unsaid == frozenset()
@@ -92,7 +92,7 @@ def test_no_data_stay_no_data() -> None:
     surface = _wave(40, 50, 0.5, 0.65)
     surface.height_nm[:10] = np.nan
     surface.height_nm[20, 20] = np.nan
-    found = squared(surface)
+    found = resample_square(surface)
     assert np.isnan(found.height_nm[:12]).all()
     assert np.isfinite(found.height_nm[14:25, :15]).all()
     assert 1 <= np.count_nonzero(np.isnan(found.height_nm[20:])) <= 3
@@ -100,6 +100,6 @@ def test_no_data_stay_no_data() -> None:
 
 def test_a_profile_takes_such_a_map() -> None:
     instrument = Instrument(name="own", mirror=True, gives=frozenset())
-    found = as_profiled(_wave(40, 50, 0.5, 0.65), instrument)
+    found = apply_profile(_wave(40, 50, 0.5, 0.65), instrument)
     assert found.pitch_mm == 0.5
     assert any("resampled to 0.5 mm" in words for words in found.warnings)

@@ -12,7 +12,7 @@ from polishd.daemon.journal.store import Store, connect
 JOBS = ((1, "lens", "A-1", 100.0, 200.0, "in_tolerance"), (2, "mirror", "A-2", 300.0, 400.0, "cycles_used"),
         (3, "flat", "A-3", 500.0, None, None), (4, "wedge", "A-4", 600.0, None, None))  # fmt: skip
 QUEUE = ((1, "lens", "A-1", 1, 200.0, "accepted", ""), (2, "mirror", "A-2", 2, 400.0, "rejected", "all used"),
-         (3, "flat", "A-3", 3, 550.0, "put aside", "cut off"), (4, "wedge", "A-4", 4, None, None, ""),
+         (3, "flat", "A-3", 3, 550.0, "set aside", "cut off"), (4, "wedge", "A-4", 4, None, None, ""),
          (5, "prism", "A-5", None, None, None, ""))  # fmt: skip
 RMS_NM = {1: 1.5, 2: 3.5}
 
@@ -35,9 +35,9 @@ def write_journal(state_dir: Path) -> None:
         for measured, rms_nm in RMS_NM.items():
             line = {"what": "RMS", "value": rms_nm, "limit": 2.0, "unit": "nm"}
             stats = json.dumps({"rms_nm": rms_nm, "pv_nm": 5 * rms_nm, "judged": [line]})
-            for cycle, told in enumerate((json.dumps({"rms_nm": 9.0, "pv_nm": 50.0}), stats)):
+            for cycle, stats_text in enumerate((json.dumps({"rms_nm": 9.0, "pv_nm": 50.0}), stats)):
                 sql = "INSERT INTO map (job, cycle, sha256, path, stats, taken) VALUES (?, ?, '', '', ?, 150.0)"
-                journal.execute(sql, (measured, cycle, told))
+                journal.execute(sql, (measured, cycle, stats_text))
             sql = ("INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, "
                    "started, how) VALUES (?, 0, '', '', 1, 0, 1, '{}', 110.0, 'done')")  # fmt: skip
             journal.execute(sql, (measured,))

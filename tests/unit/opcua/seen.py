@@ -13,7 +13,7 @@ from asyncua import Client, Node, ua
 from polishd.config.server_sections import OpcUaSection
 from polishd.opcua import server
 from polishd.opcua.jobs import node_id
-from polishd.opcua.machine import MACHINERY
+from polishd.opcua.server import MACHINERY
 from tests.patience import SOON_S
 
 SECTION = OpcUaSection(

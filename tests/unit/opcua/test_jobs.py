@@ -1,4 +1,4 @@
-"""Machinery Jobs and Results as a client sees them: what is there, what it says, and that nobody can order motion."""
+"""Machinery Jobs and Results as a client sees them: nodes and values, and no method that orders motion."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ async def test_a_response_is_asked_for_by_job_and_by_state(tmp_path: Path, daemo
         by_id = ua.QualifiedName("RequestJobResponseByJobOrderID", space)
         answer, status = await answers.call_method(by_id, "mirror")
         assert (answer.JobResponseID, answer.Description.Text, status) == ("mirror.2", "rejected: all used", 1)
-        assert (await answers.call_method(by_id, "nobody"))[1] == 0b10
+        assert (await answers.call_method(by_id, "unknown"))[1] == 0b10
         known, _ = await listed(machine)
         by_state = ua.QualifiedName("RequestJobResponseByJobOrderState", space)
 

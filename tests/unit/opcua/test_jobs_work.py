@@ -1,4 +1,4 @@
-"""What the plant is told of jobs, as it is read from a journal."""
+"""Jobs for the plant, as read from a journal."""
 
 from __future__ import annotations
 

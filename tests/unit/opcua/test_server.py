@@ -21,7 +21,7 @@ from polishd.config.cell import load_config
 from polishd.model.states import DaemonState
 from polishd.opcua import server
 from polishd.opcua.jobs import node_id
-from polishd.opcua.machine import FILES, STATES
+from polishd.opcua.server import FILES, STATES
 from tests.patience import SOON_S
 from tests.unit.opcua.seen import SECTION, inner, missing, seen, type_of, until, watching
 from tests.unit.said import Polishd
@@ -29,7 +29,7 @@ from tests.unit.web.served import LIVE, Answers, answering
 
 KEYS = '\n[opcua]\nport = 0\nmanufacturer = "Maker"\nserial_number = "7"\nproduct_instance_uri = "urn:maker:7"\n'
 KINDS = {"MachineIdentificationType", "MachineryItemState_StateMachineType", "MachineryOperationModeStateMachineType"}
-TOLD = {
+READINGS = {
     "force": {"force_n": 19.5, "setpoint_n": 20.0, "age_s": 0.1},
     "speed": {"rpm": 600.0, "age_s": 9.0},
     "sensed": None,
@@ -40,7 +40,7 @@ TOLD = {
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "LOOK_S", 0.02)
-    for key, value in {"told": TOLD, "cycle": 2, "pressing": True, "job": "lens"}.items():
+    for key, value in {"readings": READINGS, "cycle": 2, "pressing": True, "job": "lens"}.items():
         monkeypatch.setitem(LIVE, key, value)
 
 
@@ -191,7 +191,7 @@ def test_a_port_that_is_taken_is_said(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         cell.write_text(cell.read_text() + KEYS.replace("port = 0", f"port = {taken.getsockname()[1]}"))
-        # In a process of its own: the server gives way to others for as long as its process lives.
+        # In a separate process: the server gives way to others for as long as its process lives.
         command = [sys.executable, "-m", "polishd.cli.app", "opcua", str(cell)]
         said = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
     assert (said.returncode, "opcua.port: 127.0.0.1" in said.stderr, "choose another" in said.stderr) == (3, True, True)

@@ -98,7 +98,7 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
         return gaussian_effect(request)
 
     for free in (False, True):
-        recipe = small_recipe(model=RemovalModel("asked", ask), rim="free" if free else "ring")
+        recipe = small_recipe(model=RemovalModel("asked", ask), free_edge=free)
         steps.effect_of(recipe, small_program(), steps.process_grid(recipe))
     ring, rim = (request.rim for request in seen)
     assert ring is None
@@ -120,10 +120,10 @@ def test_the_certificate_says_what_is_out_of_reach() -> None:
     )
     recipe = small_recipe(model=RemovalModel("short", short), tolerance_nm=None, tolerance=lines)
     measured = steps.condition(recipe, small_map())
-    note, *unreached = dwell_step.solve(recipe, small_program(), measured).dwell.certificate.notes
+    note, *unreachable = dwell_step.solve(recipe, small_program(), measured).dwell.certificate.notes
     assert "nm RMS of the surface has periods below 5.00 mm" in note
-    assert [re.split(r" [\d.]+ nm of ", line)[0] for line in unreached] == ["that alone has RMS", "that alone has PV"]
-    assert "nm allowed: this spot cannot bring the part into tolerance" in unreached[0]
+    assert [re.split(r" [\d.]+ nm of ", line)[0] for line in unreachable] == ["that alone has RMS", "that alone has PV"]
+    assert "nm allowed: this spot cannot bring the part into tolerance" in unreachable[0]
     plain = dwell_step.solve(small_recipe(), small_program(), measured)
     assert plain.dwell.certificate.notes == ()
 
@@ -133,7 +133,7 @@ def test_a_time_budget_is_kept_and_costs_residual() -> None:
     measured = steps.condition(small_recipe(), small_map())
     free = dwell_step.solve(small_recipe(), small_program(), measured).dwell.certificate
     budget = 0.8 * free.dwell_total_s
-    kept = dwell_step.solve(small_recipe(choose="budget", budget_s=budget), small_program(), measured)
+    kept = dwell_step.solve(small_recipe(objective="budget", budget_s=budget), small_program(), measured)
     c = kept.dwell.certificate
     assert 0.95 * budget < c.dwell_total_s <= budget * 1.0001
     assert c.predicted_rms_nm > free.predicted_rms_nm
@@ -143,7 +143,7 @@ def test_a_time_budget_is_kept_and_costs_residual() -> None:
 def test_a_budget_below_what_motion_takes_is_refused_with_both_numbers() -> None:
     measured = steps.condition(small_recipe(), small_map())
     with pytest.raises(ComputeError, match=r"0\.5 s"):
-        dwell_step.solve(small_recipe(choose="budget", budget_s=0.5), small_program(), measured)
+        dwell_step.solve(small_recipe(objective="budget", budget_s=0.5), small_program(), measured)
 
 
 def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
@@ -161,7 +161,7 @@ def test_a_target_is_met_in_the_least_time() -> None:
     measured = steps.condition(small_recipe(), small_map())
     free = dwell_step.solve(small_recipe(), small_program(), measured).dwell.certificate
     aim = 1.5 * free.predicted_rms_nm
-    c = dwell_step.solve(small_recipe(choose="target", target_nm=aim), small_program(), measured).dwell.certificate
+    c = dwell_step.solve(small_recipe(objective="target", target_nm=aim), small_program(), measured).dwell.certificate
     assert 0.95 * aim < c.predicted_rms_nm <= aim * 1.001
     assert c.dwell_total_s < free.dwell_total_s
 
@@ -169,7 +169,7 @@ def test_a_target_is_met_in_the_least_time() -> None:
 @pytest.mark.full
 def test_the_knee_is_a_point_of_the_curve() -> None:
     measured = steps.condition(small_recipe(), small_map())
-    found = dwell_step.solve(small_recipe(choose="knee", curve=True), small_program(), measured)
+    found = dwell_step.solve(small_recipe(objective="knee", curve=True), small_program(), measured)
     product = found.dwell.certificate.dwell_total_s * found.dwell.certificate.predicted_rms_nm
     longest = max(found.curve, key=lambda row: row["total_s"])
     assert product <= longest["total_s"] * longest["rms_nm"] * 1.01
@@ -210,7 +210,7 @@ def test_a_budget_may_take_less_than_all_of_the_removal() -> None:
     answer = steps.effect_of(small_recipe(), small_program(), measured.grid)
     least = precheck.removal_time_s(measured, answer, np.zeros(small_program().n))
     with pytest.raises(AssertionError, match="solved"):
-        dwell_step.solve(limited(0.5 * least, choose="knee"), small_program(), measured)
+        dwell_step.solve(limited(0.5 * least, objective="knee"), small_program(), measured)
 
 
 def test_a_path_that_takes_too_long_is_refused_before_anything_is_computed() -> None:

@@ -59,7 +59,7 @@ def test_what_is_left_is_what_each_solve_gets(monkeypatch: pytest.MonkeyPatch) -
     other = DwellSolver("other", costly.solve)
     solved(
         costly.recipe(
-            within_s=500.0, choose="budget", budget_s=budget, curve=True, cross_check=other, cross_check_above=0.0
+            cpu_limit_s=500.0, objective="budget", budget_s=budget, curve=True, cross_check=other, cross_check_above=0.0
         )
     )
     assert len(costly.given) > 20, "search, cross-check and curve"
@@ -68,7 +68,7 @@ def test_what_is_left_is_what_each_solve_gets(monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_last_solve_has_its_share(monkeypatch: pytest.MonkeyPatch) -> None:
     costly = Costly(monkeypatch, 100.0)
-    certificate = solved(costly.recipe(within_s=40.0)).dwell.certificate
+    certificate = solved(costly.recipe(cpu_limit_s=40.0)).dwell.certificate
     assert costly.given[0] == pytest.approx(30.0)
     assert costly.given[-1] == pytest.approx(10.0)
     assert sum(costly.given) == pytest.approx(40.0)
@@ -77,7 +77,7 @@ def test_the_last_solve_has_its_share(monkeypatch: pytest.MonkeyPatch) -> None:
     for words in (
         "KKT residual 9.80e-03 is above 1.00e-04",
         "deadline after 7 iterations, 40.0 s of CPU time and 80.0 s of wall time for the whole solve step",
-        "dwell.within_s",
+        "dwell.cpu_limit_s",
     ):
         assert words in str(caught.value)
 
@@ -91,26 +91,26 @@ def test_the_last_solve_ends_what_the_rounds_began(monkeypatch: pytest.MonkeyPat
         costly.needs_s -= within_s
         return found
 
-    certificate = solved(costly.recipe(solver=DwellSolver("goes_on", goes_on), within_s=40.0)).dwell.certificate
+    certificate = solved(costly.recipe(solver=DwellSolver("goes_on", goes_on), cpu_limit_s=40.0)).dwell.certificate
     require_certificate(certificate, small_recipe())
 
 
-@pytest.mark.parametrize("choose", [{"choose": "target", "target_nm": 1.0}, {"choose": "knee"}])
+@pytest.mark.parametrize("choose", [{"objective": "target", "target_nm": 1.0}, {"objective": "knee"}])
 def test_a_search_that_is_cut_short_is_refused(choose: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     costly = Costly(monkeypatch, 2.0)
     with pytest.raises(ComputeError) as caught:
-        solved(costly.recipe(within_s=3.0, **choose))
+        solved(costly.recipe(cpu_limit_s=3.0, **choose))
     for words in (
         f'choose = "{choose["choose"]}" takes many solves, and its time was over after 1:',
         "3.0 s of CPU time and 6.0 s of wall time were used, and the next solve's KKT residual was 9.80e-03 after 7",
-        "dwell.within_s is 3 s",
+        "dwell.cpu_limit_s is 3 s",
     ):
         assert words in str(caught.value)
 
 
 def test_a_plan_is_not_refused_for_want_of_its_curve(monkeypatch: pytest.MonkeyPatch) -> None:
     costly = Costly(monkeypatch, 1.0)
-    found = solved(costly.recipe(within_s=8.0, curve=True))
+    found = solved(costly.recipe(cpu_limit_s=8.0, curve=True))
     assert found.curve == ()
     assert found.dwell.certificate.stopped == "converged"
     assert found.dwell.certificate.notes[-1].startswith("no curve of residual against time: curve takes many solves")
@@ -118,12 +118,12 @@ def test_a_plan_is_not_refused_for_want_of_its_curve(monkeypatch: pytest.MonkeyP
 
 def test_a_cross_check_that_is_cut_short_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = DwellSolver("slow", Costly(monkeypatch, 100.0).solve)
-    certificate = solved(small_recipe(within_s=10.0, cross_check=slow, cross_check_above=0.0)).dwell.certificate
+    certificate = solved(small_recipe(cpu_limit_s=10.0, cross_check=slow, cross_check_above=0.0)).dwell.certificate
     assert (certificate.cross_check, certificate.cross_check_gap) == (None, None)
-    assert certificate.notes[-1] == "cross-check by slow was not done in what was left of dwell.within_s"
+    assert certificate.notes[-1] == "cross-check by slow was not done in what was left of dwell.cpu_limit_s"
 
 
 def test_the_workers_limit_follows_from_the_same_key() -> None:
-    limit = dwell_step.limit(small_recipe(within_s=30.0))
+    limit = dwell_step.limit(small_recipe(cpu_limit_s=30.0))
     assert limit.within_s == 120.0
-    assert limit.key == "dwell.within_s (30 s)"
+    assert limit.key == "dwell.cpu_limit_s (30 s)"

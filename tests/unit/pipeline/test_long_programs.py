@@ -22,7 +22,7 @@ from benchmarks.long_path import (
 from polishd.pipeline.disk_space import CSV_BYTES, ROW_BYTES
 
 BLOCKS = 200_000
-TOLD = 50_000
+LONG = 50_000
 LINES = 20_000
 PIECES = {"read": 16e6, "rewrite": 12e6, "read back": 16e6}
 """Bytes of a program's text, and its columns, that are under way at once however long it is."""
@@ -58,10 +58,10 @@ def test_from_the_text_to_the_robot() -> None:
 
 @pytest.mark.full
 def test_from_what_the_robot_tells_to_the_report(tmp_path: Path) -> None:
-    assert over(kept_stages(TOLD, tmp_path), TOLD) == {}
+    assert over(kept_stages(LONG, tmp_path), LONG) == {}
     run = tmp_path / "run"
-    assert (run / "journal.sqlite").stat().st_size < ROW_BYTES * TOLD, "what require_room counts with"
-    assert (run / "cycle-00" / "executed.csv").stat().st_size < CSV_BYTES * TOLD
+    assert (run / "journal.sqlite").stat().st_size < ROW_BYTES * LONG, "what require_room counts with"
+    assert (run / "cycle-00" / "executed.csv").stat().st_size < CSV_BYTES * LONG
 
 
 @pytest.mark.full

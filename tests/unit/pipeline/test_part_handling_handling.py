@@ -50,40 +50,43 @@ def asked_by(config: CellConfig, hooks: Hooks) -> tuple[Recipe, TouchOff]:
 
 def test_the_places_lie_on_the_rim_and_the_contact_in_it(cell: Cell, hooks: Hooks) -> None:
     recipe, asked = asked_by(cell(), hooks)
-    radius = np.hypot(*asked.places_mm[:, :2].T)
+    radius = np.hypot(*asked.points_mm[:, :2].T)
     assert radius == pytest.approx([48.5] * 3)
     reach = contact_radius_mm(recipe.process, hertz_depth_mm(recipe.process))
     assert reach < 3.0, "under the whole force, too"
     assert asked.lean == pytest.approx([np.cos(np.radians(15.0))] * 3)
-    assert (asked.force_n, asked.most_off_mm, asked.position_mm, asked.each_pass) == (0.8, 0.3, None, False)
+    assert (asked.force_n, asked.max_offset_mm, asked.position_mm, asked.each_pass) == (0.8, 0.3, None, False)
 
 
 def test_on_a_curved_part_they_lie_on_its_surface(cell: Cell, hooks: Hooks) -> None:
     _, asked = asked_by(cell(part={"curvature_radius_mm": 400.0}), hooks)
     sag_mm = 400.0 - np.sqrt(400.0**2 - 48.5**2)
-    assert asked.places_mm[:, 2] == pytest.approx([sag_mm] * 3)
+    assert asked.points_mm[:, 2] == pytest.approx([sag_mm] * 3)
     assert asked.lean == pytest.approx([np.cos(np.radians(15.0))] * 3), "the tool leans as it does in a pass"
 
 
 @pytest.mark.parametrize(
     ("sections", "says"),
     [
-        ({"part": {"edge_mm": 1.0}}, r"touch_off: the rim .* is 1 mm wide, and the tool needs 1\.\d\d mm.*places_mm"),
+        ({"part": {"edge_mm": 1.0}}, r"touch_off: the rim .* is 1 mm wide, and the tool needs 1\.\d\d mm.*points_mm"),
         (
-            {"touch_off": {"places_mm": [[0, 46], [-42, -24], [42, -24]]}},
-            r"touch_off\.places_mm: x 0, y 46 mm lies in the clear",
+            {"touch_off": {"points_mm": [[0, 46], [-42, -24], [42, -24]]}},
+            r"touch_off\.points_mm: x 0, y 46 mm lies in the clear",
         ),
         (
-            {"touch_off": {"places_mm": [[0, 49], [0, 52], [0, -49]]}},
-            r"touch_off\.places_mm: the three places lie on a line",
+            {"touch_off": {"points_mm": [[0, 49], [0, 52], [0, -49]]}},
+            r"touch_off\.points_mm: the three positions lie on a line",
         ),
-        ({"touch_off": {"places_mm": [[0, 49], [0, 52]]}}, r"touch_off\.places_mm: has too few"),
+        ({"touch_off": {"points_mm": [[0, 49], [0, 52]]}}, r"touch_off\.points_mm: has too few"),
         ({"touch_off": {"force_n": 1.2}}, "touch_off.force_n"),
         ({"program": {"format": "rapid"}}, "touch_off: no programs are made in 'rapid'"),
-        ({"between": {"settle": {}}}, r"between\.settle: .*repeatability.*\[repeatability\] rms_nm"),
-        ({"between": {"clean": {}}}, r"between\.clean\.person: say who does it"),
-        ({"between": {"clean": {"person": "x", "command": ["y"]}}}, r"between\.clean\.person: say who does it"),
-        ({"between": {"settle": {"maps": 1}}}, r"between\.settle\.maps"),
+        ({"part_handling": {"settle": {}}}, r"part_handling\.settle: .*repeatability.*\[repeatability\] rms_nm"),
+        ({"part_handling": {"clean": {}}}, r"part_handling\.clean\.operator: say who does it"),
+        (
+            {"part_handling": {"clean": {"operator": "x", "command": ["y"]}}},
+            r"part_handling\.clean\.operator: say who does it",
+        ),
+        ({"part_handling": {"settle": {"max_maps": 1}}}, r"part_handling\.settle\.max_maps"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_key(
@@ -111,17 +114,21 @@ def test_left_out_nothing_is_done(cell: Cell, hooks: Hooks) -> None:
     path.write_text(without(path.read_text(), "touch_off"))
     recipe = make_recipe(load_config(path), hooks)
     assert recipe.touch_off is None
-    assert (recipe.between.clean, recipe.between.settle, recipe.between.condition) == (None, None, None)
+    assert (recipe.part_handling.clean, recipe.part_handling.settle, recipe.part_handling.condition) == (
+        None,
+        None,
+        None,
+    )
 
 
 def test_steps_as_they_are_written(cell: Cell, hooks: Hooks, tmp_path: Path) -> None:
-    config = cell(**toml({"between": {"clean": {"command": ["./wash.sh", "hard"]}, "settle": {"maps": 5}}}))
+    config = cell(**toml({"part_handling": {"clean": {"command": ["./wash.sh", "hard"]}, "settle": {"max_maps": 5}}}))
     profile = tmp_path / "instrument.toml"
     profile.write_text(with_keys(profile.read_text(), {"repeatability": {"rms_nm": 0.4}}))
-    between = make_recipe(config, hooks).between
-    assert between.clean == HandlingStep(command=("./wash.sh", "hard"), folder=tmp_path)
-    assert between.settle is not None
-    assert (between.settle.limit_nm, between.settle.maps, between.settle.wait_s) == (0.8, 5, 60.0)
+    part_handling = make_recipe(config, hooks).part_handling
+    assert part_handling.clean == HandlingStep(command=("./wash.sh", "hard"), folder=tmp_path)
+    assert part_handling.settle is not None
+    assert (part_handling.settle.limit_nm, part_handling.settle.max_maps, part_handling.settle.wait_s) == (0.8, 5, 60.0)
 
 
 # the programs
@@ -133,7 +140,7 @@ def test_each_place_is_reached_on_the_part_whatever_the_programs_frame(
 ) -> None:
     recipe, asked = asked_by(cell(program=program), hooks)
     plans = part_handling.plans(recipe, asked)
-    for place, axis, plan in zip(asked.places_mm, asked.axis, plans, strict=True):
+    for place, axis, plan in zip(asked.points_mm, asked.axis, plans, strict=True):
         there = in_part_frame(recipe, plan.program)
         np.testing.assert_allclose(there.start_mm[0], place, atol=2e-4)
         np.testing.assert_allclose(there.axis[0], axis, atol=1e-6)
@@ -148,12 +155,12 @@ def test_each_place_is_reached_on_the_part_whatever_the_programs_frame(
 def test_other_dialects_say_it_too(cell: Cell, hooks: Hooks, format_: str) -> None:
     recipe, asked = asked_by(cell(program={"format": format_}), hooks)
     plans = part_handling.plans(recipe, asked)
-    np.testing.assert_allclose([plan.program.start_mm[0] for plan in plans], asked.places_mm, atol=2e-4)
+    np.testing.assert_allclose([plan.program.start_mm[0] for plan in plans], asked.points_mm, atol=2e-4)
 
 
 def test_a_place_beyond_the_machine_is_refused(cell: Cell, hooks: Hooks) -> None:
     recipe, asked = asked_by(cell(machine={"y_mm": [-90.0, 40.0]}), hooks)
-    with pytest.raises(PlanRefused, match=r"touch-off, place 1: plan_guard: .* y = 48\.5 mm, outside -90 to 40"):
+    with pytest.raises(PlanRefused, match=r"touch-off, place 1: plan_checks: .* y = 48\.5 mm, outside -90 to 40"):
         part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
 
 

@@ -12,7 +12,7 @@ from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 from polishd.model.part_handling import PartSeat, TouchOff
 from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray
-from polishd.pipeline.part_handling import rim_places_mm, seat_of, separate_seat_terms
+from polishd.pipeline.part_handling import rim_points_mm, seat_of, separate_seat_terms
 from polishd.process import optic_surface
 
 RIM_MM, EDGE_MM = 50.0, 3.0
@@ -26,10 +26,10 @@ OPTICS = {
 
 def asked(optic: Optic, places: FloatArray | None = None, dip_deg: float = 15.0) -> TouchOff:
     """A touch-off whose tool leans by the dip, towards +x."""
-    flat = rim_places_mm(Circle(RIM_MM), EDGE_MM) if places is None else places
+    flat = rim_points_mm(Circle(RIM_MM), EDGE_MM) if places is None else places
     points, normal = np.column_stack([flat, optic_surface.sag_mm(optic, flat)]), optic_surface.unit_normals(optic, flat)
     axis = Rotation.from_euler("y", dip_deg, degrees=True).apply(normal)
-    return TouchOff(0.8, 5.0, 0.3, each_pass=False, places_mm=points, normal=normal, axis=axis, rim_mm=RIM_MM)
+    return TouchOff(0.8, 5.0, 0.3, each_pass=False, points_mm=points, normal=normal, axis=axis, rim_mm=RIM_MM)
 
 
 def early_mm(off: TouchOff, optic: Optic, height_mm: float, about_x: float, about_y: float) -> FloatArray:
@@ -38,7 +38,7 @@ def early_mm(off: TouchOff, optic: Optic, height_mm: float, about_x: float, abou
 
     def above(place: int, way_mm: float) -> float:
         """Of the point so far back on the tool's way, over the moved surface, in the part's own frame."""
-        point = off.places_mm[place] + way_mm * off.axis[place]
+        point = off.points_mm[place] + way_mm * off.axis[place]
         own = turn.inv().apply(point - [0.0, 0.0, height_mm])
         return float(own[2] - optic_surface.sag_mm(optic, own[None, :2])[0])
 
@@ -74,7 +74,7 @@ def test_the_worst_place_of_a_tilted_part_is_its_rim() -> None:
 
 
 def test_the_places_lie_on_the_rim_a_third_of_a_turn_apart() -> None:
-    places = rim_places_mm(Circle(RIM_MM), EDGE_MM)
+    places = rim_points_mm(Circle(RIM_MM), EDGE_MM)
     assert np.hypot(*places.T) == pytest.approx([48.5] * 3)
     sides = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
     assert sides == pytest.approx([48.5 * np.sqrt(3)] * 3)
@@ -84,7 +84,7 @@ def test_the_places_lie_on_the_rim_a_third_of_a_turn_apart() -> None:
     "outline", [rectangle(40, 24), hexagon(30), Circle(30.0, 12.0), polygon([(20, 15), (-18, 15), (-18, -9), (20, -9)])]
 )
 def test_of_a_part_that_is_not_round_they_lie_in_the_middle_of_its_rim_too(outline: Outline) -> None:
-    places = rim_places_mm(outline, EDGE_MM)
+    places = rim_points_mm(outline, EDGE_MM)
     np.testing.assert_allclose(outline.inside_mm(*places.T), [EDGE_MM / 2] * 3, atol=1e-9)
     np.testing.assert_allclose(np.degrees(np.arctan2(places[:, 1], places[:, 0])) % 360, [90, 210, 330], atol=1e-9)
 

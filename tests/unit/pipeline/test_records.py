@@ -18,7 +18,6 @@ from polishd.model.estimates import Estimate, Estimates, MachineEstimates, MapPi
 from polishd.model.program import Program
 from polishd.model.surface import Grid
 from polishd.pipeline import dwell_step, steps
-from polishd.pipeline.effect_cache import CachedEffect
 from polishd.pipeline.records import (
     EstimatesInUse,
     ExecutedPass,
@@ -29,6 +28,7 @@ from polishd.pipeline.records import (
     figures,
     npz,
 )
+from polishd.pipeline.steps import CachedEffect
 from polishd.process.identification.findings import Forecast
 from polishd.process.metrology.resampling import Registration
 from tests.unit.daemon.small import at_rate, gaussian_effect, small_map, small_program, small_recipe
@@ -80,7 +80,7 @@ def assert_same(one: Any, other: Any) -> None:
         if isinstance(mine, np.ndarray):
             assert mine.dtype == theirs.dtype, field.name
             np.testing.assert_array_equal(mine, theirs, field.name)
-        elif field.name == "state":
+        elif field.name == "state_changed":
             assert {k: v.tolist() for k, v in mine.items()} == {k: v.tolist() for k, v in theirs.items()}
         else:
             assert mine == theirs, field.name
@@ -129,7 +129,7 @@ UNWORN = Estimate(0.0, unit="1/h")
 
 @dataclass(frozen=True, slots=True)
 class Worn(Estimates):
-    """A model of somebody else, which believes in wear, too."""
+    """A third-party model, which also estimates wear."""
 
     wear: Estimate = UNWORN
 

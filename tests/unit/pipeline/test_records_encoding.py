@@ -18,7 +18,7 @@ LEVEL = Estimate(0.0, unit="1/mm")
 
 @dataclass(frozen=True)
 class Field(Estimates):
-    """What a model of somebody else may believe."""
+    """Estimates of a third-party model."""
 
     tilt: Estimate = LEVEL
     modes: tuple[tuple[str, float], ...] = ()

@@ -23,7 +23,7 @@ from polishd.plugins import dwell_solvers
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
-from polishd.process.metrology.statistics import fitted, without
+from polishd.process.metrology.statistics import fit_terms, remove_terms
 from polishd.process.robot import motion
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
@@ -167,7 +167,7 @@ def test_spikes_and_the_nominal_form_are_taken_off() -> None:
     form = surface.with_height(40.0 * np.sin(surface.grid.x_mm / 3.0)[None, :] * np.ones(surface.grid.shape))
     spiked = surface.height_nm + form.height_nm
     spiked[surface.grid.ny // 2, surface.grid.nx // 2] += 1e5
-    recipe = small_recipe(nominal=form, spike_mads=50.0)
+    recipe = small_recipe(nominal=form, spike_threshold_mad=50.0)
     found = steps.condition(recipe, surface.with_height(spiked))
     assert found.spikes == 1
     plain = steps.condition(small_recipe(), surface)
@@ -458,21 +458,21 @@ def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
     """A ripple between tracks: the map's own samples show it, the process grid does not."""
     recipe, removal = small_recipe(), removed(program, measured, solved, 1.0)
     flat = polished(measured, removal)
-    grid_nm = float(without(flat.height_nm, flat.metric_mask, "tilt")[flat.metric_mask].std())
+    grid_nm = float(remove_terms(flat.height_nm, flat.metric_mask, "tilt")[flat.metric_mask].std())
     plan = steps.rewrite(recipe, program, solved, "again")
     rippled, smooth = (replace(flat, stats=replace(flat.stats, rms_nm=float(np.hypot(grid_nm, f)))) for f in (1.5, 0.0))
-    told = []
+    forecasts = []
     for after in (rippled, smooth):
         done = ExecutedPass(
             replace(measured, stats=replace(measured.stats, rms_nm=0.0)), after, solved.asked_s, solved.expected_s
         )
         believed = steps.learn(recipe, program, done, EstimatesInUse()).believed
-        told.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
+        forecasts.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
     removed_nm = float(np.sqrt(np.mean(removal[measured.metric_mask] ** 2)))
-    assert told[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
-    assert told[1][0] == 0.0
-    assert told[0][1].low_nm > 1.5 - 0.05
-    assert told[1][1].low_nm < told[0][1].low_nm
+    assert forecasts[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
+    assert forecasts[1][0] == 0.0
+    assert forecasts[0][1].low_nm > 1.5 - 0.05
+    assert forecasts[1][1].low_nm < forecasts[0][1].low_nm
 
 
 @pytest.mark.parametrize("true", [0.75, 1.25])
@@ -507,7 +507,7 @@ def test_nothing_is_learned_from_what_the_gate_cannot_tell(
     recipe = small_recipe(alignment=alignment)
     time_s = 0.5 + 0.4 * program.end_mm[:, 0] / APERTURE_MM
     wedge = steps.effect_of(recipe, program, measured.grid).effect.removal_nm(time_s)
-    plane = fitted(wedge, measured.metric_mask, "tilt")
+    plane = fit_terms(wedge, measured.metric_mask, "tilt")
     after = polished(measured, true * plane + wedge - plane)
     taught = steps.learn(recipe, program, ExecutedPass(measured, after, time_s, time_s + 0.007), at_rate(0.9))
     assert "scaled" in taught.verdict.undecidable
@@ -528,10 +528,10 @@ def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_take
     assert "scaled" in taught.verdict.undecidable
     assert taught.found is not None
     assert taught.found["measured_rate"] > 1 + 2 * taught.found["rate_sigma"], (
-        "learning by itself would have believed it"
+        "the learning step alone would have accepted it"
     )
     assert taught.believed.rate == 1.0
-    assert "could not show a wrong one: the rate stays" in taught.notes[0]
+    assert "cannot show a wrong rate" in taught.notes[0]
 
 
 def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
@@ -543,7 +543,7 @@ def test_a_rate_just_beyond_what_is_allowed_is_cut_and_said(
     taught = steps.learn(small_recipe(max_rate_change=0.2), program, done, EstimatesInUse())
     assert taught.verdict.stop == ""
     assert taught.believed.rate == 1.2
-    assert "1.200 is taken, the farthest that limits.max_rate_change allows" in taught.notes[-1]
+    assert "limited to 1.200 by limits.max_rate_change" in taught.notes[-1]
 
 
 # registration
@@ -584,7 +584,7 @@ def test_everything_pickles(solved: SolveResult, measured: MeasureResult) -> Non
 
 
 def test_as_programmed_no_time_is_changed() -> None:
-    recipe, program = small_recipe(choose="as_programmed"), small_program()
+    recipe, program = small_recipe(objective="as_programmed"), small_program()
     measured = steps.condition(recipe, small_map())
     solved = dwell_step.solve(recipe, program, measured)
     plan = steps.rewrite(recipe, program, solved, "small.rnc")

@@ -24,14 +24,13 @@ TIMES: dict[str, Any] = {
 }
 OTHER = {
     ("cia402_actuator", "silence_s"): "a drive is asked four things for each reading",
-    ("universal_robots", "silence_s"): "RTDE tells 10 times a second or more",
+    ("universal_robots", "silence_s"): "RTDE reports 10 times a second or more",
     ("linuxcnc", "silence_s"): "linuxcncrsh answers at once",
     ("linuxcnc", "stop_s"): "it stops with its own acceleration",
 }
 """Defaults that are another one on purpose."""
 KINDS = {name: kind for name, kind in load_own().device_types().items() if kind.port in TIMES}
 ADDRESSES = {
-    "spindle_can": "slcan:x?bitrate=500000",
     "cia402_spindle": "slcan:x?bitrate=500000",
     "cia402_actuator": "slcan:x?bitrate=500000",
 }

@@ -55,7 +55,7 @@ def test_each_pickles_and_solves(solver: DwellSolver) -> None:
 
 def bounded() -> DwellProblem:
     """Both bounds hold somewhere; weights and a price."""
-    problem = dwell_problem(radius_mm=10, unreached=0.05)
+    problem = dwell_problem(radius_mm=10, unreachable=0.05)
     weight = np.random.default_rng(2).uniform(0.2, 3.0, problem.solve_mask.shape)
     upper = np.maximum(problem.lower_s, 0.12)
     return replace(problem, upper_s=upper, weight=weight, price_nm2_per_s=0.2)

@@ -1,4 +1,4 @@
-"""The example plugin: installs as a distribution of its own, is found, and reads what it says it reads."""
+"""The example plugin installs as a separate distribution, is found, and reads its declared formats."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from polishd.api import (
     ToolProcess,
 )
 from polishd.model.process import Optic
-from polishd.plugins import removal_along_path, removal_models
+from polishd.plugins import removal_models
 from polishd.process.removal import contact
 from polishd.process.removal.spread_effect import SpreadEffect
 from polishd.process.toolpath.apertures import on_optic, tool_axes
@@ -232,7 +232,7 @@ def large(n: int = 800) -> RemovalRequest:
 @pytest.mark.full
 def test_a_matrix_that_would_be_too_large_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
     small = the_model().effect(large())
-    monkeypatch.setattr(removal_along_path, "WORTH_S", 1e-3)
+    monkeypatch.setattr(removal_models, "WORTH_S", 1e-3)
     answer = the_model().effect(large())
     assert isinstance(small.effect, SparseEffect)
     assert isinstance(answer.effect, SpreadEffect)
@@ -244,23 +244,25 @@ def test_a_matrix_that_would_be_too_large_is_not_made(monkeypatch: pytest.Monkey
 def test_only_a_slow_matrix_of_wide_spots_gives_way() -> None:
     """Entries, points and CPU seconds as measured: benchmarks/bench_choice.py, docs/dwell.md."""
     for entries, points, measured_s in ((2.12e6, 32_724, 0.68), (9.84e6, 72_500, 10.4), (15.8e6, 78_582, 29.8)):
-        assert 0.5 < removal_along_path.newton_s(entries, points) / measured_s < 1.7
-    assert removal_along_path.gives_way(7.09e6, 35_274)  # 200 mm, spots of 4 mm: 10 s with a matrix, 2 s without
-    assert removal_along_path.gives_way(9.84e6, 72_500)
-    assert not removal_along_path.gives_way(4.72e6, 73_054)  # 300 mm, spots of 2 mm: 2 s with a matrix, 90 s without
-    assert not removal_along_path.gives_way(
+        assert 0.5 < removal_models.newton_s(entries, points) / measured_s < 1.7
+    assert removal_models.prefers_no_matrix(7.09e6, 35_274)  # 200 mm, spots of 4 mm: 10 s with a matrix, 2 s without
+    assert removal_models.prefers_no_matrix(9.84e6, 72_500)
+    assert not removal_models.prefers_no_matrix(
+        4.72e6, 73_054
+    )  # 300 mm, spots of 2 mm: 2 s with a matrix, 90 s without
+    assert not removal_models.prefers_no_matrix(
         19.1e6, 205_388
     )  # without a matrix it is too far off, which takes 7 s to find
-    assert not removal_along_path.gives_way(1.12e6, 8_281)
-    assert removal_along_path.gives_way(removal_along_path.MOST_ENTRIES + 1, 10**9)
-    assert not removal_along_path.gives_way(0.0, 0)
+    assert not removal_models.prefers_no_matrix(1.12e6, 8_281)
+    assert removal_models.prefers_no_matrix(removal_models.MOST_ENTRIES + 1, 10**9)
+    assert not removal_models.prefers_no_matrix(0.0, 0)
 
 
 def test_where_no_effect_without_a_matrix_is_near_enough_it_is_one_and_says_why(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(removal_along_path, "WORTH_S", 0.0)
-    monkeypatch.setattr(removal_along_path, "WIDE", 0)
+    monkeypatch.setattr(removal_models, "WORTH_S", 0.0)
+    monkeypatch.setattr(removal_models, "WIDE", 0)
     answer = the_model().effect(request())
     assert isinstance(answer.effect, SparseEffect)
     assert any(note.startswith("the effect is a matrix: without a matrix the removal is off") for note in answer.notes)
@@ -271,12 +273,12 @@ def test_a_matrix_that_only_costs_time_gives_way_to_an_effect_that_is_a_little_l
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A plan of 300 mm with spots of 3.9 mm: off by 1.1e-3 it took the matrix, and several times the CPU time."""
-    monkeypatch.setattr(removal_along_path, "WORTH_S", 1e-3)
-    monkeypatch.setattr(removal_along_path, "NEAR", (1e-9, 2e-3))
+    monkeypatch.setattr(removal_models, "WORTH_S", 1e-3)
+    monkeypatch.setattr(removal_models, "NEAR", (1e-9, 2e-3))
     answer = the_model().effect(large())
     assert isinstance(answer.effect, SpreadEffect)
     assert answer.effect.error <= 2e-3
-    monkeypatch.setattr(removal_along_path, "NEAR", (1e-9, 1e-8))
+    monkeypatch.setattr(removal_models, "NEAR", (1e-9, 1e-8))
     answer = the_model().effect(large())
     assert isinstance(answer.effect, SparseEffect)
     assert any("1.0e-08 is asked for" in note for note in answer.notes)
@@ -285,12 +287,12 @@ def test_a_matrix_that_only_costs_time_gives_way_to_an_effect_that_is_a_little_l
 @pytest.mark.full
 def test_a_matrix_that_no_memory_holds_is_not_made_either(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plan of 500 mm took 18 GB: without a matrix it was off by 1.2e-3, and not by the 1e-3 asked for."""
-    monkeypatch.setattr(removal_along_path, "WORTH_S", 0.0)
-    monkeypatch.setattr(removal_along_path, "WIDE", 0)
-    monkeypatch.setattr(removal_along_path, "MOST_ENTRIES", 0)
+    monkeypatch.setattr(removal_models, "WORTH_S", 0.0)
+    monkeypatch.setattr(removal_models, "WIDE", 0)
+    monkeypatch.setattr(removal_models, "MOST_ENTRIES", 0)
     with pytest.raises(ComputeError, match="without a matrix the removal is off by"):
         the_model().effect(request())
-    monkeypatch.setattr(removal_along_path, "LESS_NEAR", 0.5)
+    monkeypatch.setattr(removal_models, "LESS_NEAR", 0.5)
     answer = the_model().effect(request())
     assert isinstance(answer.effect, SpreadEffect)
     assert answer.effect.note in answer.notes

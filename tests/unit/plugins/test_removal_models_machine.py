@@ -79,9 +79,9 @@ def _compliance(ask: RemovalRequest) -> FloatArray:
     return path.compliance_mm_per_n
 
 
-def taught(at: MapPixels, told: bool = True, **truth: float) -> EstimateUpdate:
+def taught(at: MapPixels, with_pixels: bool = True, **truth: float) -> EstimateUpdate:
     """What the learner makes of a pass of which this is true."""
-    return learn_machine(asked(), shown(seen(at, **truth), at if told else None), modelled_spot_of)
+    return learn_machine(asked(), shown(seen(at, **truth), at if with_pixels else None), modelled_spot_of)
 
 
 def shown(removal: FloatArray, pixels: MapPixels | None) -> PassEvidence:
@@ -130,7 +130,7 @@ def test_what_cannot_be_identified_teaches_the_rate_and_stops_a_pass_that_was_ma
     assert plain.stop == ""
     assert "the machine was not identified" in plain.notes[-1]
     touch = learn_machine(asked(), replace(evidence, must_tell=True), modelled_spot_of)
-    assert "this pass was made to teach, and has not: look at tool" in touch.stop
+    assert "this pass was made for identification: look at tool" in touch.stop
 
 
 @pytest.mark.slow
@@ -157,7 +157,7 @@ def test_finer_samples_are_smeared_too() -> None:
 
 @pytest.mark.slow
 def test_who_does_not_know_the_samples_takes_their_smear_for_the_robot_s() -> None:
-    lesson = taught(HALF_A_SAMPLE, told=False)
+    lesson = taught(HALF_A_SAMPLE, with_pixels=False)
     assert isinstance(lesson.beliefs, MachineEstimates)
     assert set(lesson.beliefs.applied) == {"compliance"}
     assert abs(lesson.beliefs.applied["compliance"]) > 0.03

@@ -1,4 +1,4 @@
-"""The report: complete, offline, written whole, and honest about what is missing."""
+"""The run report: complete, offline, written whole, with a list of what is missing."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from matplotlib.image import imread
 
 from polishd.api import PolishdError, SurfaceStats
 from polishd.model.events import MapMeasured, PlanWritten, RemovalCheckFailed, RunFolderCompleted
-from polishd.model.tolerance import Judged
+from polishd.model.states import Outcome
+from polishd.model.tolerance import LineResult
 from polishd.plugins import run_report
-from polishd.rendering.document import Picture
+from polishd.rendering.document import DocumentSection, Picture, Table, html
 from polishd.reports import run_pictures
 from polishd.reports.run_reader import ExecutedTimes, ReportSurface, read_folder
-from polishd.reports.run_report import CERTIFICATE, COLUMNS, ReportSection, render, write_report
-from polishd.reports.wording import duration, plain, spent, when
+from polishd.reports.run_report import CERTIFICATE, COLUMNS, certificate_rows, run_report_document, write_report
+from polishd.reports.wording import VERDICTS, duration, phase_durations, plain, when
 
 N = 24
 PITCH_MM = 1.0
@@ -126,7 +127,7 @@ def plan_dir(tmp_path: Path) -> Path:
 
 def words_of(folder: Path) -> str:
     """The page without its pictures, which take the time."""
-    return render(read_folder(folder), [])
+    return html(run_report_document(read_folder(folder), []))
 
 
 def page_of(folder: Path) -> str:
@@ -135,7 +136,12 @@ def page_of(folder: Path) -> str:
 
 def missing_in(page: str) -> str:
     """The page's own list of what it lacks, empty where it lists nothing."""
-    found = re.search(r"<h2>Missing from this report</h2>\n<ul>(.*?)</ul>", page)
+    return section(page, "Missing from this report")
+
+
+def section(page: str, title: str) -> str:
+    """A section of the page without its title; empty if there is none."""
+    found = re.search(rf"<h2>{re.escape(title)}</h2>\n(.*?)</section>", page, re.DOTALL)
     return found.group(1) if found else ""
 
 
@@ -207,11 +213,21 @@ class TestARun:
         assert "2025-11-21 03:31:12" in page
 
     def test_the_table_has_a_row_per_measurement_and_dashes_for_null(self, page: str) -> None:
-        table = re.search(r'<table class="cycles">.*?</table>', page, re.DOTALL).group(0)
+        table = section(page, "Measurements")
         assert table.count("<tr>") == 4
         assert "–" in table.split("after pass 2")[1]
         assert "–" not in table.split("after pass 2")[0]
         assert "band RMS" not in table
+
+    def test_each_figure_is_that_of_the_summary(self, page: str, reported: Path) -> None:
+        summary = json.loads((reported / "summary.json").read_text())
+        figures = re.findall(r'<data value="(.*?)" data-key="cycles\.(\d)\.(\w+)">(.*?)</data>', page)
+        assert {key for _, _, key, _ in figures} >= {"rms_nm", "pv_nm", "predicted_rms_nm", "executed_s"}
+        for value, cycle, key, shown in figures:
+            meant = summary["cycles"][int(cycle)][key]
+            assert float(value) == meant
+            rounding = 0.5 * 10.0 ** -len(shown.partition(".")[2])
+            assert float(shown.replace(",", "")) == pytest.approx(meant, abs=rounding * (1 + 1e-9))
 
     def test_the_certificate_is_there(self, page: str) -> None:
         assert page.count("Certificate of the dwell solution") == 2
@@ -240,7 +256,7 @@ FOREIGN = "<q a=\"1\" c='2'>{{ 7 * 7 }}&amp;</q>"
 
 
 def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
-    """In every place of the template that shows what is read: no tag, no attribute, no template of its own."""
+    """In every field of the template: no tag, no attribute, no template code."""
     row = {column.key: 1.0 for column in COLUMNS} | {"notes": [FOREIGN], "how": FOREIGN, "executed_s": FOREIGN}
     summary = dict.fromkeys(("part_id", "job", "correction", "started", "outcome"), FOREIGN) | {"cycles": [row, row]}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
@@ -248,7 +264,9 @@ def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
     folder.missing.append(FOREIGN)
     certificate = dict.fromkeys([*CERTIFICATE, FOREIGN], FOREIGN)
     picture = Picture("p", FOREIGN, b"png")
-    page = render(folder, [ReportSection(FOREIGN, FOREIGN, (picture,), certificate, (f"cycle-00/{FOREIGN}",))])
+    tables = [Table((FOREIGN, FOREIGN), certificate_rows(certificate))]
+    foreign = DocumentSection(FOREIGN, tables, [FOREIGN], [picture], [f"cycle-00/{FOREIGN}"])
+    page = html(run_report_document(folder, [foreign]))
     assert "<q" not in page
     assert "c='2'" not in page
     assert "49" not in page
@@ -258,16 +276,16 @@ def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
 
 
 def test_a_section_that_holds_nothing_is_not_on_the_page(tmp_path: Path) -> None:
-    page = render(read_folder(tmp_path), [ReportSection("Nothing", "cycle-07", ())])
+    page = html(run_report_document(read_folder(tmp_path), [DocumentSection("Nothing")]))
     assert "Nothing" not in page
     assert "Files:" not in page
     assert page.endswith("</html>\n")
 
 
 @pytest.mark.full
-def test_a_plan_shows_its_prediction_and_says_that_nothing_moved(plan_dir: Path) -> None:
+def test_a_plan_shows_its_prediction(plan_dir: Path) -> None:
     page = page_of(plan_dir)
-    assert "Plan: nothing was moved" in page
+    assert '<p class="verdict plain">' in page
     assert missing_in(page) == ""
     names = {file.stem for file in (plan_dir / "pictures").glob("*")}
     assert names == {"psd", "plan-maps", "plan-compliance", "plan-dwell"}
@@ -281,11 +299,12 @@ def test_what_was_said_of_a_map_and_of_a_pass_is_on_the_page(undrawn: None, run_
     (run_dir / "cycle-01/settling.json").write_text(json.dumps({"notes": ["settled: 3 maps"]}))
     (run_dir / "cycle-00/touch_off.json").write_text(json.dumps({"notes": ["the part sits 0.02 mm too high"]}))
     page = page_of(run_dir)
-    assert "<li>measurement 1: settled: 3 maps</li>" in page
-    assert "<li>measurement 0: the part sits 0.02 mm too high</li>" in page
-    assert "<li>measurement 0: a tilt of 150 nm</li>" in page
-    assert "<li>Pass 1: the rate fell</li>" in page
-    assert "<li>measurement 1: the rate &lt;stays&gt;</li>" in page
+    notes = section(page, "Notes")
+    assert "measurement 1: settled: 3 maps" in notes
+    assert "measurement 0: the part sits 0.02 mm too high" in notes
+    assert "measurement 0: a tilt of 150 nm" in notes
+    assert "Pass 1: the rate fell" in notes
+    assert "measurement 1: the rate &lt;stays&gt;" in notes
     assert "learned.json" not in missing_in(page), "a first measurement has none"
 
 
@@ -293,14 +312,15 @@ def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) 
     rows = [{"rms_nm": 9.0, "band_rms_nm": 8.0}, {"rms_nm": 3.0, "band_rms_nm": 1.0}]
     write_summary(run_dir, rows, tolerance_period_mm=7.0)
     assert "RMS, periods &gt; 7 mm</dt><dd>8.00 → 1.00 nm" in words_of(run_dir)
-    labels = [text.get_text() for text in run_pictures.rms_per_measurement(rows, 2.0, 7.0).axes[0].get_legend().texts]
+    legend = run_pictures.convergence_picture(rows, 2.0, 7.0).axes[0].get_legend()
+    labels = [text.get_text() for text in legend.texts]
     assert "measured, periods above 7 mm" in labels
     assert "measured, all periods" in labels
 
 
 def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) -> None:
     def judged(rms_nm: float, pv_nm: float) -> list[dict[str, Any]]:
-        return [Judged("RMS", rms_nm, 2.0, "nm", 0.2).facts(), Judged("3/B", pv_nm, 20.0, "nm").facts()]
+        return [LineResult("RMS", rms_nm, 2.0, "nm", 0.2).facts(), LineResult("3/B", pv_nm, 20.0, "nm").facts()]
 
     rows = [{"rms_nm": 9.0, "judged": judged(9.0, 55.0)}, {"rms_nm": 1.8, "judged": judged(1.8, 22.0)}]
     write_summary(run_dir, rows, tolerance_nm=None)
@@ -312,14 +332,14 @@ def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) 
 
 
 def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
-    line = Judged("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
+    line = LineResult("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
     rows = [{"rms_nm": 0.5, "judged": [line.facts()], "system": "c" * 64}]
     write_summary(run_dir, rows, accept="bound_without_power")
     page = words_of(run_dir)
     bound = "by the 95 % bound of the true RMS, as its mount holds it, power removed"
-    assert f"<dt>accepted</dt><dd>{bound}; the instrument&#39;s system map cccccccccccc is off</dd>" in page
+    assert f"<dt>accepted</dt><dd>{bound}; the instrument&#39;s system map cccccccccccc is subtracted</dd>" in page
     assert "yes (at most 1.25 nm truly, 95 %; guard band 0.75 nm, power removed)" in page
-    write_summary(run_dir, [{"rms_nm": 0.5, "judged": [Judged("RMS", 0.5, 2.0, "nm").facts()]}], accept="figure")
+    write_summary(run_dir, [{"rms_nm": 0.5, "judged": [LineResult("RMS", 0.5, 2.0, "nm").facts()]}], accept="figure")
     assert "<dt>accepted</dt><dd>as measured</dd>" in words_of(run_dir)
 
 
@@ -333,34 +353,29 @@ def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path:
     write_summary(folder, cycles)
     page = page_of(folder)
     assert "<dt>passes</dt><dd>2, and 1 interrupted</dd>" in page
-    rows = re.findall(r'<th scope="row">(start|after.*?)</th>', page)
+    rows = re.findall(r'<th scope="row">(start|after.*?)</th>', section(page, "Measurements"))
     assert rows == ["start", "after pass 1", "after an interrupted pass", "after pass 2"]
-    assert "<br>interrupted at 25%; blocks 40 to 43 uncertain</td>" in page
-    titles = re.findall(r"<h2>(.*?) <small>", page)
+    assert "<td>925; interrupted at 25%; blocks 40 to 43 uncertain</td>" in page
+    titles = re.findall(r"<h2>(.*?) \(cycle-\d\d\)</h2>", page)
     assert titles == [
         "Pass 1",
         "Pass that was interrupted at 25%; blocks 40 to 43 uncertain",
         "Pass 2",
         "Measurement after pass 2",
     ]
-    predicted = run_pictures.rms_per_measurement(cycles, 2.0, 0.0).axes[0].get_lines()[0].get_ydata()
-    assert np.isnan(predicted).tolist() == [True, False, True, False], "nobody predicted what a part of a pass leaves"
+    steps = run_pictures.convergence_steps(cycles, 0.0)
+    assert np.isnan([step.predicted_nm for step in steps]).tolist() == [True, False, True, False]
+    assert [step.interrupted for step in steps] == [False, False, True, False]
 
 
 class TestWhatIsMissing:
-    @pytest.mark.parametrize(
-        ("outcome", "words"),
-        [
-            ("diverged", "Diverged"),
-            ("cycles_used", "Not in tolerance"),
-            ("stopped", "Stopped"),
-            ("failed", "Ended by an error"),
-            ("new_word", "New word"),
-        ],
-    )
-    def test_other_ends_are_named(self, run_dir: Path, outcome: str, words: str) -> None:
+    @pytest.mark.parametrize(("outcome", "kind"), [("diverged", "bad"), ("as_programmed", "good"), ("new", "plain")])
+    def test_an_outcome_has_its_color(self, run_dir: Path, outcome: str, kind: str) -> None:
         write_summary(run_dir, [], outcome=outcome)
-        assert words in words_of(run_dir)
+        assert f'<p class="verdict {kind}">' in words_of(run_dir)
+
+    def test_every_outcome_has_a_verdict(self) -> None:
+        assert {*VERDICTS} == {*Outcome} | {"failed", "planned", ""}
 
     @pytest.mark.full
     def test_without_a_summary_the_run_is_called_unfinished(self, undrawn: None, run_dir: Path) -> None:
@@ -458,14 +473,14 @@ class TestSpectrum:
         # White noise: the density is flat, variance times the area of a sample.
         rng = np.random.default_rng(5)
         height = 3.0 * rng.standard_normal((128, 128))
-        frequency, power = run_pictures.radial_psd(height, np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = run_pictures.smooth_spectrum(height, np.ones((128, 128), dtype=bool), 0.5)
         flat = power[frequency > 0.1]
         np.testing.assert_allclose(flat.mean(), 9.0 * 0.25, rtol=0.05)
 
     def test_a_ripple_stands_at_its_own_frequency(self) -> None:
         x = np.arange(128) * 0.5
         height = np.broadcast_to(np.sin(2 * np.pi * x / 8.0), (128, 128))
-        frequency, power = run_pictures.radial_psd(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
+        frequency, power = run_pictures.smooth_spectrum(height.copy(), np.ones((128, 128), dtype=bool), 0.5)
         assert frequency[np.argmax(power)] == pytest.approx(1 / 8.0, rel=0.1)
 
     def test_tilt_and_holes_do_not_matter_much(self) -> None:
@@ -473,16 +488,15 @@ class TestSpectrum:
         height = rng.standard_normal((96, 96))
         mask = np.ones((96, 96), dtype=bool)
         tilted = height + 40 * np.linspace(-1, 1, 96)[:, None]
-        np.testing.assert_allclose(
-            run_pictures.radial_psd(tilted, mask, 1.0)[1], run_pictures.radial_psd(height, mask, 1.0)[1], rtol=0.3
-        )
+        level, raised = (run_pictures.smooth_spectrum(one, mask, 1.0)[1] for one in (height, tilted))
+        np.testing.assert_allclose(raised, level, rtol=0.3)
         tilted[40:44, 50:53] = np.nan
-        assert np.isfinite(run_pictures.radial_psd(tilted, mask, 1.0)[1]).all()
+        assert np.isfinite(run_pictures.smooth_spectrum(tilted, mask, 1.0)[1]).all()
 
 
 def test_a_surface_lies_where_its_grid_does() -> None:
     surface = ReportSurface(np.zeros((4, 6)), np.ones((4, 6), dtype=bool), 0.5)
-    assert surface.extent_mm == (-1.5, 1.5, -1.0, 1.0)
+    assert surface.x_mm.tolist() == [-1.25, -0.75, -0.25, 0.25, 0.75, 1.25]
     assert surface.rms_nm(np.arange(24.0).reshape(4, 6)) == pytest.approx(np.arange(24.0).std())
 
 
@@ -509,7 +523,7 @@ def test_times_as_text() -> None:
     ],
 )
 def test_what_each_phase_took_as_text(times: object, shown: str) -> None:
-    assert spent(times) == shown
+    assert phase_durations(times) == shown
 
 
 @pytest.mark.full

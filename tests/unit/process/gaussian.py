@@ -46,7 +46,7 @@ def rough(grid: Grid, rms_nm: float = 18.5, seed: int = 0, cut_mm: float = 6.0) 
 
 
 def dwell_problem(
-    radius_mm: float = 12.0, seed: int = 0, rho: float = 1e-4, unreached: float = 0.02, feed_mm_s: float = 50.0
+    radius_mm: float = 12.0, seed: int = 0, rho: float = 1e-4, unreachable: float = 0.02, feed_mm_s: float = 50.0
 ) -> DwellProblem:
     """A disc polished along a raster at 1 mm: 110 x 110 and 8,000 points at radius 50."""
     n = int(2 * radius_mm + 10)
@@ -57,7 +57,7 @@ def dwell_problem(
     solve, metric = grid.radius_mm() <= radius_mm, grid.radius_mm() <= radius_mm - 3
     lower, upper = length / feed_mm_s, length / 0.5
     height = rough(grid, seed=seed)
-    piston = choose_piston_nm(height, solve, effect.removal_nm(lower), unreached)
+    piston = choose_piston_nm(height, solve, effect.removal_nm(lower), unreachable)
     return DwellProblem(
         effect, height + piston, solve, metric, lower, upper, regularisation_from_rho(effect, solve, rho)
     )

@@ -20,9 +20,9 @@ from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.frames import ORIENTATIONS, ArrayOrientation
-from polishd.process.identification.removal_check import judge
-from polishd.process.metrology.commissioning import artefact_heights, prove
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.identification.removal_check import check_removal
+from polishd.process.metrology.commissioning import artefact_heights, prove_profile
+from polishd.process.metrology.instrument import apply_profile
 from polishd.process.metrology.registration import register
 from tests.unit.process.gaussian import rough
 from tests.unit.process.metrology.placed_parts import BUMPS, MARKS_MM, punched, seen_px
@@ -54,7 +54,7 @@ class Mistake:
 
     def shown(self, height_nm: FloatArray) -> SurfaceMap:
         """What the cell has of a map."""
-        return as_profiled(SurfaceMap(height_nm, GRID.pitch_mm), self.profile)
+        return apply_profile(SurfaceMap(height_nm, GRID.pitch_mm), self.profile)
 
     def __str__(self) -> str:
         return f"{self.way.name}, sign {self.sign:+d}, factor {self.factor:g}"
@@ -68,7 +68,7 @@ BEFORE = punched(np.where(PART, FIGURE, np.nan), MARKS_PX, 5.0)
 
 def commissioning(mistake: Mistake) -> str:
     try:
-        prove(mistake.shown(np.where(PART, artefact_heights(BUMPS, GRID) + NOISE[0], np.nan)), BUMPS)
+        prove_profile(mistake.shown(np.where(PART, artefact_heights(BUMPS, GRID) + NOISE[0], np.nan)), BUMPS)
     except MapError as refused:
         return str(refused)
     return ""
@@ -87,7 +87,7 @@ def gate(mistake: Mistake) -> str:
     before = mistake.shown(np.where(PART, FIGURE, np.nan) + NOISE[1])
     predicted = before.height_nm - np.nanmin(before.height_nm) + 20
     after = mistake.shown(np.where(PART, FIGURE - np.where(PART, predicted, 0.0), np.nan) + NOISE[2])
-    return judge(predicted, before.height_nm - after.height_nm, PART, GRID.pitch_mm).stop
+    return check_removal(predicted, before.height_nm - after.height_nm, PART, GRID.pitch_mm).stop
 
 
 @cache
@@ -146,13 +146,13 @@ def test_the_gate_knows_them_on_other_parts(name: str) -> None:
     for mistake in ALL:
         if mistake.factor != (1.0, 0.5, 2.0)[(ORIENTATIONS.index(mistake.way) + mistake.sign) % 3]:
             continue
-        maps = [as_profiled(SurfaceMap(np.where(part, figure + rng.normal(0, 0.3, part.shape), np.nan), 1.6),
+        maps = [apply_profile(SurfaceMap(np.where(part, figure + rng.normal(0, 0.3, part.shape), np.nan), 1.6),
                             mistake.profile)]  # fmt: skip
         planned = maps[0].height_nm - np.nanmin(maps[0].height_nm) + 20
         rest = figure - np.where(maps[0].valid, planned, 0.0) + rng.normal(0, 0.3, part.shape)
-        maps.append(as_profiled(SurfaceMap(np.where(part, rest, np.nan), 1.6), mistake.profile))
+        maps.append(apply_profile(SurfaceMap(np.where(part, rest, np.nan), 1.6), mistake.profile))
         common = part & maps[0].valid
-        stop = judge(planned, maps[0].height_nm - maps[1].height_nm, common, 1.6).stop
+        stop = check_removal(planned, maps[0].height_nm - maps[1].height_nm, common, 1.6).stop
         assert bool(stop) != mistake.none, mistake
         assert mistake.way.name in stop or mistake.way == ORIENTATIONS[0], (mistake, stop)
         assert ("negated" in stop) == (mistake.sign < 0), (mistake, stop)
@@ -166,6 +166,6 @@ def test_all_combinations_are_tried() -> None:
 def test_a_removal_that_shows_no_turn_is_not_said_to_be_right() -> None:
     """Where the gate is blind it says so: marks and commissioning then carry the proof."""
     ring = 40 * np.exp(-(((GRID.radius_mm() - 25) / 10) ** 2))
-    verdict = judge(ring, np.rot90(ring) + NOISE[0], PART, GRID.pitch_mm)
+    verdict = check_removal(ring, np.rot90(ring) + NOISE[0], PART, GRID.pitch_mm)
     assert verdict.stop == ""
     assert {way.name for way in ORIENTATIONS[1:]} <= set(verdict.undecidable)

@@ -187,7 +187,7 @@ def test_where_the_spindle_leans(options: ComplianceOptions, lean: list[float]) 
     want = np.sin(np.radians(20)) * np.array(lean) + [0, 0, np.cos(np.radians(20))]
     np.testing.assert_allclose(axis[0], want, atol=1e-4)
     np.testing.assert_allclose(frames.dips_deg(axis, normal), 20.0, atol=1e-9)
-    back = frames.turned_back(axis, frames.lean_directions(options, HOME, tip, normal), 20.0)
+    back = frames.normals_from_axes(axis, frames.lean_directions(options, HOME, tip, normal), 20.0)
     np.testing.assert_allclose(back, normal, atol=1e-12)
 
 
@@ -238,16 +238,16 @@ def test_an_axis_seen_upright_keeps_its_dip_and_its_lean() -> None:
     optic = Optic(300.0, -0.5)
     normal = frames.surface_normals(HOME, points, optic)
     options = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=50.0)
-    seen = frames.upright(frames.dipped_axes(options, HOME, points, normal, 15.0), normal)
+    seen = frames.axes_on_level_surface(frames.dipped_axes(options, HOME, points, normal, 15.0), normal)
     np.testing.assert_allclose(seen[:, 2], np.cos(np.radians(15)), atol=1e-12)
     azimuth = np.degrees(np.arctan2(seen[:, 1], seen[:, 0]))
     np.testing.assert_allclose(azimuth, 50.0, atol=3.0)  # the lean is level in the part's frame, not in the surface's
-    np.testing.assert_allclose(frames.upright(normal, normal), np.tile([0, 0, 1.0], (40, 1)), atol=1e-12)
+    np.testing.assert_allclose(frames.axes_on_level_surface(normal, normal), np.tile([0, 0, 1.0], (40, 1)), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(seen, axis=1), 1.0, atol=1e-12)
 
 
 def test_on_a_flat_part_an_axis_is_seen_as_it_is() -> None:
     axis = np.array([[0.2, -0.1, np.sqrt(0.95)]])
-    np.testing.assert_array_equal(frames.upright(axis, np.array([[0.0, 0.0, 1.0]])), axis)
+    np.testing.assert_array_equal(frames.axes_on_level_surface(axis, np.array([[0.0, 0.0, 1.0]])), axis)
     with pytest.raises(ComputeError, match="looks down"):
-        frames.upright(axis, np.array([[0.0, 0.0, -1.0]]))
+        frames.axes_on_level_surface(axis, np.array([[0.0, 0.0, -1.0]]))

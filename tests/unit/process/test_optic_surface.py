@@ -125,7 +125,7 @@ def test_a_piece_of_a_sphere_is_that_sphere(even: tuple[float, ...]) -> None:
 
 def test_newton_agrees_with_the_closed_form() -> None:
     """A sphere as a paraboloid with the even terms of its series, off axis, is nearly that sphere; and a tiny term
-    changes the closed form by itself only."""
+    changes only the closed form."""
     exact, series = Optic(400.0, 0.0, (), (50.0, 20.0)), Optic(400.0, -1.0, _series(400.0, 9), (50.0, 20.0))
     np.testing.assert_allclose(sag_mm(series, PLANE), sag_mm(exact, PLANE), atol=1e-10)
     np.testing.assert_allclose(unit_normals(series, PLANE), unit_normals(exact, PLANE), atol=1e-11)

@@ -1,4 +1,4 @@
-"""``polishd program make``: what is written, what is said, what is refused."""
+"""``polishd program make``: files, messages and refusals."""
 
 from __future__ import annotations
 
@@ -341,7 +341,7 @@ def test_usage(words: tuple[str, ...], tmp_path: Path) -> None:
         (("--aperture", "circle:20", "--feed", 1e-9), ProgramError, "leave a feed of 0"),
         (("--aperture", "circle:20", "--dwell", 1e-7), ProgramError, "dwells of 1e-07 to 1e-07 s"),
         (("--aperture", "circle:20", "--dialect", "rapid"), ProgramError, "no programs are made in rapid"),
-        (("--aperture", "circle:20", "--dialect", "nobody"), ConfigError, "'nobody' is not known"),
+        (("--aperture", "circle:20", "--dialect", "none"), ConfigError, "'none' is not known"),
         (("--cell", "nowhere.toml"), ConfigError, "nowhere.toml"),
     ],
 )

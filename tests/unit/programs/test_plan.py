@@ -43,12 +43,12 @@ class Desk:
         self.surface = small_map()
         self.recipe = small_recipe()
         self.violations: list[str] = []
-        self.told: list[Event] = []
+        self.events: list[Event] = []
         self.at_event: list[str] = []
         self.config: Any = SimpleNamespace(
             part=SimpleNamespace(id="P-1"),
             job=SimpleNamespace(id="by-hand"),
-            program=SimpleNamespace(covers="aperture"),
+            program=SimpleNamespace(coverage="aperture"),
             turns=(SimpleNamespace(program_path=self.program),),
             state_dir=self.program.parent / "state",
             run_dir=None,
@@ -66,7 +66,7 @@ class Desk:
         return self.violations
 
     def on_event(self, event: Event) -> None:
-        self.told.append(event)
+        self.events.append(event)
         self.at_event = sorted(path.name for path in Path(event.data["run_dir"]).iterdir())
         Path(event.data["run_dir"], "report.html").write_text("a report")
 
@@ -94,7 +94,7 @@ FILES += ["registration.json", "summary.json", "surface.npz"]
 def test_the_folder_is_whole(desk: Desk) -> None:
     summary = desk.plan()
     assert sorted(path.name for path in desk.out.iterdir()) == sorted([*FILES, "report.html"])
-    assert desk.at_event == FILES, "whoever reports finds all of it"
+    assert desk.at_event == FILES, "all files are there at the event"
     assert [path.name for path in desk.out.parent.iterdir()] == ["one"], "no scratch is left"
     kept = json.loads((desk.out / "summary.json").read_text())
     assert kept == json.loads(json.dumps(summary))
@@ -214,7 +214,7 @@ def test_a_busy_machine_is_no_reason_to_refuse(desk: Desk, monkeypatch: pytest.M
 def test_a_veto(desk: Desk) -> None:
     desk.violations = ["guard: too deep", "guard: too fast"]
     desk.refused(PlanRefused, "nothing was written:\n  guard: too deep\n  guard: too fast")
-    assert desk.told == []
+    assert desk.events == []
 
 
 def test_a_disk_that_fills_while_it_writes(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -238,7 +238,7 @@ def test_a_program_of_another_part_is_noted(desk: Desk) -> None:
     desk.program.write_bytes(small_text(6.0))
     notes = desk.plan()["notes"]
     assert any(note.startswith("check will refuse: small.rnc reaches ") for note in notes)
-    desk.config.program.covers, desk.out = "zone", desk.out.with_name("two")
+    desk.config.program.coverage, desk.out = "zone", desk.out.with_name("two")
     assert not any("reaches" in note for note in desk.plan()["notes"])
 
 
@@ -252,10 +252,11 @@ def test_what_would_forbid_to_run_is_noted(desk: Desk) -> None:
 def test_what_the_pass_would_write_is_told_and_a_disk_that_it_would_fill(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = desk.plan()
-    assert told["blocks"] == (desk.out / "program.rnc").read_bytes().count(b"\n") + 1
-    assert told["writes"] == {"state_mb": told["blocks"] * 1e-4, "run_mb": pytest.approx(told["blocks"] * 1.8e-4)}
-    assert not any("blocks needs" in note for note in told["notes"])
+    summary = desk.plan()
+    blocks = summary["blocks"]
+    assert blocks == (desk.out / "program.rnc").read_bytes().count(b"\n") + 1
+    assert summary["writes"] == {"state_mb": blocks * 1e-4, "run_mb": pytest.approx(blocks * 1.8e-4)}
+    assert not any("blocks needs" in note for note in summary["notes"])
     desk.out = desk.out.parent / "two"
     monkeypatch.setattr(disk_space, "SPARE_MB", 1e15)
     assert any(note.startswith("run will refuse: a pass of") for note in desk.plan()["notes"])
@@ -278,7 +279,7 @@ def test_a_tilt_is_not_polished_and_a_large_one_is_noted(desk: Desk) -> None:
 
 
 def test_a_tilt_that_is_polished_is_said(desk: Desk) -> None:
-    """Whoever says that a tilt is figure is told how much of the work it is."""
+    """If tilt counts as figure, the plan states its share of the work."""
     desk.recipe = small_recipe(alignment="piston")
     desk.surface = desk.surface.with_height(desk.surface.height_nm + 150.0 / 20.0 * desk.surface.grid.x_mm)
     (note,) = [note for note in desk.plan()["notes"] if "part.alignment" in note]

@@ -15,7 +15,7 @@ from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
 from polishd.plugins.rnc_robot.verify import verify
 from polishd.programs import rewrite as program_files
-from polishd.programs.rewrite import DwellTable, RewriteResult, not_over, rewrite_file, target_file
+from polishd.programs.rewrite import DwellTable, RewriteResult, require_new_target, rewrite_file, target_file
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 
 HEAD = b"G21 G90 G94\nG0 X0 Y0 Z0\n"
@@ -235,8 +235,8 @@ def test_a_file_that_is_read_is_known_under_every_name(tmp_path: Path) -> None:
     (tmp_path / "hard").hardlink_to(one)
     for name in ("one", "link", "hard", "./one"):
         with pytest.raises(ProgramError, match="is what is read"):
-            not_over(tmp_path / name, other, one)
-    not_over(other, one)
-    not_over(tmp_path / "new", one)
-    not_over(one, tmp_path / "none")
-    not_over(tmp_path / ("x" * 300), one)  # whoever opens it says why not
+            require_new_target(tmp_path / name, other, one)
+    require_new_target(other, one)
+    require_new_target(tmp_path / "new", one)
+    require_new_target(one, tmp_path / "none")
+    require_new_target(tmp_path / ("x" * 300), one)  # opening the file reports the error

@@ -61,7 +61,7 @@ def test_inspect_of_feeds(polishd: Polishd, program: Path) -> None:
     answer = polishd("program", "inspect", program, "--json").answer
     assert (answer["encoding"], answer["unit"], answer["feed_range_mm_min"]) == ("feed", "mm/min", [60.0, 240.0])
     assert answer["bounds_mm"]["x"] == [1.0, 3.0]
-    assert answer["warnings"] == ["nobody said G94: assumed"]
+    assert answer["warnings"] == ["no G94 in the program: assumed"]
 
 
 def test_inspect_for_people(polishd: Polishd, program: Path) -> None:
@@ -70,7 +70,7 @@ def test_inspect_for_people(polishd: Polishd, program: Path) -> None:
     assert said.code == 0
     for words in ("p.rnc", "2, time in the feed of each move (mm/min)", "60 to 240 mm/min", "1.0000 to 3.0000 mm"):
         assert words in said.out
-    assert "warning: nobody said G94: assumed" in said.out
+    assert "warning: no G94 in the program: assumed" in said.out
 
 
 @pytest.mark.full

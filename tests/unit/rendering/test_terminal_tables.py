@@ -14,7 +14,7 @@ from rich.table import Table
 
 from polishd.cli.run import progress
 from polishd.daemon.runtime.events import safety_of
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 from polishd.rendering.terminal import (
     Terminal,
     cycle_table,
@@ -74,7 +74,7 @@ def test_the_tolerances_band_has_its_column() -> None:
 
 
 def judged(pv_nm: float) -> list[dict[str, Any]]:
-    lines = [Judged("RMS", pv_nm / 10, 2.0, "nm", 0.3), Judged("PV", pv_nm, 12.0, "nm")]
+    lines = [LineResult("RMS", pv_nm / 10, 2.0, "nm", 0.3), LineResult("PV", pv_nm, 12.0, "nm")]
     return [line.facts() for line in lines]
 
 
@@ -92,7 +92,7 @@ def test_the_drawings_lines_stand_below_the_worst_first() -> None:
 
 
 def test_a_bound_stands_beside_what_it_judges_even_of_a_short_tolerance() -> None:
-    line = Judged("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
+    line = LineResult("RMS", 0.5, 2.0, "nm", 0.3, bound=1.25, removed="power")
     summary = {"job": "j", "outcome": "x", "tolerance_nm": 2.0, "cycles": [{**CYCLES[0], "judged": [line.facts()]}]}
     assert isinstance(outcome_tables(summary), Group)
     *_, row, _ = shown(tolerance_table(summary))
@@ -133,13 +133,13 @@ def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
         ("measured", 0, {"rms_nm": 20.456, "pv_nm": 101.0, "band_rms_nm": 3.0, "notes": ["tilt [of] 150 nm"]}),
         ("learned", 1, {"rate": 1.0, "notes": ["the rate stays"]}),
         ("solved", 0, {"predicted_rms_nm": 1.0, "kkt_residual": 1e-5}),
-        ("pass_begun", 0, {"blocks": 100, "dwell_s": 60.0}),
+        ("pass_started", 0, {"blocks": 100, "dwell_s": 60.0}),
         ("progress", 0, {"block": 50}),
         ("pass_ended", 0, {"executed_s": 61.0}),
         ("state", None, safety_of("held", "by [order]", ("robot: [deaf]",)).data),
         ("state", None, {"state": "polishing", "reason": ""}),
         ("failed", None, {"kind": "LinkError", "error": "[gone]"}),
-        ("job_finished", None, {}),
+        ("run_folder_completed", None, {}),
     ]
     with progress([("", Path("my cell.toml"))]) as (show,):
         for event in events:

@@ -20,7 +20,7 @@ def shop(tmp_path: Path) -> Iterator[Database]:
         yield found
 
 
-def told(first: int, last: int, **more: Any) -> CellReport:
+def report_of(first: int, last: int, **more: Any) -> CellReport:
     events = [(seq, 1, 100.0 + seq, None, "held", f'{{"n": {seq}}}') for seq in range(first, last + 1)]
     return CellReport(
         journal="J", first=first, last=last, before=f"h{first - 1}" if first > 1 else "", tail=f"h{last}",
@@ -39,42 +39,42 @@ def numbers(shop: Database, cell: str = "north") -> list[int]:
 
 
 def test_each_event_is_taken_once(shop: Database) -> None:
-    assert take(shop, told(1, 3)) == 3
-    assert take(shop, told(1, 3)) == 3, "its answer was lost, and it is sent again"
-    assert take(shop, told(4, 6)) == 6
+    assert take(shop, report_of(1, 3)) == 3
+    assert take(shop, report_of(1, 3)) == 3, "its answer was lost, and it is sent again"
+    assert take(shop, report_of(4, 6)) == 6
     assert numbers(shop) == [1, 2, 3, 4, 5, 6]
 
 
 def test_a_gap_is_not_taken_and_the_cell_is_told_where_to_begin(shop: Database) -> None:
-    take(shop, told(1, 3))
-    assert take(shop, told(6, 8)) == 3
-    assert take(shop, told(2, 8)) == 3, "nor a part of it twice"
+    take(shop, report_of(1, 3))
+    assert take(shop, report_of(6, 8)) == 3
+    assert take(shop, report_of(2, 8)) == 3, "nor a part of it twice"
     assert numbers(shop) == [1, 2, 3]
 
 
 def test_nothing_new_is_told_by_an_empty_range(shop: Database) -> None:
-    take(shop, told(1, 3))
-    assert take(shop, replace(told(4, 3), events=(), tail="")) == 3
-    assert take(shop, told(4, 4)) == 4
+    take(shop, report_of(1, 3))
+    assert take(shop, replace(report_of(4, 3), events=(), tail="")) == 3
+    assert take(shop, report_of(4, 4)) == 4
 
 
 def test_progress_is_left_out_and_counted(shop: Database) -> None:
-    report = told(1, 5)
+    report = report_of(1, 5)
     assert take(shop, replace(report, events=report.events[::2])) == 5
     assert numbers(shop) == [1, 3, 5]
 
 
 def test_another_cell_and_another_journal_count_by_themselves(shop: Database) -> None:
-    take(shop, told(1, 3))
-    assert take(shop, told(1, 2), "south") == 2
-    assert take(shop, replace(told(1, 2), journal="K")) == 2
+    take(shop, report_of(1, 3))
+    assert take(shop, report_of(1, 2), "south") == 2
+    assert take(shop, replace(report_of(1, 2), journal="K")) == 2
     assert numbers(shop) == [1, 1, 2, 2, 3]
 
 
 def test_a_journal_that_was_put_back_to_an_older_copy_is_refused_loudly(shop: Database) -> None:
-    take(shop, told(1, 3))
+    take(shop, report_of(1, 3))
     with pytest.raises(ConfigError, match="of 3 events that this shop has, the last is another now"):
-        take(shop, replace(told(4, 5), before="other"))
+        take(shop, replace(report_of(4, 5), before="other"))
     assert numbers(shop) == [1, 2, 3]
 
 
@@ -82,18 +82,18 @@ def test_a_journal_that_was_put_back_to_an_older_copy_is_refused_loudly(shop: Da
 def test_a_report_whose_events_are_out_of_order_is_no_report(shop: Database, seqs: tuple[int, ...]) -> None:
     events = [(seq, 1, 0.0, None, "held", "{}") for seq in seqs]
     with pytest.raises(ValueError, match="out of their order"):
-        take(shop, replace(told(1, 3), events=events))
+        take(shop, replace(report_of(1, 3), events=events))
     assert numbers(shop) == []
 
 
 def test_jobs_passes_and_maps_are_known_once_as_they_are_now(shop: Database) -> None:
     job, row = [1, "lens", "P-1", 5.0, None, None, None], [1, 0, "ab", 6.0, None, None, "{}"]
     maps = [[1, 0, 5.5, '{"rms_nm": 9.5}']]
-    take(shop, told(1, 3, jobs=[job], passes=[row], maps=maps))
+    take(shop, report_of(1, 3, jobs=[job], passes=[row], maps=maps))
     job, row = [*job[:4], 8.0, "in_tolerance", None], [*row[:4], 7.0, "done", "{}"]
     maps = [*maps, [1, 1, 7.5, '{"rms_nm": 1.5}']]
     for _ in range(2):
-        take(shop, told(4, 5, jobs=[job], passes=[row], maps=maps))
+        take(shop, report_of(4, 5, jobs=[job], passes=[row], maps=maps))
     with shop.transaction() as sql:
         (found,) = server.history(sql)["jobs"]
         assert len(sql.rows("SELECT * FROM pass")) == 1
@@ -107,8 +107,8 @@ def test_jobs_passes_and_maps_are_known_once_as_they_are_now(shop: Database) -> 
 
 def test_what_one_cell_has_learned_is_offered_to_the_others_with_its_uncertainty(shop: Database) -> None:
     lesson = ["r1", "lens", 2, 50.0, "bonnet 7", 0.87, 0.004]
-    take(shop, told(1, 1, lessons=[lesson]))
-    take(shop, told(1, 1, lessons=[["r1", "disc", 0, 40.0, "bonnet 7", 0.95, 0.01]]), "south")
+    take(shop, report_of(1, 1, lessons=[lesson]))
+    take(shop, report_of(1, 1, lessons=[["r1", "disc", 0, 40.0, "bonnet 7", 0.95, 0.01]]), "south")
     with shop.transaction() as sql:
         assert database.offers(sql, "north")[0]["rate"] == 0.95
         (offer,) = database.offers(sql, "west")
@@ -119,9 +119,9 @@ def test_what_one_cell_has_learned_is_offered_to_the_others_with_its_uncertainty
 
 def test_a_row_that_is_none_takes_nothing_of_its_report(shop: Database) -> None:
     with pytest.raises(ConfigError, match="nothing"):
-        take(shop, told(1, 3, jobs=[[1, None, "P", 5.0, None, None, None]]))
+        take(shop, report_of(1, 3, jobs=[[1, None, "P", 5.0, None, None, None]]))
     with pytest.raises(ValueError, match="zip"):
-        take(shop, told(1, 3, jobs=[[1]]))
+        take(shop, report_of(1, 3, jobs=[[1]]))
     assert numbers(shop) == []
     with shop.transaction() as sql:
         assert server.status_view(sql, ())["cells"] == []

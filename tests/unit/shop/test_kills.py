@@ -76,7 +76,7 @@ REQUESTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     }),
     ("north", "cell/claim", {"request": "r2"}),
     ("north", "cell/refuse", {"request": "r2", "why": "out of reach"}),
-    ("ada", "remove", {"job": "disc", "why": "nobody can"}),
+    ("ada", "remove", {"job": "disc", "why": "too hard"}),
 )  # fmt: skip
 """Of a cell and the office, over the life of one part and the refusal of another; each waits for its answer."""
 ONCE = {"add": "already", "remove": "is removed"}
@@ -217,7 +217,7 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
         found = content(shop)
         with closing(sqlite3.connect(config.state_dir / "journal.sqlite")) as own:
             queue = own.execute("SELECT name, claim FROM queue").fetchall()
-            told = own.execute("SELECT id FROM event WHERE name != 'progress' ORDER BY id").fetchall()
+            recorded = own.execute("SELECT id FROM event WHERE name != 'pass_progressed' ORDER BY id").fetchall()
         with closing(sqlite3.connect(shop.state_dir / DATABASE_NAME)) as database:
             claims = database.execute("SELECT request, ended FROM claim").fetchall()
             states = dict(database.execute("SELECT job, state FROM part"))
@@ -225,11 +225,11 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
         assert [name for name, _ in queue] == ["lens"], f"killed at step {number}"
         assert claims == [(queue[0][1], None)], f"killed at step {number}"
         assert states == {"lens": "claimed", "disc": "waiting"}
-        assert heard == told
+        assert heard == recorded
         asking = config.state_dir / "shop" / "asking"
         assert not asking.exists() or asking.read_text() == queue[0][1], "what was asked is looked up before more is"
         assert [json.loads(row[-1]) for row in found["cell"]], "the shop has heard of the cell"
-        if asking.exists():  # somebody takes the part out of the cell's queue: it is not asked for again, the next is
+        if asking.exists():  # with the part removed from its queue, the cell requests the next one
             with Queue.at_rest(config.state_dir) as own_queue:
                 own_queue.remove_waiting("lens")
             assert not killed_at(0, linked)

@@ -1,4 +1,4 @@
-"""A cell's side of the shop: what it tells and when, parts that it asks for, and what it does without the shop."""
+"""A cell's side of the shop: its reports, its requests for parts, and its work without the shop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ OFFER = {
 
 
 class Office:
-    """A shop that says what it is told to say, and notes what it was asked."""
+    """A shop with fixed answers that records its requests."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, dict[str, Any]]] = []
@@ -47,7 +47,7 @@ class Office:
     def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
         verb = path.rpartition("/")[2]
         if self.away:
-            raise LinkError("nobody answers")
+            raise LinkError("no answer")
         if self.refuses:
             raise ConfigError(self.refuses)
         self.asked.append((verb, dict(said)))
@@ -86,7 +86,7 @@ class Desk:
         if verb == "status":
             return {"ok": True, "state": self.state, "waiting": len(self.waiting())}
         self.asked.append((verb, dict(args)))
-        if verb == "job_add":
+        if verb == "queue_add":
             if self.refuses:
                 return {"ok": False, "error": self.refuses[0], "exit_code": self.refuses[1]}
             with Queue.at_rest(self._config.state_dir) as queue:
@@ -117,9 +117,9 @@ class Rig:
         self.link = ShopLink(self.config, plugins_of(self.config), self.config.shop)
         return self.link
 
-    def happens(self, *told: Event) -> None:
+    def happens(self, *happened: Event) -> None:
         with Journal.of_cell(self.config.state_dir) as journal:
-            for event in told:
+            for event in happened:
                 journal.record_event(event)
 
 
@@ -178,7 +178,7 @@ def test_nothing_is_lost_while_the_shop_is_away(rig: Rig) -> None:
 def test_a_part_is_asked_for_where_none_waits_and_added_by_its_claim(rig: Rig) -> None:
     rig.happens(HELD)
     rig.office.parts = ["lens", "disc"]
-    assert rig.link.turn() is True, "the shop is to be told at once"
+    assert rig.link.turn() is True, "the shop must get this at once"
     assert rig.desk.waiting() == ["lens"]
     rig.link.turn()
     assert len(rig.office.of("claim")) == 1, "one waits"
@@ -240,10 +240,10 @@ def test_a_part_that_this_cell_cannot_work_is_refused_with_the_reason(
 def test_it_is_refused_only_where_it_is_sure_that_the_daemon_has_not_taken_it(rig: Rig) -> None:
     rig.happens(HELD)
     rig.office.parts = ["lens"]
-    rig.desk.silent = "job_add"
+    rig.desk.silent = "queue_add"
     with pytest.raises(LinkError):
         rig.link.turn()
-    rig.desk.silent, rig.desk.refuses = "", ("job_add failed inside the daemon", 1)
+    rig.desk.silent, rig.desk.refuses = "", ("queue_add failed inside the daemon", 1)
     with pytest.raises(LinkError):
         rig.link.turn()
     assert rig.office.of("refuse") == []
@@ -256,18 +256,18 @@ def test_the_daemon_hears_the_shops_word_and_what_others_have_learned(rig: Rig) 
     rig.happens(HELD)
     rig.office.word = {"stands": ["a"], "back": ["b"], "lost": ["c"], "offers": [OFFER]}
     rig.link.turn()
-    assert rig.desk.asked[0] == ("shop_word", {"stands": ["a"], "back": ["b"], "lost": ["c"]})
-    assert rig.desk.asked[1] == ("shop_offer", {"offers": [OFFER]})
+    assert rig.desk.asked[0] == ("shop_assignments", {"stands": ["a"], "back": ["b"], "lost": ["c"]})
+    assert rig.desk.asked[1] == ("shop_rates", {"offers": [OFFER]})
     rig.happens(events.ShopRateReceived(**OFFER))  # type: ignore[arg-type]
     rig.link.turn()
-    assert [verb for verb, _ in rig.desk.asked].count("shop_offer") == 1, "it was offered"
+    assert [verb for verb, _ in rig.desk.asked].count("shop_rates") == 1, "it was offered"
     claims = rig.office.of("report")[-1]["claims"]
     assert claims == {"a": {"state": "unknown"}, "b": {"state": "unknown"}}, "its queue has none of them"
 
 
 def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.happens(HELD)
-    rig.office.refuses = "the token is nobody's"
+    rig.office.refuses = "the token is not valid"
     turns, stop = [0], threading.Event()
 
     class Pauses(threading.Event):
@@ -287,7 +287,7 @@ def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: p
 def test_a_token_that_is_refused_is_not_tried_again_until_there_is_another_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The shop is the real one; what the cell does meanwhile is told once the token is good again."""
+    """The shop is the real one; the cell reports the time in between once the token is good again."""
     file = rig.config.base_dir / "shop.token"
     monkeypatch.undo()
     monkeypatch.setattr(module.client, "request", rig.desk)
@@ -362,7 +362,7 @@ def test_what_this_cell_has_learned_itself_needs_no_offer(rig: Rig) -> None:
         own.begin_pass(0, "ab", "boot", 10, facts={"taught": {"recipe": "r1"}, "measured": float("nan")})
     rig.office.word["offers"] = [OFFER, {**OFFER, "recipe": "r2"}]
     rig.link.turn()
-    (said,) = [args for verb, args in rig.desk.asked if verb == "shop_offer"]
+    (said,) = [args for verb, args in rig.desk.asked if verb == "shop_rates"]
     assert [one["recipe"] for one in said["offers"]] == ["r2"]
 
 

@@ -21,7 +21,7 @@ from polishd.shop import link as module
 from polishd.shop.link import ShopClient
 from tests.certificates import DAY_S, Authority
 
-TOKEN = "not-to-be-told"
+TOKEN = "not-to-be-shown"
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def serving(status: int, body: bytes, context: ssl.SSLContext | None = None) -> 
             self.wfile.write(body)
 
         def log_message(self, *_: Any) -> None:
-            """Nobody reads it."""
+            """Discard the log."""
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         if context is not None:
@@ -153,7 +153,7 @@ def test_a_certificate_that_is_not_believed_says_why_and_what_to_do(
     with serving(200, b"{}", context) as (port, asked), pytest.raises(LinkError, match=says) as found:
         wire(tmp_path, port, "https", ca_file=ca_file).ask("/", {})
     assert asked == [], "the token is not sent"
-    assert "tries again by itself; nothing was sent" in str(found.value)
+    assert "tries again; nothing was sent" in str(found.value)
     assert "\n" not in str(found.value)
 
 

@@ -1,4 +1,4 @@
-"""The shop's queue: no part is given to two cells, whoever asks, however often, and whatever answer is lost."""
+"""The shop's queue never gives a part to two cells, with any cells, repeated requests, and lost answers."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_part_from_its_claim_to_its_end(shop: Database) -> None:
     assert states(shop) == {"a": "begun"}
     assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer()
     assert states(shop) == {"a": "done"}
-    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer(), "told once more: nothing new"
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer(), "reported once more: nothing new"
     assert words(shop) == ["added", "claimed", "begun", "accepted"]
     with pytest.raises(ConfigError, match="'a' is done"):
         release(shop, "a")
@@ -204,7 +204,7 @@ def test_a_cell_that_is_gone_learns_that_it_has_lost_its_part(shop: Database) ->
     add(shop, "a")
     claim(shop, "north", "1")
     report(shop, "north", **{"1": "under way"})
-    assert "may not begin it any more" in release(shop, "a", gone=True)
+    assert "must not begin it any more" in release(shop, "a", gone=True)
     assert claim(shop, "south", "2") == "a"
     assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
     assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
@@ -216,7 +216,7 @@ def test_what_was_put_aside_waits_for_a_person(shop: Database) -> None:
     add(shop, "a", "b")
     claim(shop, "north", "1")
     claim(shop, "north", "2")
-    report(shop, "north", **{"1": "put aside", "2": "removed"})
+    report(shop, "north", **{"1": "set aside", "2": "removed"})
     assert states(shop) == {"a": "aside", "b": "aside"}
     assert claim(shop, "south", "3") is None
     assert release(shop, "a") == "a waits again"

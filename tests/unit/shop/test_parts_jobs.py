@@ -18,7 +18,7 @@ id = "lens"
 
 [part]
 id = "P-1"
-nominal = "maps/nominal.dat"   # of the drawing
+form = "maps/nominal.dat"   # of the drawing
 
 [program]
 path = "a/lens.rnc"

@@ -47,9 +47,9 @@ class Asked:
         }
 
     def ask(self, who: str, method: str, path: str, said: Any = None, **headers: str) -> Any:
-        told = {"authorization": f"Bearer {self.tokens[who]}"} if who else {}
+        token = {"authorization": f"Bearer {self.tokens[who]}"} if who else {}
         content = said if isinstance(said, bytes) else None if said is None else json.dumps(said).encode()
-        return self._client.request(method, f"/api/{path}", content=content, headers={**told, **headers})
+        return self._client.request(method, f"/api/{path}", content=content, headers={**token, **headers})
 
     def cell(self, who: str, path: str, said: Any) -> Any:
         found = self.ask(who, "POST", f"cell/{path}", said)
@@ -99,7 +99,7 @@ def test_a_cell_that_has_a_token_and_was_never_heard_is_told(shop: Asked, tmp_pa
     assert (north["cell"], north["state"], north["away"]) == ("north", "idle", False)
     assert south == {"cell": "south", "heard_s": None, "away": True, "claims": 0, "passes": 0}
     said = polishd("shop", "status", tmp_path / "shop.toml")
-    assert (said.code, "never: polishd shop link" in said.out) == (0, True), said.out
+    assert (said.code, "never: polishd shop connect" in said.out) == (0, True), said.out
 
 
 def test_a_token_is_for_its_own_side_alone(shop: Asked) -> None:
@@ -173,7 +173,7 @@ def test_beyond_this_computer_only_with_tls_and_tokens(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="beyond this computer only by TLS"):
         write_shop(tmp_path, 'address = "192.0.2.1"\n')
     shop = write_shop(tmp_path, 'address = "192.0.2.1"\ncert = "c.pem"\nkey = "k.pem"\n')
-    with pytest.raises(ConfigError, match="nobody has a token"):
+    with pytest.raises(ConfigError, match="there is no token"):
         serve(shop)
 
 

@@ -161,7 +161,7 @@ def test_a_flow_stops_after_so_long_in_contact() -> None:
 
 
 def test_a_guard_opens_for_a_while_at_the_press_of_a_button() -> None:
-    found, told = inputs(guard_closed=SimSignal(value=True, then=False, for_s=1.0))
+    found, told = inputs(guard_closed=SimSignal(value=True, changes_to=False, duration_s=1.0))
     found.step(200.0)
     found.press()
     assert (found.told("guard_closed"), told) == ("OFF", ["signal_changes"])

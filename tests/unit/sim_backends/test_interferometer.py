@@ -189,7 +189,7 @@ async def test_a_plug_that_is_out_lets_nobody_in(tmp_path: Path) -> None:
         host, port = (await wire.open_tcp(0)).split(":")
         before = await asyncio.open_connection(host, int(port))
         await until(lambda: wire.cuts)
-        unplug = FaultSection(device="actuator", what="unplug", at_s=1.0, for_s=2.0)
+        unplug = FaultSection(device="actuator", what="unplug", at_s=1.0, duration_s=2.0)
         runtime.script.set([unplug], now_s=0.0)
         runtime.script.look(1.0)
         during = await asyncio.open_connection(host, int(port))

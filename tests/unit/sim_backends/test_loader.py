@@ -93,7 +93,7 @@ def test_refusals() -> None:
     assert Bench(seat="").arm.unload() == ""
 
 
-@pytest.mark.parametrize(("fault", "bit"), [("drops", DROPPED), ("jams", JAMMED)])
+@pytest.mark.parametrize(("fault", "bit"), [("dropped", DROPPED), ("jammed", JAMMED)])
 def test_a_fault_stays_until_it_is_reset_and_comes_once(fault: str, bit: int) -> None:
     bench = Bench(seat="", faults=LoaderFaults(**{fault: ("P-2",)}))
     bench.arm.load("P-2")
@@ -105,7 +105,7 @@ def test_a_fault_stays_until_it_is_reset_and_comes_once(fault: str, bit: int) ->
     assert bench.arm.seat == "P-2"
 
 
-@pytest.mark.parametrize(("fault", "says"), [("wrong", ANOTHER), ("mistaken", "P-2")])
+@pytest.mark.parametrize(("fault", "says"), [("wrong", ANOTHER), ("wrong_part_unnoticed", "P-2")])
 def test_another_part(fault: str, says: str) -> None:
     bench = Bench(faults=LoaderFaults(**{fault: ("P-2",)}))
     bench.change("P-2")

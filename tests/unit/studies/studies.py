@@ -52,5 +52,5 @@ def runs_here(study: LoopStudy) -> list[ClosedLoopResult]:
             closed_loop(study, loop).run(plant, making.plant(study, scenario), scenario, loop, seed)
             for seed in range(study.first_seed, study.first_seed + study.seeds)
             for scenario in making.scenarios(study)
-            for loop in study.loops
+            for loop in study.controllers
         ]

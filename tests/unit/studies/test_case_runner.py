@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,12 +33,12 @@ pv_nm = 100.0
 rate = [{rate}, {rate}]
 """
 LOOPS = """
-[loops.exact]
+[controllers.exact]
 "part.aperture_mm" = 30.0
 "job.tolerance_nm" = 2.5
 """
 NONE = """
-[loops.none]
+[controllers.none]
 "part.aperture_mm" = 30.0
 "process.correction" = "none"
 "job.tolerance_nm" = 2.5
@@ -101,7 +100,7 @@ def test_a_rate_beyond_what_may_be_learned_stops_the_loop_and_is_named(tmp_path:
 
 @pytest.mark.full
 def test_a_loop_that_does_not_learn_makes_the_same_mistake_again(tmp_path: Path) -> None:
-    blind = LOOPS.replace("[loops.exact]", "[loops.blind]\nlearns = false").replace("2.5", "0.8")
+    blind = LOOPS.replace("[controllers.exact]", "[controllers.blind]\nlearns = false").replace("2.5", "0.8")
     study = load_study(study_file(tmp_path, f"{LOOPS.replace('2.5', '0.8')}{blind}", far=-0.25))
     assert isinstance(study, LoopStudy)
     learned, not_learned = runs_here(study)
@@ -114,8 +113,8 @@ def test_a_plant_that_died_is_no_end_of_a_job(tmp_path: Path, monkeypatch: pytes
     path = study_file(tmp_path, near=-0.1)
     (case,) = cases_of(load_swept(path))
     bench = CaseRunner(path)
-    monkeypatch.setattr(plant_client, "COMMAND", ("sh", "-c", "echo out of luck >&2"))
-    with pytest.raises(ComputeError, match="out of luck"):
+    monkeypatch.setattr(plant_client, "TARGET", "tests.unit.util.worker_targets:start_in_vain")
+    with pytest.raises(ComputeError, match=r"the plant did not start: .*out of luck"):
         bench.rows(case)
     monkeypatch.undo()
     (row,) = bench.rows(case)
@@ -130,7 +129,7 @@ def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     (row,) = json.loads(capsys.readouterr().out)
     assert row["loop"] == "exact"
     assert json.loads((out / "table.json").read_text()) == [row]
-    assert (out / "loops.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "controllers.png").read_bytes().startswith(b"\x89PNG")
     study_verb(path, StudyOptions(workers=1), as_json=False)
     assert "true RMS nm" in capsys.readouterr().out
 
@@ -138,10 +137,10 @@ def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("loops", "more", "said"),
     [
-        ('[loops.odd]\n"process.corection" = "none"\n', "raster = true", "process.corection"),
+        ('[controllers.odd]\n"process.corection" = "none"\n', "raster = true", "process.corection"),
         (LOOPS, "", "program.rnc: cannot be read"),
         (LOOPS, 'raster = "yes"', "study.toml:8: raster"),
-        ("", "raster = true", "loops"),
+        ("", "raster = true", "controllers"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_computed(tmp_path: Path, loops: str, more: str, said: str) -> None:
@@ -169,7 +168,9 @@ def test_every_shipped_scenario_is_another_plant() -> None:
         for name, scenario in study.all_scenarios().items():
             plant.new(laid_over(sections, scenario), 1)
             told, _ = plant.truth()
-            own = [{k: v for k, v in scenario.plant.get("hidden_truth", {}).items() if k in {"worn", "warm_nm"}}]
+            own = [
+                {k: v for k, v in scenario.plant.get("hidden_truth", {}).items() if k in {"tool_wear", "thermal_nm"}}
+            ]
             undrawn = [scenario.plant.get(section) for section in ("interferometer", "process")]
             drawn[name] = json.dumps([told["machines"], told["effects"], own, undrawn])
     assert "nothing" in drawn
@@ -188,10 +189,9 @@ def test_a_plant_that_refuses_and_one_that_dies(monkeypatch: pytest.MonkeyPatch)
             plant.new({"plant": {"colour": 1}}, 1)
         plant.new({}, 1)
         assert plant.truth()[0]["rms_nm"] > 1.0
-        plant._process.kill()
-        with pytest.raises(ComputeError, match="ended at 'measure'"):
+        plant._worker.kill()
+        with pytest.raises(ComputeError, match="the plant was ended by SIGKILL"):
             plant.measure()
-    monkeypatch.setattr(plant_client, "COMMAND", ("sh", "-c", "echo out of luck >&2"))
-    with PlantProcess() as plant, pytest.raises(ComputeError, match="ended at 'truth': out of luck"):
+    monkeypatch.setattr(plant_client, "TARGET", "tests.unit.util.worker_targets:start_in_vain")
+    with PlantProcess() as plant, pytest.raises(ComputeError, match=r"the plant did not start: .*out of luck"):
         plant.truth()
-    assert isinstance(plant._process, subprocess.Popen)

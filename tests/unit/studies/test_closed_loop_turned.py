@@ -18,7 +18,7 @@ from tests.unit.daemon.small import small_recipe
 from tests.unit.studies.studies import TABLE_III, runs_here
 
 POSES = ((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (180.0, 0.0, 0.0), (270.0, 0.0, 0.0), (0.0, 1.5, 0.0))
-STUDY = 'kind = "loop"\ntitle = "t"\n[loops.a]\nposes = {poses}\n'
+STUDY = 'kind = "loop"\ntitle = "t"\n[controllers.a]\nposes = {poses}\n'
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_what_turns_with_the_part_is_the_parts_as_its_mount_holds_it(plant: Plan
 
 @pytest.mark.full
 def test_the_truth_is_judged_by_what_the_certificate_says(plant: PlantProcess) -> None:
-    whole, without = (with_certified_map(small_recipe(accept=accept)) for accept in ("bound", "bound_without_power"))
+    whole, without = (with_certified_map(small_recipe(accept_by=accept)) for accept in ("bound", "bound_without_power"))
     assert (whole.part.alignment, without.part.alignment) == ("tilt", "power")
     assert {whole.accept, without.accept} == {"figure"}
     drawn(plant)
@@ -90,7 +90,7 @@ def test_poses_are_an_angle_and_a_shift(tmp_path: Path, poses: str, read: object
     if read is not None:
         assert study.loop("a")[2] == read
     else:
-        with pytest.raises(ConfigError, match=r"study\.toml:4: loops\.a\.poses: is not a list of \[angle_deg"):
+        with pytest.raises(ConfigError, match=r"study\.toml:4: controllers\.a\.poses: is not a list of \[angle_deg"):
             study.loop("a")
 
 
@@ -112,13 +112,13 @@ pv_nm = 100.0
 [plant_with.effects]
 eq_44 = [1.0, 1.0]                   # as the cell believes: what one pass leaves is then the instrument's
 friction = [0.0, 0.0]
-[loops.measured]
-[loops.turned]
+[controllers.measured]
+[controllers.turned]
 poses = [[0.0], [90.0], [180.0], [270.0], [0.0, 1.5, 0.0]]
-"job.accept" = "bound_without_power"
-[loops.demanding]
+"job.accept_by" = "bound_without_power"
+[controllers.demanding]
 poses = [[0.0], [90.0], [180.0], [270.0], [0.0, 1.5, 0.0]]
-"job.accept" = "bound"
+"job.accept_by" = "bound"
 """
 
 
@@ -129,7 +129,7 @@ def test_turning_the_part_brings_the_true_figure_into_tolerance(tmp_path: Path) 
     study = load_study(path)
     assert isinstance(study, LoopStudy)
     runs = {run.loop: run for run in runs_here(study)}
-    believed, turned, demanding = (runs[name] for name in study.loops)
+    believed, turned, demanding = (runs[name] for name in study.controllers)
     assert believed.falsely_accepted
     assert believed.true_rms_nm[-1] > 1.5 > believed.rms_nm[-1]
     assert turned.accepted

@@ -50,13 +50,13 @@ def study(folder: Path, loops: str) -> LoopStudy:
 
 @pytest.mark.full
 def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
-    of = study(tmp_path, '[loops.exact]\nwitness = "rate"\n[loops.static]\nwitness = "spot"\n')
+    of = study(tmp_path, '[controllers.exact]\nwitness = "rate"\n[controllers.static]\nwitness = "spot"\n')
     sections, _ = load_plant(EXAMPLES / "sim.toml")
     (scenario,) = of.all_scenarios().values()
     sections = {**sections, **of.plant_with, "plant": {**sections["plant"], **of.plant_with["plant"]}}
     with PlantProcess() as plant:
         begun = {}
-        for name in of.loops:
+        for name in of.controllers:
             plant.new(laid_over(sections, scenario), 1)
             keys, witness, *_ = of.loop(name)
             loop = ClosedLoop(of.resolve(of.cell), keys, of.passes, raster=True, witness=witness)
@@ -72,14 +72,14 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> None:
-    exact, told = runs_here(study(tmp_path, '[loops.exact]\n[loops.told]\nwitness = "rate"\n'))
+    exact, told = runs_here(study(tmp_path, '[controllers.exact]\n[controllers.told]\nwitness = "rate"\n'))
     assert exact.rms_nm[0] == told.rms_nm[0], "the part itself is the same, whatever the witness took"
     assert exact.rms_nm[1] > 2 * told.rms_nm[1]
     assert told.accepted
 
 
 def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:
-    wrong = study(tmp_path, '[loops.odd]\nwitness = "spit"\n')
+    wrong = study(tmp_path, '[controllers.odd]\nwitness = "spit"\n')
     with pytest.raises(
         ConfigError, match=re.escape('\'spit\' is nothing to begin with; it is "rate", "spot" or "touch"')
     ):
@@ -91,13 +91,13 @@ def wrong_with(of: LoopStudy, section: str, **keys: object) -> LoopStudy:
     return of.model_copy(update={"plant_with": plant})
 
 
-TOUCHED = '[loops.touched]\nwitness = "touch"\n"process.learns" = "machine"\n'
+TOUCHED = '[controllers.touched]\nwitness = "touch"\n"process.estimates" = "machine"\n'
 
 
 @pytest.mark.full
 def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(tmp_path: Path) -> None:
     """Without it the gate stops after the first pass, for a person."""
-    off = wrong_with(study(tmp_path, f"[loops.untold]\n{TOUCHED}"), "effects", spot_shift_mm=1.5)
+    off = wrong_with(study(tmp_path, f"[controllers.untold]\n{TOUCHED}"), "effects", spot_shift_mm=1.5)
     untold, touched = runs_here(off)
     assert (untold.ended, untold.named) == ("gate", ("shift",))
     assert touched.accepted
@@ -108,7 +108,7 @@ def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(
 
 @pytest.mark.full
 def test_a_touch_that_stops_says_why_and_no_part_is_polished(tmp_path: Path) -> None:
-    worn = wrong_with(study(tmp_path, TOUCHED), "hidden_truth", worn=0.5, rate=[0.0, 0.0])
+    worn = wrong_with(study(tmp_path, TOUCHED), "hidden_truth", tool_wear=0.5, rate=[0.0, 0.0])
     (run,) = runs_here(worn)
     assert (run.ended, run.named, run.passes) == ("gate", ("rate",), 0)
     assert "about half" in run.why

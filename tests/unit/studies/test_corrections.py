@@ -165,11 +165,11 @@ def test_a_solver_that_is_stopped_is_named(tmp_path: Path) -> None:
 
 def test_nothing_needs_to_be_added_but_where_the_file_gives_it_up(shipped: CorrectionComparison) -> None:
     start = shipped.start
-    for unreached in (0.0, 0.02):
-        wanted = removal_wanted(start, unreached)[start.solve_mask]
+    for unreachable in (0.0, 0.02):
+        wanted = removal_wanted(start, unreachable)[start.solve_mask]
         below = np.count_nonzero(wanted < -1e-9) / wanted.size
-        assert below <= unreached
-        assert below > unreached / 2 or unreached == 0
+        assert below <= unreachable
+        assert below > unreachable / 2 or unreachable == 0
 
 
 def test_the_dwell_brings_what_the_regularisation_allows(tmp_path: Path) -> None:

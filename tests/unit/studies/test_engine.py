@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -17,13 +15,13 @@ from polishd.studies.cases import Case, versions
 from polishd.studies.engine import FinishedCase, LocalPool, work
 from polishd.studies.workers import CaseResult, Task
 
-ODD = Path(__file__).with_name("odd_child.py")
+ODD = "tests.unit.studies.odd_child"
 
 
 @pytest.fixture(autouse=True)
 def odd(monkeypatch: pytest.MonkeyPatch) -> None:
     """Workers that do as they are told."""
-    monkeypatch.setattr(children, "COMMAND", (sys.executable, "-I", str(ODD), json.dumps(dict(versions()))))
+    monkeypatch.setattr(children, "TARGET", f"{ODD}:start")
 
 
 def cases(*what: str) -> list[Case]:
@@ -46,7 +44,7 @@ def test_what_raises_or_kills_its_worker_is_tried_once_more_and_told(tmp_path: P
     found = worked(tmp_path, cases("", "raises", "", "dies", "", "once dies", "once raises", ""))
     assert {number: done.answer.error for number, done in found.items() if done.answer.error} == {
         1: "ValueError: no",
-        3: "killed its worker: signal 9, out of luck",
+        3: "the study worker was ended by SIGKILL (is the computer out of memory?): out of luck",
     }
     assert [found[number].tries for number in range(8)] == [1, 2, 1, 2, 1, 2, 2, 1]
     assert all(found[number].answer.rows for number in (0, 2, 4, 5, 6, 7))
@@ -54,7 +52,7 @@ def test_what_raises_or_kills_its_worker_is_tried_once_more_and_told(tmp_path: P
 
 def test_what_hangs_is_killed_at_its_limit(tmp_path: Path) -> None:
     found = worked(tmp_path, cases("", "hangs", ""), workers=1, within_s=0.5)
-    assert found[1].answer.error == "did not end within 0.5 s and was killed"
+    assert found[1].answer.error.startswith("the study worker exceeded its limit: ")
     assert found[0].answer.rows
     assert found[2].answer.rows
 
@@ -92,7 +90,7 @@ def test_one_that_is_slow_is_not_called_missing(tmp_path: Path, monkeypatch: pyt
     said: list[str] = []
     with LocalPool(1) as pool:
         found = list(work(tmp_path / "study.toml", cases("hangs"), pool, 0.3, said.append))
-    assert "did not end within 0.3 s" in found[0].answer.error
+    assert "limit 0.3 s" in found[0].answer.error
     assert not said
 
 
@@ -102,15 +100,14 @@ def test_a_refusal_ends_the_study(tmp_path: Path) -> None:
 
 
 def test_other_versions_are_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = {**versions(), "scipy": "0.1"}
-    monkeypatch.setattr(children, "COMMAND", (sys.executable, "-I", str(ODD), json.dumps(other)))
+    monkeypatch.setattr(children, "TARGET", f"{ODD}:start_with_other_versions")
     with pytest.raises(ConfigError, match=rf"other versions: scipy 0\.1 for {versions()['scipy']}; install the same"):
         worked(tmp_path, cases(""))
 
 
 def test_a_worker_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(children, "COMMAND", (sys.executable, "-c", "import nothing_of_the_kind"))
-    with pytest.raises(ConfigError, match="does not start: exit code 1, ModuleNotFoundError"):
+    monkeypatch.setattr(children, "TARGET", f"{ODD}:start_in_vain")
+    with pytest.raises(ConfigError, match="did not start: ended with exit code 1: ModuleNotFoundError"):
         worked(tmp_path, cases(""))
 
 
@@ -121,4 +118,4 @@ def test_leaving_in_the_middle_leaves_no_process(tmp_path: Path) -> None:
             break
         alive: list[Any] = list(pool._children._all)
         assert alive
-    assert all(child._process.returncode is not None for child in alive)
+    assert not any(worker.alive for worker in alive)

@@ -137,7 +137,7 @@ def test_the_optic_is_all_that_the_part_says(tmp_path: Path, key: str) -> None:
 
 def test_spots_sink_over_a_free_rim_and_nowhere_else(tmp_path: Path) -> None:
     ring = scene_of(small(tmp_path))
-    free = scene_of(small(tmp_path, ("edge_mm = 3.0", 'edge_mm = 3.0\nrim = "free"')))
+    free = scene_of(small(tmp_path, ("edge_mm = 3.0", "edge_mm = 3.0\nfree_edge = true")))
     assert np.array_equal(free.gamma, ring.gamma)
     spots = tif_at_point("exact", ring.gamma)
     assert np.array_equal(ring.on_part(spots)[0].depth_ratio, ring.gamma)

@@ -91,7 +91,7 @@ def test_the_form_wanted_is_taken_off_a_measured_map(tmp_path: Path) -> None:
             tmp_path,
             ("rms_nm = 18.5", 'file = "map.dat"'),
             ("period_mm = [14.0, 40.0]", "# no period"),
-            ("[part]\n", '[part]\nnominal = "form.dat"\n'),
+            ("[part]\n", '[part]\nform = "form.dat"\n'),
         )
     )
     form = SurfaceMap(np.random.default_rng(1).normal(0.0, 9.0, (52, 52)), 0.5)

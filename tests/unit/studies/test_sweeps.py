@@ -30,12 +30,12 @@ from pathlib import Path
 from polishd.studies import result_store as kept
 from polishd.studies.options import StudyOptions
 from polishd.studies.run import study_verb
-add, seen = kept.Kept.add, []
+add, seen = kept.ResultStore.add, []
 def then_die(self, done):
     seen.append(add(self, done))
     if len(seen) == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-kept.Kept.add = then_die
+kept.ResultStore.add = then_die
 study_verb(Path(sys.argv[1]), StudyOptions(out=Path(sys.argv[2]), workers=1), as_json=True)
 """
 
@@ -115,9 +115,9 @@ REFUSED = {
     'over."plant_with.hidden_truth.drft" = [0.1]': "plant_with.hidden_truth.drft: unknown key; did you mean 'drift'?",
     'over."plant_with.effects.eq_44" = [[0.5, 2.0]]': "plant_with.effects.eq_44: [0.5, 2] is no range within 0 to 1",
     'over."cell_with.process.forc_n" = [12.0]': "cell_with.process.forc_n: unknown key; did you mean 'force_n'?",
-    'over."loops.exact.process.force_n" = [900.0]': "loops.exact.process.force_n: 900.0 is out of range",
-    'over."loops.exact.learns" = [3]': "loops.exact.learns: must be true or false",
-    'over."loops.other.process.rpm" = [12.0]': "loops.other.process.rpm: the study has no loop 'other', only exact",
+    'over."controllers.exact.process.force_n" = [900.0]': "controllers.exact.process.force_n: 900.0 is out of range",
+    'over."controllers.exact.learns" = [3]': "controllers.exact.learns: must be true or false",
+    'over."controllers.other.process.rpm" = [12.0]': "controllers.other.process.rpm: the study has no loop 'other'",
 }
 
 
@@ -152,7 +152,7 @@ def test_who_watches_a_cell_decides_no_case(tmp_path: Path) -> None:
     path = study_file(tmp_path, LOOPS, near=-0.1)
 
     def of(key: str) -> str:
-        path.write_text(path.read_text().partition("[loops.exact]")[0] + f"{LOOPS}{key}\n")
+        path.write_text(path.read_text().partition("[controllers.exact]")[0] + f"{LOOPS}{key}\n")
         return cases_of(load_swept(path))[0].of
 
     assert of('"web.port" = 9000') == of("")

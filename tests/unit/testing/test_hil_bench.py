@@ -56,7 +56,7 @@ def test_a_robot_moves_only_where_somebody_says(cell: Path, tmp_path: Path) -> N
 
 def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
     told = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
-    assert any(line.startswith("spindle (simulated, in place of spindle_can") for line in told)
+    assert any(line.startswith("spindle (simulated, in place of cia402_spindle") for line in told)
     assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in told)
 
 
@@ -66,7 +66,10 @@ def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
         ({"level": Level.CONTACT}, "--max-force NEWTONS is needed"),
         ({"level": Level.CONTACT, "max_force_n": float("nan")}, "more than 0"),
         ({"simulate": ("robto",)}, "--simulate robto: the cell has actuator, robot"),
-        ({"simulate": ("metrology",)}, "only robot, actuator, spindle, loader are simulated"),
+        (
+            {"simulate": ("metrology",)},
+            "only 'actuator', 'force_sensor', 'loader', 'monitor'",
+        ),
         ({"simulate": ("robot", "robot")}, "one device of a port"),
     ],
 )

@@ -129,7 +129,7 @@ LOUD = {"pid": 7, "command": "x\x1b]0;y\x07", "cell": "c\x1b[2J"}
 
 
 @pytest.mark.parametrize(
-    ("written", "told"),
+    ("written", "holder"),
     [
         (b"", "its process did not say who it is"),
         (b"[1]", "its process did not say who it is"),
@@ -140,12 +140,12 @@ LOUD = {"pid": 7, "command": "x\x1b]0;y\x07", "cell": "c\x1b[2J"}
     ],
 )
 def test_what_the_holder_wrote_is_shown_without_control_characters(
-    folders: tuple[Path, ...], written: bytes, told: str
+    folders: tuple[Path, ...], written: bytes, holder: str
 ) -> None:
     with held_elsewhere("a", *folders):
         for file in files(*folders):
             file.write_bytes(written)
-        with pytest.raises(DeviceClaimed, match=told) as refused:
+        with pytest.raises(DeviceClaimed, match=holder) as refused:
             claim(["a"], "a")
     assert str(refused.value).isprintable()
 

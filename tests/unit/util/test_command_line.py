@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from polishd.util.command_line import Json, spread
+from polishd.util.command_line import Json, spread_options
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ def called(*words: str) -> tuple[Result, list[tuple[Path, Asked, bool]]]:
     app = typer.Typer()
 
     @app.command()
-    @spread
+    @spread_options
     def make(file: Path, asked: Asked, as_json: Json = False) -> None:
         """Make it."""
         seen.append((file, asked, as_json))

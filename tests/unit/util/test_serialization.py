@@ -1,4 +1,4 @@
-"""What json cannot hold by itself."""
+"""Values that json alone cannot write."""
 
 from __future__ import annotations
 

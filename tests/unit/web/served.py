@@ -20,12 +20,20 @@ from polishd.daemon.socket.client import SOCKET_NAME
 from polishd.web.app import application
 from polishd.web.http.users import Role, UserFile, users_path
 
-LIVE = {"state": "polishing", "reason": "", "next": "", "told": {}, "approval": "ab" * 32, "signals": {}, "health": {}}
+LIVE = {
+    "state": "polishing",
+    "reason": "",
+    "next": "",
+    "readings": {},
+    "approval": "ab" * 32,
+    "signals": {},
+    "health": {},
+}
 
 
 @dataclass
 class Answers:
-    """A daemon that notes what it was asked, and says what it is told to say."""
+    """A daemon with fixed answers that records its requests."""
 
     asked: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
     refuse: str = ""

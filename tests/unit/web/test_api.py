@@ -30,7 +30,7 @@ def web(tmp_path: Path) -> Iterator[Served]:
 
 
 def path_of(route: ApiRoute) -> str:
-    """With numbers in it that nobody has."""
+    """With numbers that do not exist."""
     return re.sub(r"{\w+:int}", "9", route.path).replace("{kind}", "measured")
 
 
@@ -56,9 +56,9 @@ def test_each_endpoint_with_each_role(web: Served, route: ApiRoute) -> None:
 
 def test_the_document_has_every_route_and_no_other(web: Served) -> None:
     paths = web.ask("GET", "/api/openapi.json", None).json()["paths"]
-    told = {(method.upper(), path) for path, methods in paths.items() for method in methods}
+    described = {(method.upper(), path) for path, methods in paths.items() for method in methods}
     alone = {("POST", "/api/session"), ("GET", "/api/openapi.json")}
-    assert told == {(route.method, open_path(route.path)) for route in ROUTES} | alone
+    assert described == {(route.method, open_path(route.path)) for route in ROUTES} | alone
     assert json.loads(json.dumps(document()))["openapi"] == "3.1.0"
 
 
@@ -66,12 +66,12 @@ OPEN = (
     ("POST", "/api/session", "sign in: a cookie for a token"),
     ("GET", "/api/openapi.json", "what all this is, as OpenAPI"),
 )
-"""For whoever asks."""
+"""Public endpoints."""
 
 
 def endpoint_rows() -> list[str]:
-    """The table in docs/web.md: each endpoint with nobody and with each role."""
-    rows = ["| method | path | nobody | watch | operate | engineer | what |", "|---|---|---|---|---|---|---|"]
+    """The table in docs/web.md: each endpoint without a user and with each role."""
+    rows = ["| method | path | no user | watch | operate | engineer | what |", "|---|---|---|---|---|---|---|"]
     rows += [f"| `{method}` | `{path}` | yes | yes | yes | yes | {what} |" for method, path, what in OPEN]
     for route in ROUTES:
         may = " | ".join("yes" if role.may(route.role) else "403" for role in Role)
@@ -124,7 +124,7 @@ def test_hold_and_stop_get_through_while_all_else_hangs_and_over_every_limit(
 
 
 def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(api, "TOLD_S", 0.01)
+    monkeypatch.setattr(api, "OBEYED_S", 0.01)
     web.daemon.hang = threading.Event()
     said = web.ask("POST", "/api/orders/resume", Role.OPERATE)
     web.daemon.hang.set()
@@ -132,7 +132,7 @@ def test_an_order_that_is_not_obeyed_yet_says_so(web: Served, monkeypatch: pytes
 
 
 def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that somebody has seen stays seen, also where that stands on another page of the journal."""
+    """An acknowledged alarm stays acknowledged, also where the record is on another page of the journal."""
     monkeypatch.setattr(run_data, "MOST_ROWS", 3)
     with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
         for number in range(8):
@@ -140,7 +140,7 @@ def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: 
         journal.flush()
         first = web.ask("GET", "/api/alarms").json()["alarms"]
         assert [one["what"] for one in first] == ["fault 0", "fault 1", "fault 2"]
-        journal.record_event(AlarmAcknowledged(alarms=[one["number"] for one in first], by="somebody"))
+        journal.record_event(AlarmAcknowledged(alarms=[one["number"] for one in first], by="ada"))
         journal.flush()
     assert [one["what"] for one in web.ask("GET", "/api/alarms").json()["alarms"]] == ["fault 3", "fault 4", "fault 5"]
 
@@ -148,7 +148,7 @@ def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: 
 async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobody_else(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Who wanted it stands in the journal, also where somebody else has wanted it before."""
+    """The journal names the person who gave the order, also after the same order of another person."""
     answer, asked = threading.Event(), []
 
     def request(_state_dir: Path, verb: str, *, args: dict[str, str]) -> dict[str, bool]:
@@ -157,12 +157,12 @@ async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobo
         return {"ok": True}
 
     monkeypatch.setattr(api.client, "request", request)
-    monkeypatch.setattr(api, "TOLD_S", 0.01)
+    monkeypatch.setattr(api, "OBEYED_S", 0.01)
     ours = api.CommandForwarder(tmp_path)
     for by in ("anna (web)", "ben (web)", "anna (web)"):
         assert await ours.give("hold", {"by": by}, joined=True) is None
     answer.set()
-    monkeypatch.setattr(api, "TOLD_S", SOON_S)
+    monkeypatch.setattr(api, "OBEYED_S", SOON_S)
     assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
     assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
 
@@ -181,7 +181,7 @@ def test_alarms_stay_until_somebody_has_seen_them_and_the_first_is_named(web: Se
         first, second = web.ask("GET", "/api/alarms").json()["alarms"]
         assert (first["first"], first["what"], second["first"]) == (True, "the wire is cut; mend it", False)
         assert first["todo"]
-        journal.record_event(AlarmAcknowledged(alarms=[first["number"]], by="somebody"))
+        journal.record_event(AlarmAcknowledged(alarms=[first["number"]], by="ada"))
         journal.flush()
         (left,) = web.ask("GET", "/api/alarms").json()["alarms"]
         assert (left["number"], left["first"]) == (second["number"], True)

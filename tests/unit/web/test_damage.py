@@ -70,7 +70,7 @@ def test_a_damaged_row_is_named_by_each_endpoint_that_reads_it(
         said = answers[path].json()["error"]
         assert f" of {table} does not match its checksum. To do: check the disk" in said
     assert {one.status_code for path, one in answers.items() if path not in paths} <= {200, 503}
-    assert answers["state"].status_code == 200, "what the daemon says is still told"
+    assert answers["state"].status_code == 200, "the daemon's state is still shown"
     hold = web.ask("POST", "/api/orders/hold", json={"reason": "look"})
     assert hold.status_code == 200, "and orders go through"
 

@@ -118,7 +118,7 @@ async def test_a_daemon_whose_page_is_killed_goes_on_and_the_page_starts_again(c
                 await asyncio.wait_for(reader.readuntil(b"event: state"), SOON_S)
             web.kill()
             await web.wait()
-            with pytest.raises((asyncio.IncompleteReadError, ConnectionError)):  # whoever asked is told that it is gone
+            with pytest.raises((asyncio.IncompleteReadError, ConnectionError)):  # the client sees that it is gone
                 await asyncio.wait_for(reader.readuntil(b"no such words"), SOON_S)
     await until(lambda: not bus._subscribers)
     answer = await asyncio.to_thread(request, cell.config.state_dir, "live")

@@ -21,7 +21,7 @@ from polishd.web.http.users import Role
 from polishd.web.metrics import OUTCOMES, STATES, Metrics, MetricsSnapshot
 from tests.unit.web.served import LIVE, Served, served
 
-TOLD = {
+READINGS = {
     "force": {"force_n": 19.5, "setpoint_n": 20.0, "age_s": 0.02},
     "speed": {"rpm": 600.0, "age_s": 9.0},
     "sensed": None,
@@ -37,7 +37,7 @@ ALL: dict[str, Any] = {
     "cycle": 2,
     "phase": "run",
     "pressing": True,
-    "told": TOLD,
+    "readings": READINGS,
     "ages_s": {"robot": 0.1},
     "signals": {"slurry": {"text": "1.2 l/min", "wrong": ""}, "vacuum": {"text": "0 kPa", "wrong": "too low"}},
     "health": HEALTH,
@@ -48,20 +48,20 @@ JUDGED = [
     {"what": "slope RMS over 2 mm", "value": 3.0, "limit": 1.0, "unit": "urad"},
 ]
 TALLY = {
-    "parts": {"in_tolerance": 3, "put aside": 1},
+    "parts": {"in_tolerance": 3, "set aside": 1},
     "passes": {"done": 8},
     "measured": {"rms_nm": 1.5, "judged": JUDGED},
 }
 
 
-def told(families: Any) -> dict[tuple[str, ...], float]:
+def samples(families: Any) -> dict[tuple[str, ...], float]:
     """Each sample by its name and the values of its labels."""
     return {(one.name, *one.labels.values()): one.value for family in families for one in family.samples}
 
 
 def seen(daemon: str = "up", age_s: float = 0.5) -> dict[tuple[str, ...], float]:
     state = {"daemon": daemon, "age_s": age_s, "live": ALL}
-    return told(MetricsSnapshot("cell 7", state, TALLY, [{"severity": "warning"}]).collect())
+    return samples(MetricsSnapshot("cell 7", state, TALLY, [{"severity": "warning"}]).collect())
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_without_a_daemon_nothing_is_told_as_if_live(daemon: str) -> None:
 
 def test_a_daemon_that_refuses_has_told_nothing() -> None:
     state = {"daemon": "up", "age_s": 0.1, "live": {"ok": False, "error": "unknown verb 'live'"}}
-    found = told(MetricsSnapshot("cell 7", state, TALLY).collect())
+    found = samples(MetricsSnapshot("cell 7", state, TALLY).collect())
     assert ("polishd_cell_state", "polishing") not in found
     assert found["polishd_parts_total", "in_tolerance"] == 3
 
@@ -149,7 +149,7 @@ def test_the_librarys_parser_reads_it_and_the_journal_is_counted(metered: Served
     assert said.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
     families = list(text_string_to_metric_families(said.text))
     assert all(family.documentation and family.type in {"gauge", "counter"} for family in families)
-    found = told(families)
+    found = samples(families)
     assert found["polishd_parts_total", "stalled"] == 1
     assert found["polishd_alarms", "warning"] == 1
     assert found["polishd_journal_readable",] == 1
@@ -173,7 +173,7 @@ def test_one_look_serves_all_for_a_second(metered: Served, monkeypatch: pytest.M
 
 def test_a_journal_that_cannot_be_read_is_said_and_the_rest_is_told(metered: Served) -> None:
     (metered.config.state_dir / JOURNAL_NAME).write_bytes(b"no database" * 100)
-    found = told(text_string_to_metric_families(metered.ask("GET", "/metrics", Role.WATCH).text))
+    found = samples(text_string_to_metric_families(metered.ask("GET", "/metrics", Role.WATCH).text))
     assert found["polishd_journal_readable",] == 0
     assert ("polishd_daemon_up",) in found
     assert ("polishd_parts_total", "stalled") not in found

@@ -1,4 +1,4 @@
-"""One watcher for all: what it tells pages of a daemon that is there, gone, or silent."""
+"""One watcher for all pages, with a daemon that answers, is gone, or is silent."""
 
 from __future__ import annotations
 

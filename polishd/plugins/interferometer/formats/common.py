@@ -1,4 +1,4 @@
-"""What all readers share: a file's whole content within bounds, refusals, and somebody else's library within them."""
+"""Shared by all readers: bounded reading of a file, refusals, and a guard around third-party libraries."""
 
 from __future__ import annotations
 
@@ -102,14 +102,14 @@ def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES
 
 
 def require_stated(surface: SurfaceMap, *also: str) -> None:
-    """BadMap where a written file would say what nobody knows; ``also`` names what that format can leave open."""
+    """BadMap where a written file would state an unknown value; ``also`` names the values that the format can omit."""
     open_ones = sorted(surface.unsaid - set(also))
     if "square pixels" in open_ones:
         raise MapError(
             f"{surface.path}: its pixels are not square, and those of the file to be written would be: resample it"
         )
     if open_ones:
-        raise MapError(f"{surface.path}: does not say its {' and '.join(open_ones)}, and the file to be written would: "
+        raise MapError(f"{surface.path}: does not state its {' and '.join(open_ones)}, which the new file needs: "
                      "read it with the instrument's profile")  # fmt: skip
 
 
@@ -136,9 +136,9 @@ def members_of(path: Path, archive: ZipFile) -> list[ZipInfo]:
 
 @contextmanager
 def parsing(path: Path, library: str) -> Iterator[None]:
-    """Turn everything that somebody else's library raises in this block into BadMap; its warnings go unheard.
+    """Turn every error of a third-party library in this block into BadMap, and suppress its warnings.
 
-    What a warning would be about (lengths, units, checksums) the readers check themselves.
+    The readers check lengths, units and checksums themselves.
     """
     try:
         with warnings.catch_warnings():
@@ -159,7 +159,7 @@ def extra(path: Path, module: str, name: str) -> Any:
         raise MapError(f"{path}: needs the extra: pip install 'polishd[{name}]' ({error})") from error
 
 
-# Units of heights and pitches, and what is said of a map whose file leaves them open.
+# Units of heights and pitches, and warnings about a map whose file does not state them.
 
 NM_PER = {
     name: nm
@@ -178,7 +178,7 @@ NM_PER = {
 SQUARE_WITHIN = 1e-3
 """Relative difference of the pitches in x and y that still counts as square pixels."""
 MOST_NM = 1e9
-"""A metre: what is higher is no height, but in another unit, or a marker of missing data that nobody declared."""
+"""A metre: a larger value is in another unit, or is an undeclared marker of missing data."""
 MARKERS = {9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 2147483647.0, 2147483648.0}
 """Numbers that programs write for missing data, in the unit of their file."""
 
@@ -187,7 +187,7 @@ NOTHING: Mapping[str, str] = {}
 
 
 class Pitch(NamedTuple):
-    """A pitch, or None; and by what the file leaves to the profile, what to warn of."""
+    """A pitch, or None, and the warnings for each value that the instrument's profile has to supply."""
 
     mm: float | None
     doubts: Mapping[str, str] = NOTHING
@@ -196,21 +196,21 @@ class Pitch(NamedTuple):
 
 
 class HeightUnit(NamedTuple):
-    """How many nm a unit of height is; and by what the file leaves to the profile, what to warn of."""
+    """Size of the height unit in nm, and the warnings for each value that the instrument's profile has to supply."""
 
     nm: float
     doubts: Mapping[str, str] = NOTHING
 
 
 SAID = HeightUnit(1.0)
-"""Of heights whose unit the format or the file says."""
+"""Unit of heights whose format or file states it."""
 IN_UNITS = "pitches_in_its_unit"
-"""In a map's ``factors``: its pitches in x and y in the lateral unit that the file does not say."""
+"""Key in a map's ``factors``: pitches in x and y in a lateral unit that the file does not state."""
 NO_PITCH = Pitch(None, {"pitch": "the file gives no lateral scale"})
 
 
 def nm_per(unit: str) -> float | None:
-    """How many nm the unit is, by its usual names; None where it is none of length or not known."""
+    """Size of a length unit in nm, by its usual names; None for an unknown unit."""
     name = unit.strip().strip("[]()").replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
     if name in {"\N{LATIN CAPITAL LETTER A WITH RING ABOVE}", "A", "\N{ANGSTROM SIGN}"}:
         return NM_PER["angstrom"]
@@ -221,7 +221,7 @@ def nm_per(unit: str) -> float | None:
 
 
 def height_unit(unit: str) -> HeightUnit:
-    """The unit of heights. One that is not known, or none: 1.0, a warning, and "unit" is left to the profile."""
+    """The unit of heights. For an unknown or missing unit: 1.0 and a warning; the profile has to supply it."""
     factor = nm_per(unit)
     if factor is not None:
         return HeightUnit(factor)
@@ -244,9 +244,9 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
 
 
 def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
-    """The heights, where ``require_data`` takes them and none is beyond belief; BadMap otherwise.
+    """Return plausible heights; BadMap otherwise.
 
-    Beyond belief are heights above ``MOST_NM``, and an extreme that stands there more than once and is one of
+    Heights above ``MOST_NM`` are not plausible, nor is an extreme value that occurs more than once and is one of
     ``MARKERS`` in the file's unit of ``nm``.
     """
     require_data(path, height_nm)
@@ -258,7 +258,7 @@ def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
     return height_nm
 
 
-# Dates in words, and those that a library has read: what is no instant dates no map.
+# Dates as text, and dates that a library has read; only an exact instant dates a map.
 
 TIMES = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 DAYS = ("%m/%d/%Y", "%d/%m/%Y", "%Y/%m/%d", "%d.%m.%Y", "%d %b %Y", "%d-%b-%Y", "%b %d %Y", "%b %d, %Y")
@@ -268,7 +268,7 @@ NOT_DATED = "its date, {}, {}: the map counts as not dated"
 
 
 class Date(NamedTuple):
-    """A date, who says it, and what to warn of."""
+    """A date, its source, and warnings about it."""
 
     at: datetime | None = None
     by: DateFrom = "header"
@@ -276,10 +276,10 @@ class Date(NamedTuple):
 
 
 def date_of(text: str, *, utc: bool = False) -> Date:
-    """What a header says, with a zone; nothing where it says nothing.
+    """Read a header's date, with a zone; no date where the text is empty.
 
-    One that has no time of day, or can be read in two ways, is "guessed"; one that cannot be read is none. ``utc``: a
-    date that names no zone is UTC by the format.
+    A date without a time of day, or with two readings, is "guessed"; an unreadable date is None. ``utc``: the format
+    defines a date without a zone as UTC.
     """
     words = " ".join(text.split())
     if not words:
@@ -295,7 +295,7 @@ def date_of(text: str, *, utc: bool = False) -> Date:
 
 
 def instant(at: datetime, now: datetime) -> Date:
-    """A date that a library has read, which fills in what is not there: today's, midnight and the future are nobody's.
+    """A date read by a library that fills in missing fields: today, midnight and the future count as "guessed".
 
     ``now``: with the local zone.
     """
@@ -326,7 +326,7 @@ def _zoned(at: datetime) -> datetime:
         return at.replace(tzinfo=UTC)
 
 
-# Numbers in a text, piece by piece: no more is held than the array that they fill.
+# Numbers in a text, piece by piece, to limit the memory to the array that they fill.
 
 PIECE = 2**16
 LONGEST = 4096

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 # Writing Zygo Mx ``.datx``: heights in nm as they are, so nothing is lost.
 
 WRITER = "polishd"
-"""The system type of files that are written here: their instrument stands by itself."""
+"""The system type of files that polishd writes: they name the instrument in a separate attribute."""
 INSTRUMENT, HISTORY = "polishd Instrument", "polishd History"
 """Attributes that keep what Mx has no place for."""
 NO_DATA = float(np.finfo(np.float64).max)
@@ -52,7 +52,7 @@ WAVELENGTH_M, SCALE, OBLIQUITY = 632.8e-9, 0.5, 1.0
 def write(surface: SurfaceMap) -> bytes:
     """Content of a file that reads back exactly; NaN is ``No Data``, no pitch is a lateral resolution of 0.
 
-    The same map gives the same bytes. BadMap where nobody has said the map's unit.
+    The same map gives the same bytes. BadMap where the map's unit is unknown.
     """
     import h5py
 
@@ -300,11 +300,11 @@ def _read_attributes(source: hdf5.Hdf5Contents, links: dict[tuple[str, str], str
     kind, serial = text("System Type"), text("System Serial Number")
     system = text(INSTRUMENT) if kind == WRITER else f"Zygo {kind}".strip()
     stamp: Any = hdf5.first(source, node, key["Time Stamp"]) if "Time Stamp" in key else None
-    told = isinstance(stamp, np.void) and "time" in (stamp.dtype.names or ())
+    stamped = isinstance(stamp, np.void) and "time" in (stamp.dtype.names or ())
     return {
         "part_id": text("Part Serial Number") or text("Part Number"),
         "instrument": f"{system}, system {serial}" if serial else system,
-        "taken_at": time_of(float(stamp["time"])) if told else None,
+        "taken_at": time_of(float(stamp["time"])) if stamped else None,
         "history": text(HISTORY),
     }
 

@@ -37,7 +37,7 @@ class Format:
         write: Callable[[SurfaceMap], bytes] | None = None,
         dates: bool = True,
     ) -> SurfaceReader:
-        """What the plugin declares; ``sniff`` where a magic number is not all that tells the format."""
+        """The declaration for the plugin; ``sniff`` where a magic number does not identify the format."""
         return SurfaceReader(self.name, sniff or self.sniff, read, suffixes, write, dates)
 
     def surface(

@@ -109,7 +109,7 @@ def _text(head: bytes, name: str) -> str:
 
 
 def _instrument(system: int) -> str:
-    """What a map of this number is of; a number of 0 names nobody."""
+    """The instrument with this system number; empty for 0."""
     return f"Zygo MetroPro, system {system}" if system else ""
 
 
@@ -153,7 +153,7 @@ def write(surface: SurfaceMap) -> bytes:
     its own files have it; 0 for any other instrument.
 
     BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
-    ends in exact zeros (readers take it for a file that was preallocated), or whose unit nobody has said.
+    ends in exact zeros (readers take it for a preallocated file), or whose unit is unknown.
     """
     require_stated(surface, "pitch")
     name = surface.path or "the map"

@@ -28,7 +28,7 @@ from polishd.plugins.interferometer.formats.common import (
     scaled,
 )
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
-from polishd.plugins.interferometer.formats.points import ORIENTATION, gridded
+from polishd.plugins.interferometer.formats.points import ORIENTATION, grid_points
 
 FORMAT = Format("npy", 1, (b"\x93NUMPY",))
 HEADERS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
@@ -104,7 +104,7 @@ def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], conten
     if not x.shape == y.shape == z.shape or z.ndim != 2:
         raise MapError(f"{path}: X, Y and Z have the shapes {x.shape}, {y.shape} and {z.shape}")
     others = sorted(name for name, array in arrays.items() if name not in "XYZ" and array.shape == z.shape)
-    found = gridded(path, x.ravel(), y.ravel(), z.ravel())
+    found = grid_points(path, x.ravel(), y.ravel(), z.ravel())
     scale = pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3)
     return FORMAT.surface(
         path,

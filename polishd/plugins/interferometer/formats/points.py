@@ -48,7 +48,7 @@ class GridResult(NamedTuple):
     pitch_y: float
 
 
-def gridded(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_lines: bool = False) -> GridResult:
+def grid_points(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_lines: bool = False) -> GridResult:
     """Put (n,) points on the grid that x and y span; places without a point are NaN.
 
     BadMap where the coordinates are not finite, lie more than 0.1 pixel off any regular grid, fall on one another, or
@@ -149,7 +149,7 @@ def read(path: Path) -> SurfaceMap:
     del content
     table = _table(path, body)[:, header.order]
     del body
-    found = gridded(path, table[:, 0], -table[:, 1] if header.from_top else table[:, 1], table[:, 2], in_lines=True)
+    found = grid_points(path, table[:, 0], -table[:, 1] if header.from_top else table[:, 1], table[:, 2], in_lines=True)
     lateral = _pitch(path, header, found)
     height = height_unit(header.units[2])
     height_nm = scaled(found.z, height.nm)

@@ -1,4 +1,4 @@
-"""The long tail of formats (Wyko .opd, SUR and some forty others) through SurfaceTopography, in a process of its own.
+"""Less common formats (Wyko .opd, SUR and some forty others) through SurfaceTopography, in a separate process.
 
 It pulls in 38 packages and parses whatever it is given, so none of it is imported here: a worker with bounds on its
 memory and time reads the file, and what goes wrong there is a BadMap here.

@@ -39,7 +39,7 @@ DOUBT = "a Wyko ASCII file does not say which way its columns run: prove it with
 WAVELENGTH_NM = (100.0, 20_000.0)
 
 
-class Header(NamedTuple):
+class WykoHeader(NamedTuple):
     """What stands before the heights."""
 
     columns: int
@@ -71,7 +71,7 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _split(path: Path, content: bytes) -> tuple[Header, dict[str, tuple[int, int]]]:
+def _split(path: Path, content: bytes) -> tuple[WykoHeader, dict[str, tuple[int, int]]]:
     """The header, and from where to where each block of an array stands."""
     flags = FLAGS.match(content, len(MAGIC))
     values: dict[str, str] = {}
@@ -100,7 +100,7 @@ def _split(path: Path, content: bytes) -> tuple[Header, dict[str, tuple[int, int
     if len(sizes) < 2:
         raise MapError(f"{path}: a Wyko ASCII file without X Size and Y Size: torn, or still being written")
     in_nm = flags is not None and int(flags[2]) == 1
-    return Header(sizes["X Size"], sizes["Y Size"], values, in_nm), blocks
+    return WykoHeader(sizes["X Size"], sizes["Y Size"], values, in_nm), blocks
 
 
 def _next_line(content: bytes, at: int) -> int:
@@ -115,7 +115,7 @@ def _size(path: Path, name: str, rest: list[str]) -> int:
         raise MapError(f"{path}: its {name} is no number of pixels") from error
 
 
-def _number(path: Path, header: Header, name: str, default: float | None) -> float:
+def _number(path: Path, header: WykoHeader, name: str, default: float | None) -> float:
     text = header.values.get(name)
     if text is None and default is not None:
         return default
@@ -128,7 +128,7 @@ def _number(path: Path, header: Header, name: str, default: float | None) -> flo
     return value
 
 
-def _nm_per_wave(path: Path, header: Header) -> float:
+def _nm_per_wave(path: Path, header: WykoHeader) -> float:
     wavelength, mult = _number(path, header, "Wavelength", None), _number(path, header, "Mult", 1.0)
     low, high = WAVELENGTH_NM
     if not low <= wavelength <= high or mult <= 0:
@@ -136,7 +136,7 @@ def _nm_per_wave(path: Path, header: Header) -> float:
     return wavelength / mult
 
 
-def _heights(path: Path, content: bytes, span: tuple[int, int], header: Header) -> FloatArray:
+def _heights(path: Path, content: bytes, span: tuple[int, int], header: WykoHeader) -> FloatArray:
     """(rows, columns), row 0 the top, in the file's unit."""
     count = header.rows * header.columns
     require_size(path, header.rows, header.columns, most=span[1] - span[0])

@@ -25,12 +25,12 @@ from polishd.plugins.interferometer.formats.common import (
     scaled,
 )
 from polishd.plugins.interferometer.formats.format import Format, found_in, line_of
-from polishd.plugins.interferometer.formats.points import ORIENTATION, gridded
+from polishd.plugins.interferometer.formats.points import ORIENTATION, grid_points
 
 FORMAT = Format("x3p", 1)
 MOST_XML_BYTES = 2**26
 NO_DATE, NOT_KNOWN = datetime.fromtimestamp(0, UTC), "not known"
-"""What stands for them where the format needs something: others stumble over an empty field."""
+"""Placeholders for required fields: other readers fail on an empty field."""
 ROTATED = "its layer is rotated, which is not undone here: how the rows lie is left open"
 TURNED = "rows turned upside down: the standard's y grows with the row"
 
@@ -120,7 +120,7 @@ def _surface(path: Path, layer: object) -> tuple[FloatArray, Pitch, str]:
         return scaled(layer.z[::-1], 1e9), scale, TURNED
     points = layer.points().reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
-    found = gridded(path, points[:, 0], points[:, 1], points[:, 2])
+    found = grid_points(path, points[:, 0], points[:, 1], points[:, 2])
     return scaled(found.z, 1e9), pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3), ORIENTATION
 
 

@@ -1,4 +1,4 @@
-"""What is judged over a whole program: axes that are said too late, how the tool is turned, what was assumed."""
+"""Checks over a whole program: axes that are stated too late, rotation of the tool, assumed modes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def unit(dialect: GcodeDialect, encoding: Encoding, scale: FloatArray) -> str:
 
 
 class Checks:
-    """What can only be judged over the whole program: axes that were never said, and how the tool is turned."""
+    """Checks that need the whole program: axes that are never stated, and rotation of the tool."""
 
     def __init__(self, dialect: GcodeDialect, name: str, encoding: Encoding) -> None:
         self.encoding = encoding
@@ -29,11 +29,11 @@ class Checks:
         self._dialect = dialect
         self._letters = [*"XYZABC", *dialect.axes.vector]
         self._lost = [0] * c.AXES
-        """Line of the first point for which nobody has said where the axis is."""
+        """Line of the first point before which the program does not state the axis."""
         self._turned_by = ""
 
     def add(self, points: Points, scanner: Scanner) -> None:
-        """Look at further points, which ``scanner`` has just read."""
+        """Check further points, which ``scanner`` has just read."""
         self._turned_by = self._turning(scanner)
         zero = (points.after[:, 6:9] == 0).all(axis=1) if self._turned_by == "vector" else np.zeros(0, dtype=np.bool_)
         if zero.any():
@@ -45,12 +45,12 @@ class Checks:
                 self._lost[axis] = int(points.line[int(np.argmax(np.isnan(points.after[:, axis])))])
 
     def finish(self, scanner: Scanner) -> None:
-        """ProgramError where an axis is said too late."""
+        """ProgramError where the program states an axis only after a point."""
         for axis, line in enumerate(self._lost):
             if line and scanner.at[c.NAMED] >> axis & 1:
                 raise ProgramError(
-                    f"{self._name}, line {line}: a point, and where {self._letters[axis].rstrip('=')} is, is not said "
-                    "before it. To do: say it before the first point, and after every move to a reference point "
+                    f"{self._name}, line {line}: a point before {self._letters[axis].rstrip('=')} is stated. To do: "
+                    "state the axis before the first point, and after every move to a reference point "
                     "(G28, G53)."
                 )
 
@@ -62,11 +62,11 @@ class Checks:
                 return tool_axis(self._turned_by[::-1], *-angles)
             return tool_axis(self._turned_by, *angles)
         vector = np.nan_to_num(points.after[:, 6:9], nan=0.0)
-        with np.errstate(invalid="ignore"):  # one that is said too late: ``finish`` refuses it
+        with np.errstate(invalid="ignore"):  # ``finish`` refuses an axis that is stated too late
             return np.asarray(vector / np.linalg.norm(vector, axis=1, keepdims=True))
 
     def _turning(self, scanner: Scanner) -> str:
-        """Which rotary axes have turned the tool so far, outermost first; "vector" for a tool vector."""
+        """Rotary axes that have turned the tool so far, outermost first; "vector" for a tool vector."""
         if scanner.at[c.NAMED] >> 6:
             return "vector"
         used = {letter for axis, letter in enumerate("ABC", 3) if scanner.at[c.NAMED] >> axis & 1}
@@ -74,7 +74,7 @@ class Checks:
         if used and not pairs:
             raise ProgramError(
                 f"{self._name}: {' and '.join(sorted(used))} turn the tool, in an order that the dialect "
-                f"{self._dialect.name} does not say. To do: say it in axes.rotary of a dialect of your own."
+                f"{self._dialect.name} does not define. To do: set axes.rotary in your own dialect."
             )
         return pairs[0] if used else ""
 
@@ -98,16 +98,18 @@ def tool_axis(pair: str, a_deg: FloatArray, b_deg: FloatArray, c_deg: FloatArray
 
 
 _ASSUMED = {c.UNIT: 21.0, c.DISTANCE: 90.0, c.FEED_MODE: 94.0}
-"""G codes of the modes that hold where nobody says one."""
+"""G codes of the default modes."""
 
 
 def warnings(scanner: Scanner, tally: TimeWordCounts, encoding: Encoding, still: int) -> list[str]:
-    """What was read over, and what was assumed."""
+    """Parts of the program that are ignored, and modes that are assumed."""
     dialect, at, found = scanner.dialect, scanner.at, []
     for slot, code in _ASSUMED.items():
         if not at[slot] and any(code in codes for codes in dialect.g.values()):
-            found.append(f"nobody said G{code:g}: assumed")
-    found += [f"nobody said where {axis} is: assumed 0" for k, axis in enumerate("XYZ") if not at[c.NAMED] >> k & 1]
+            found.append(f"no G{code:g} in the program: assumed")
+    found += [
+        f"the program does not state {axis}: assumed 0" for k, axis in enumerate("XYZ") if not at[c.NAMED] >> k & 1
+    ]
     found += doubts(scanner, encoding)
     if tally.stray:
         found.append(f"{tally.stray} dwells that no feed move leads to are not points and are not changed")
@@ -126,16 +128,16 @@ def warnings(scanner: Scanner, tally: TimeWordCounts, encoding: Encoding, still:
 
 
 def doubts(scanner: Scanner, encoding: Encoding) -> list[str]:
-    """Numbers whose unit is up to a machine parameter; ProgramError where the time would depend on them."""
+    """Numbers whose unit depends on a machine parameter; ProgramError where the time depends on them."""
     reasons = (
         (scanner.at[c.UNSURE], "positions without a decimal point are mm or least increments, by machine parameter"),
-        (scanner.at[c.UNSURE_FEED], "the unit of F is up to the machine: F without a decimal point, or beside G70"),
+        (scanner.at[c.UNSURE_FEED], "the unit of F depends on the machine: F without a decimal point, or beside G70"),
     )
     found = [(line, reason) for line, reason in reasons if line]
     if encoding == "feed" and found:
         line, reason = found[0]
         raise ProgramError(
             f"{scanner.name}, line {line}: {reason}, and the time is in the feed. To do: have it posted with decimal "
-            "points in millimetres, or say text.whole_positions and feed.whole in a dialect of your own."
+            "points in millimetres, or set text.whole_positions and feed.whole in your own dialect."
         )
-    return [f"line {line}: {reason}: taken as it stands" for line, reason in found]
+    return [f"line {line}: {reason}: read as written" for line, reason in found]

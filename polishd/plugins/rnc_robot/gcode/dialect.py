@@ -199,11 +199,11 @@ def _check_words(dialect: GcodeDialect) -> None:
         for word in named[key]:
             if word.upper() in taken:
                 raise ConfigError(f"{where}: {key}: {word!r} means something already. To do: take it out.")
-    if written_word(dialect) not in dialect.dwell.words:
+    if written_dwell_word(dialect) not in dialect.dwell.words:
         raise ConfigError(f"{where}: dwell.written: ends in no word of dwell.words. To do: end it as in 'G4 P'.")
 
 
-def written_word(dialect: GcodeDialect) -> str:
+def written_dwell_word(dialect: GcodeDialect) -> str:
     """The word of a new dwell's time: ``number`` where the number stands bare."""
     return re.sub(r"^.*[Gg]0*[0-9]+\.?[0-9]*\s*", "", dialect.dwell.written).strip() or "number"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.plugins.rnc_robot.gcode import kernels, scanner
-from polishd.util.jit import compiled, uncounted
+from polishd.util.jit import compile_cached, no_refcount_option
 
 LARGE_BYTES = 100_000
 """From here on compiled code, loaded in 0.2 s, is the quicker way."""
@@ -24,7 +24,7 @@ def kernel(function: Callable[..., Any], size: int) -> Callable[..., Any]:
     return function if size < LARGE_BYTES else _compiled(function)
 
 
-def for_many() -> None:
+def compile_always() -> None:
     """Compile for small programs, too: a process that reads thousands of them, as a study's worker, waits once."""
     global LARGE_BYTES  # noqa: PLW0603  (of the process, and said once)
     LARGE_BYTES = 0
@@ -33,7 +33,7 @@ def for_many() -> None:
 @cache
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     _register_parts()
-    return compiled(function, Path(__file__).parent.glob("*.py"))
+    return compile_cached(function, Path(__file__).parent.glob("*.py"))
 
 
 @cache
@@ -41,7 +41,7 @@ def _register_parts() -> None:
     """Let compiled functions call those of all parts."""
     from numba.extending import register_jitable
 
-    jitable = register_jitable(**uncounted())
+    jitable = register_jitable(**no_refcount_option())
     for module in (scanner, kernels):
         for name, value in vars(module).items():
             if callable(value) and getattr(value, "__module__", "") == module.__name__ and name not in _ENTRIES:

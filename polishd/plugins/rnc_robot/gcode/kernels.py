@@ -148,7 +148,7 @@ def _go(t: Any, at: Any, now: Any, line: Any) -> None:
         if axis < 6 and at[DISTANCE] == SAID_INCREMENTAL:
             value += now[axis]
             if math.isnan(value):
-                raise ProgramError("G91, and nobody said where the axis is", "start with an absolute move (G90)")
+                raise ProgramError("G91 before any absolute position of the axis", "start with an absolute move (G90)")
         now[axis] = value
 
 
@@ -191,7 +191,7 @@ def _check_arc(t: Any, at: Any, now: Any, line: Any) -> None:
     ends = (_end(first, t, at, now, line), _end(second, t, at, now, line))
     chord = math.hypot(ends[0], ends[1])
     if math.isnan(chord):
-        raise ProgramError("an arc from nobody knows where", "go to its start with G0 or G1 first")
+        raise ProgramError("an arc from an unknown position", "go to its start with G0 or G1 first")
     word = line.at[L_R]
     if word >= 0:
         if line.at[I_WORD] >= 0 or line.at[I_WORD + 1] >= 0 or line.at[I_WORD + 2] >= 0:
@@ -278,7 +278,7 @@ def reciprocal(
 
     ``lines`` (n, 2): line of each move and of its F. ``state``: what rounding left so far in s, the F that holds, and
     the line of the program's F that it came from. A block takes of the residue what half a unit of
-    its last digit can hold. A block whose F is that of before needs none of its own.
+    its last digit can hold. A block whose F is unchanged needs none.
     """
     for k in range(len(times)):
         own = lines[k, 0] == lines[k, 1]

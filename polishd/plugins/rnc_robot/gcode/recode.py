@@ -1,4 +1,4 @@
-"""Moves a program's time into another encoding: dwells, a feed a block, or inverse time."""
+"""Move a program's time into another encoding: dwells, a feed a block, or inverse time."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.checks import doubts
-from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect, written_word
+from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect, written_dwell_word
 from polishd.plugins.rnc_robot.gcode.kernels import direct, reciprocal
 from polishd.plugins.rnc_robot.gcode.refusals import refuse
-from polishd.plugins.rnc_robot.gcode.rewrite import Edits, ProgramRow, numbers_of, refuse_long, refuse_times, spliced
+from polishd.plugins.rnc_robot.gcode.rewrite import (
+    Edits,
+    ProgramRow,
+    numbers_of,
+    refuse_long,
+    refuse_times,
+    splice_numbers,
+)
 from polishd.plugins.rnc_robot.gcode.time_words import (
     PointReader,
     Points,
@@ -29,11 +36,11 @@ _NOTHING, _F, _, _93, _94, _LINE_93, _LINE_93_CRLF, _DWELL, _DWELL_CRLF = range(
 
 
 def recode(dialect: GcodeDialect, program: Program, time_s: FloatArray, encoding: Encoding) -> bytes:
-    """The program with ``time_s`` (n,) seconds at its points, said as ``encoding``.
+    """Return the program with ``time_s`` (n,) seconds at its points, written as ``encoding``.
 
-    To dwells: a dwell block is added behind each point's move, which keeps its feed. To feeds or inverse time: each
-    point's move gets an F of its own, and its dwell's block goes. Everything else stays. ProgramError where the
-    dialect or a move does not allow it.
+    To dwells: add a dwell block after each point's move, which keeps its feed. To feeds or inverse time: write an F
+    into each point's move and remove its dwell block. Everything else is unchanged. ProgramError where the dialect or
+    a move does not allow it.
     """
     whole = program.text.endswith(b"\n")
     scanner = Scanner(dialect, program.name)
@@ -50,18 +57,18 @@ def recode(dialect: GcodeDialect, program: Program, time_s: FloatArray, encoding
         parts = [_dwells(dialect, piece, points, times, program.name)]
     else:
         parts = _feeds(scanner, piece, points, times, old=program.encoding, new=encoding)
-    text = spliced(piece.text, _sorted(parts), texts)
+    text = splice_numbers(piece.text, _sorted(parts), texts)
     behind = scanner.lines - scanner.at[c.ENDED] if scanner.at[c.ENDED] else 0  # there any line may stand
     refuse_long(dialect, program.name, text, 1, np.arange(1, text.count(b"\n") - behind + 1))
     return text if whole else text[:-1]
 
 
 def _refuse_in_last_block(piece: ProgramChunk, scanner: Scanner, last: int) -> None:
-    """Behind the program's end no dwell would run."""
+    """Refuse a point in the program's last block: a dwell behind it would not run."""
     if last == scanner.at[c.ENDED]:
         raise refuse(
             scanner.name, last, piece.line(last), "the program ends in a point's block",
-            "give M2 or M30 a block of its own",
+            "put M2 or M30 into a separate block",
         )  # fmt: skip
 
 
@@ -89,7 +96,7 @@ def _plain(start: IntArray, end: IntArray, prefix: IntArray | int) -> Edits:
 
 def _dwells(dialect: GcodeDialect, piece: ProgramChunk, points: Points, times: FloatArray, name: str) -> Edits:
     """A block for each point, behind its move's line."""
-    word = dialect.dwell.words[written_word(dialect)]
+    word = dialect.dwell.words[written_dwell_word(dialect)]
     decimal = word.decimal != "refuse"
     scale = 0.001 if (word.decimal if decimal else word.whole) == "ms" else 1.0
     style = (c.S_POINT if decimal else 0) | (c.S_KEEP if word.decimal != word.whole else 0)
@@ -102,7 +109,7 @@ def _dwells(dialect: GcodeDialect, piece: ProgramChunk, points: Points, times: F
 
 
 def _line_ends(text: bytes, inside: IntArray) -> tuple[IntArray, IntArray]:
-    """Where the lines that these places are in end, and whether in CRLF."""
+    """Return the ends of the lines at these offsets, and whether each ends in CRLF."""
     data = np.frombuffer(text, dtype=np.uint8)
     ends = np.append(np.flatnonzero(data == 10), len(data))
     at = ends[np.searchsorted(ends, inside)]
@@ -111,7 +118,7 @@ def _line_ends(text: bytes, inside: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _no_dwells(piece: ProgramChunk, points: Points, scanner: Scanner) -> Edits:
-    """Their blocks go, with the line end."""
+    """Remove the blocks of the dwells, with their line ends."""
     data = np.frombuffer(piece.text, dtype=np.uint8)
     ends = np.concatenate([[-1], np.flatnonzero(data == 10), [len(data)]])
     begin = ends[points.line - 1] + 1
@@ -121,14 +128,14 @@ def _no_dwells(piece: ProgramChunk, points: Points, scanner: Scanner) -> Edits:
         k = int(np.argmax(others > 0))
         raise refuse(
             scanner.name, int(points.line[k]), piece.text[begin[k] : end[k]],
-            "the dwell's block says something else, too",
-            "keep the program's own encoding, or give the dwell a block of its own",
+            "the dwell's block contains other words, too",
+            "keep the program's own encoding, or put the dwell into a separate block",
         )  # fmt: skip
     return _plain(begin, end, _NOTHING)
 
 
 def _modes(piece: ProgramChunk, encoding: Encoding) -> Edits:
-    """G94 becomes G93, or the other way round; where nobody says either before the first feed move, G93 is said."""
+    """Exchange G94 and G93; write G93 before the first feed move where the program has neither."""
     start, end = piece.modes[:, c.E_START], piece.modes[:, c.E_END]
     words = _plain(start, end, _93 if encoding == "inverse" else _94)
     first = int(piece.moves[np.argmax(piece.moves[:, c.M_KIND] != c.RAPID), c.M_TAIL])
@@ -153,8 +160,8 @@ class _Moves:
         self._length_mm = np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1)
         same = same_places(places[:-1], places[1:])[self._feed].all(axis=1)
         self._refuse((self._rows[:, c.M_KIND] & c.K_ARC) != 0, "an arc cannot carry its time in the feed")
-        self._refuse(np.isnan(places[1:, :3][self._feed]).any(axis=1), "where this move ends is not said")
-        self._refuse(np.isnan(step).any(axis=1), "a feed move from nobody knows where")
+        self._refuse(np.isnan(places[1:, :3][self._feed]).any(axis=1), "the end of this move is not stated")
+        self._refuse(np.isnan(step).any(axis=1), "a feed move from an unknown position")
         self._refuse(same, "a feed move that goes nowhere has no time in another encoding")
         per_minute = 60.0 if dialect.feed.unit == "mm/s" else 1.0
         self._unit = piece.places[self._feed, c.V_UNIT] * per_minute
@@ -171,7 +178,7 @@ class _Moves:
         else:
             which = np.searchsorted(self._rows[:, c.M_LINE], points.line)
         own[which] = new_s
-        self._refuse(own <= 0, "the tool turns on the spot: how long it takes is not said")
+        self._refuse(own <= 0, "the tool turns on the spot: the program does not state its time")
         return own
 
     def feeds(self, encoding: Encoding, times: FloatArray) -> Edits:

@@ -19,7 +19,7 @@ _CHARACTERS = {
     ")": ("a ) without its (", "mend the comment"),
     "/": ("block delete inside a block", "delete the block or its /"),
     "*": ("checksums are not read", "have it posted again without checksums"),
-    "%": ("% stands alone on its line or not at all", "put it on a line of its own"),
+    "%": ("% is not alone on its line", "put it on a separate line"),
     ":": ("labels (:) and sub-programs are not read", _WITHOUT),
     ",": ("a comma (,) is no decimal point", "write a point"),
 }
@@ -67,7 +67,9 @@ def _refuse_commands(text: bytes, name: str, lines: int, commands: list[str]) ->
         raise refuse(name, lines + number, line, "a comment that the controller runs", "take it out")
 
 
-def explained(error: ProgramError, dialect: GcodeDialect, name: str, lines: list[bytes], at: list[int]) -> ProgramError:
+def explain_refusal(
+    error: ProgramError, dialect: GcodeDialect, name: str, lines: list[bytes], at: list[int]
+) -> ProgramError:
     """The scanner's refusal with file, line (the last of ``lines``: its piece until there) and the dialect's reason."""
     line = lines[-1].removesuffix(b"\r")
     begin = sum(len(each) + 1 for each in lines[:-1])
@@ -106,7 +108,7 @@ def _why_no_time(dialect: GcodeDialect, letter: str) -> tuple[str, str]:
     unit = dialect.dwell.words.get(letter)
     usable = unit is not None and (unit.whole, unit.decimal) != ("refuse", "refuse")
     if letter in dialect.dwell.refused and not usable:
-        return f"G4 with {letter}: {dialect.dwell.refused[letter]}", f"{advice}, in a block of its own"
+        return f"G4 with {letter}: {dialect.dwell.refused[letter]}", f"{advice}, in a separate block"
     if unit is not None and unit.whole == "refuse" and unit.decimal != "refuse":
         return f"{letter} without a decimal point: seconds or milliseconds, by machine parameter", "write a point"
     if unit is not None and unit.decimal == "refuse" and unit.whole != "refuse":

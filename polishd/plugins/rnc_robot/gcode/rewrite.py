@@ -77,7 +77,7 @@ class Writer:
             place, np.where(own, points.end, points.tail), np.where(own, 0, 1 + points.lower), numbers.mantissa,
             numbers.decimals, points.style,
         )  # fmt: skip
-        text = spliced(piece.text, Edits(*(column[keep] for column in edits)), self._texts)
+        text = splice_numbers(piece.text, Edits(*(column[keep] for column in edits)), self._texts)
         refuse_long(self._dialect, self._name, text, piece.first_line, points.line[keep])
         return text
 
@@ -114,7 +114,7 @@ def numbers_of(
     return numbers, answer
 
 
-def spliced(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
+def splice_numbers(text: bytes, edits: Edits, texts: list[bytes]) -> bytes:
     """The text with the edits in it; their ``prefix`` counts in ``texts``."""
     prefixes = NumberPrefixes(np.cumsum([0, *map(len, texts)]), np.frombuffer(b"".join(texts) or b" ", dtype=np.uint8))
     size = len(text) + len(edits.start) * (24 + max(map(len, texts)))
@@ -228,7 +228,7 @@ def rewrite_stream(
         changed += int(np.count_nonzero(new != points.time_s))
         out.write(writer.write(piece, points, new))
 
-    passed = look_through(dialect, file, name, progress, write)
+    passed = scan_program(dialect, file, name, progress, write)
     times.finish()
     passed.changed = changed
     return passed
@@ -254,7 +254,7 @@ def _guessed(dialect: GcodeDialect, file: BinaryIO, name: str) -> Encoding:
     return tally.encoding(name)
 
 
-def look_through(
+def scan_program(
     dialect: GcodeDialect, file: BinaryIO, name: str, progress: Progress | None = None, each: Each | None = None
 ) -> StreamCounts:
     """Read a program without keeping it; ``each`` piece with its points is given away. ProgramError names the line."""
@@ -313,7 +313,7 @@ def read(dialect: GcodeDialect, text: bytes, name: str) -> Program:
         start, end = (np.nan_to_num(places[:, :3], nan=0.0) for places in (points.before, points.after))
         columns.append((points.line, start, end, checks.tool_axes(points), points.time_s, points.feed_mm_min))
 
-    passed = look_through(dialect, BytesIO(text), name, each=keep)
+    passed = scan_program(dialect, BytesIO(text), name, each=keep)
     line, start_mm, end_mm, axis, time_s, feed_mm_min = map(np.concatenate, zip(*columns, strict=True))
     return Program(
         text=text,

@@ -55,7 +55,7 @@ def _gap(text: Any, i: int, end: int, t: Any, at: Any) -> int:
                 i += 1
                 if text[i] != 32 and text[i] != 9:
                     at[c.COLUMN] = i
-                    raise ProgramError("text behind the end of the block (;)", "put it on a line of its own")
+                    raise ProgramError("text behind the end of the block (;)", "put it on a separate line")
             return end
         else:
             break
@@ -357,7 +357,7 @@ def _dwell(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
     # What else the block says, beside its number, the time and the dwell code
     others = count - 1 - int(line.at[c.L_N] >= 0) - ((at[c.GROUPS] >> c.DWELL) & 1)
     if others and t.flags[c.OWN_BLOCK]:
-        raise ProgramError("another word beside a dwell", "give the dwell a block of its own")
+        raise ProgramError("another word beside a dwell", "put the dwell into a separate block")
     _add_dwell(time, scale, keep, others, at, line, out)
 
 
@@ -392,7 +392,7 @@ def _beside_dwell(role: int) -> None:
             "dwell and axes in one block: some controllers dwell first, some take X for the time", "split the block"
         )
     if role == c.R_P:
-        raise ProgramError("another word beside a dwell", "give the dwell a block of its own")
+        raise ProgramError("another word beside a dwell", "put the dwell into a separate block")
 
 
 def _add_dwell(time: int, scale: float, keep: int, others: int, at: Any, line: Any, out: Any) -> None:
@@ -445,9 +445,9 @@ def _tape(text: Any, begin: int, end: int, t: Any, at: Any) -> bool:
         end -= 1
     fresh = at[c.OPENED] == 0 and at[c.MOVES] == 0 and at[c.DWELL_COUNT] == 0
     if end - begin > 1 and (t.flags[c.TAPE_NAME] == 0 or not fresh):
-        raise ProgramError("% stands alone on its line or not at all", "put it on a line of its own")
+        raise ProgramError("% is not alone on its line", "put it on a separate line")
     if not fresh and at[c.OPENED] == 0:
-        raise ProgramError("a % that ends a program which none has opened", "put a % before it, or end it with M2")
+        raise ProgramError("a closing % without an opening %", "put a % before the program, or end it with M2")
     at[c.OPENED] = 1
     if not fresh:
         at[c.ENDED] = at[c.LINE]

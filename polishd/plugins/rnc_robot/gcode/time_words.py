@@ -14,7 +14,7 @@ from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot.gcode import jit
 from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect, ScanColumns, Tables, WordBuffer, tables
-from polishd.plugins.rnc_robot.gcode.refusals import explained, refuse, refuse_binary
+from polishd.plugins.rnc_robot.gcode.refusals import explain_refusal, refuse, refuse_binary
 from polishd.plugins.rnc_robot.gcode.scanner import scan
 
 PIECE_BYTES = 1 << 19
@@ -121,7 +121,7 @@ class Scanner:
         except ProgramError as error:
             count = int(at[c.LINE]) - self.lines
             lines = text.split(b"\n", count)[:count]
-            raise explained(error, self.dialect, self.name, lines, [int(value) for value in at]) from None
+            raise explain_refusal(error, self.dialect, self.name, lines, [int(value) for value in at]) from None
         if run is not scan:
             self.at, self._now = at.tolist(), now.tolist()
         return found
@@ -352,7 +352,7 @@ class PointReader:
             return np.asarray(np.sqrt(squares))
         for axis in range(3):
             lost = np.isnan(before[:, axis]) & ~np.isnan(after[:, axis])
-            reason = f"a feed move from nobody knows what {'XYZ'[axis]}"
+            reason = f"a feed move from an unknown {'XYZ'[axis]}"
             piece.refuse_first(self.name, moves, lost, reason, "go to its start with G0 first")
         return np.asarray(np.linalg.norm(np.nan_to_num(step, nan=0.0), axis=1))
 
@@ -368,5 +368,5 @@ def _mask(chosen: BoolArray) -> BoolArray | slice:
 
 
 def same_places(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Which coordinates are the same; two that nobody has said are."""
+    """Compare coordinates; two that are both unknown (NaN) count as equal."""
     return np.asarray((one == other) | (np.isnan(one) & np.isnan(other)))

@@ -19,7 +19,7 @@ NONE = -1
 """No declared position."""
 
 
-class Numbered(Generic[H]):
+class ValueNumbers(Generic[H]):
     """Values by number, each once: what few values say of many points."""
 
     def __init__(self) -> None:
@@ -61,8 +61,8 @@ class PointColumns:
     """Number of the declared position's name; ``NONE`` where the move has its own."""
     context: array[int] = field(default_factory=lambda: array("l"))
     """Number of the move's tool and frame."""
-    targets: Numbered[str] = field(default_factory=Numbered)
-    contexts: Numbered[Context] = field(default_factory=Numbered)
+    targets: ValueNumbers[str] = field(default_factory=ValueNumbers)
+    contexts: ValueNumbers[Context] = field(default_factory=ValueNumbers)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -78,7 +78,7 @@ class Positions:
     turn: array[float] = field(default_factory=lambda: array("d"))
     line: array[int] = field(default_factory=lambda: array("q"))
     context: array[int] = field(default_factory=lambda: array("l"))
-    contexts: Numbered[Context] = field(default_factory=Numbered)
+    contexts: ValueNumbers[Context] = field(default_factory=ValueNumbers)
 
     def __contains__(self, name: object) -> bool:
         return name in self.number

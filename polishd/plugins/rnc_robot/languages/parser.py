@@ -1,4 +1,4 @@
-"""What a program in a robot language says: its moves, its dwells and its positions, with all refusals."""
+"""Moves, dwells and positions of a program in a robot language, with all refusals."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from polishd.plugins.rnc_robot.gcode.refusals import refuse
 from polishd.plugins.rnc_robot.languages.columns import NONE, Context, PointColumns, Positions, WrittenPose, is_rotation
 from polishd.plugins.rnc_robot.languages.profile import Kind, LanguageProfile
 
-# A program's text as statements, each matched by a template; what none matches is refused.
+# A program's text as statements, each matched by a template; unmatched text is refused.
 
 
 @dataclass(frozen=True, slots=True)
 class MatchedStatement:
-    """A statement and where it stands."""
+    """A statement and its line."""
 
     kind: Kind
     match: re.Match[bytes]
@@ -27,7 +27,7 @@ class MatchedStatement:
     advice: str = ""
 
     def text(self, field: str) -> str | None:
-        """What a field holds; None where the template has no such field, or it is not there."""
+        """Text of a field; None where the template or the statement has no such field."""
         if field not in self.match.re.groupindex or self.match[field] is None:
             return None
         return self.match[field].decode("latin-1").strip()
@@ -47,12 +47,12 @@ class ProgramSource:
     name: str
 
     def refuse(self, line: int, reason: str, advice: str) -> ProgramError:
-        """The error that names file and line, shows the line, says what is wrong with it and what to do."""
+        """Return the error that names file and line, shows the line, and gives reason and advice."""
         return refuse(self.name, line, self.data.split(b"\n")[line - 1], reason, advice)
 
 
 def statements(profile: LanguageProfile, source: ProgramSource) -> Iterator[MatchedStatement]:
-    """The statements in file order. ProgramError for the first that is unknown, or known to be refused."""
+    """Yield the statements in file order. ProgramError for the first that is unknown or refused."""
     data = source.data
     lone = re.search(rb"\r(?!\n)", data)
     if lone:
@@ -83,7 +83,7 @@ def _matched(profile: LanguageProfile, source: ProgramSource, start: int, line: 
     raise source.refuse(
         line,
         f"the profile {profile.name} does not know this statement",
-        f"remove it, or add a template for it to a profile of your own (extends = {profile.name!r})",
+        f"remove it, or add a template for it to your own profile (extends = {profile.name!r})",
     )
 
 
@@ -93,7 +93,7 @@ POSTED = "have it posted again with the positions written out"
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A feed move: where to, as a pose or as a declared position's name with an offset."""
+    """A feed move to a pose, or to a declared position with an offset."""
 
     line: int
     place: WrittenPose | None
@@ -111,7 +111,7 @@ class Scan:
     profile: LanguageProfile
     source: ProgramSource
     kept: list[MatchedStatement] | None = None
-    """All statements, where somebody asked for them: a kilobyte each."""
+    """All statements, on request only: a kilobyte each."""
     points: PointColumns = field(default_factory=PointColumns)
     positions: Positions = field(default_factory=Positions)
     moves: int = 0

@@ -189,7 +189,7 @@ class RefusedStatement(_Strict):
     templates: Templates
 
 
-class Assumed(_Strict):
+class AssumedContext(_Strict):
     """Statements that are read over, at the price of a warning."""
 
     warning: str
@@ -233,7 +233,7 @@ class LanguageProfile(_Strict):
     added: Statements = Statements()
     """Of a profile that extends another: templates that are tried before the other's of the same kind."""
     refused: list[RefusedStatement] = []
-    assumed: list[Assumed] = []
+    assumed: list[AssumedContext] = []
 
     @model_validator(mode="after")
     def _usable(self) -> LanguageProfile:

@@ -59,7 +59,7 @@ def require_points(found: Scan) -> None:
     count = len(found.points)
     if not count:
         raise ProgramError(
-            f"{found.source.name}: no feed move in it has a dwell of its own: nothing carries time. "
+            f"{found.source.name}: no feed move has a dwell: nothing carries time. "
             "To do: check that this is the polishing program, and its dialect."
         )
     without = found.moves - count

@@ -1,4 +1,4 @@
-"""``polishd calibrate cell``: the files that it leaves, and what it refuses."""
+"""``polishd calibrate first-touch``: the files that it leaves, and what it refuses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OPTIONS = TouchOptions("W-1", 20.0, {})
 def cell_in(folder: Path, *changes: tuple[str, str]) -> Path:
     text = (EXAMPLES / "cell.toml").read_text()
     for old, new in (
-        ("[process]", '[process]\nlearns = "machine"'),
+        ("[process]", '[process]\nestimates = "machine"'),
         ("aperture_mm = 100", "aperture_mm = 30"),
         *changes,
     ):
@@ -53,7 +53,7 @@ def test_a_job_and_a_fragment_run_the_touch(tmp_path: Path, capsys: pytest.Captu
     cell.write_text(f'include = ["touch/fragment.toml"]\n{cell.read_text()}')
     for config in (queued, load_config(cell)):
         assert config.program_path.resolve() == (out / "touch.rnc").resolve()
-        assert (config.part.id, config.dwell.choose, config.job.max_cycles) == ("W-1", "as_programmed", 1)
+        assert (config.part.id, config.dwell.objective, config.job.max_cycles) == ("W-1", "as_programmed", 1)
     with pytest.raises(ConfigError, match="exists already"):
         touch_verb(cell, out, OPTIONS, as_json=True)
 
@@ -70,7 +70,11 @@ def test_ways_between_the_tracks_count(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "options", "said"),
     [
-        ((('learns = "machine"', 'learns = "rate"'),), OPTIONS, r"cell.toml:\d+: process.learns: is not \"machine\""),
+        (
+            (('estimates = "machine"', 'estimates = "rate"'),),
+            OPTIONS,
+            r"cell.toml:\d+: process.estimates: is not \"machine\"",
+        ),
         ((("aperture_mm = 30", "aperture_mm = 12"),), OPTIONS, "no room for tracks"),
         ((), TouchOptions("W", 20.0, {"speed": 1.0}), "--want speed: no such parameter; there are compliance"),
         ((), TouchOptions("W", 20.0, {"rate": 0.0}), "--want rate=0: must be above 0"),
@@ -88,4 +92,4 @@ def test_what_cannot_be_is_refused_and_nothing_written(
 def test_files_are_toml(tmp_path: Path) -> None:
     from polishd.commissioning.calibration.first_touch import JOB_TEXT
 
-    assert tomllib.loads(JOB_TEXT.format(use="x", part="P", program="a.rnc"))["program"]["covers"] == "zone"
+    assert tomllib.loads(JOB_TEXT.format(use="x", part="P", program="a.rnc"))["program"]["coverage"] == "zone"

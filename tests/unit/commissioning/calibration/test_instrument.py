@@ -56,8 +56,8 @@ def test_from_maps_to_what_goes_off_each_map(polishd: Polishd, cell: Path, files
     assert {"power", "spherical", "tetrafoil"} <= set(answer["unknown"])
     found = system(cell)
     assert rms_nm(found.surface.height_nm - true_nm(instrument_nm)) < 0.2 * rms_nm(true_nm(instrument_nm))
-    assert found.told.unknown[2, 0] == pytest.approx(1.0)
-    assert (2, 2) not in found.told.unknown
+    assert found.result.unknown[2, 0] == pytest.approx(1.0)
+    assert (2, 2) not in found.result.unknown
     profile = load_profile(cell.parent / "instrument.toml")
     assert not profile.unproved, "the proof is of what the record does not touch"
     assert profile.system is not None
@@ -125,9 +125,9 @@ def test_a_reference_tells_the_power_that_no_pose_does(polishd: Polishd, cell: P
     asked[-1] = cell.parent / "b.x3p"
     assert polishd("calibrate", "instrument", cell, *asked, "--power", "4", "--power-sigma", "0.5").code == 0
     found = system(cell)
-    assert (2, 0) not in found.told.unknown
-    assert found.told.covariance[1, 1] == pytest.approx(0.25)
-    assert found.told.terms[1] == (2, 0)
+    assert (2, 0) not in found.result.unknown
+    assert found.result.covariance[1, 1] == pytest.approx(0.25)
+    assert found.result.terms[1] == (2, 0)
     added = found.surface.height_nm - without.surface.height_nm
     assert np.nanstd(added) == pytest.approx(4.0, rel=0.05)
     ring, middle = added[44, 82], added[44, 44]
@@ -170,7 +170,7 @@ def test_a_person_is_asked_for_each_pose_and_its_map_is_taken(
 def test_maps_are_taken_from_the_cells_own_folder(cell: Path) -> None:
     folder = cell.parent / "maps"
     folder.mkdir()
-    changes = {"metrology": {"folder": "maps", "poll_s": 0.01, "stable_s": 0.0, "accept_unnamed": True}}
+    changes = {"metrology": {"folder": "maps", "poll_s": 0.01, "stable_s": 0.0, "accept_without_part_id": True}}
     text = with_values(cell.read_text(), changes)
     cell.write_text("\n".join(line for line in text.splitlines() if not line.startswith("request_file")))
     config, hooks = load_cell(cell)

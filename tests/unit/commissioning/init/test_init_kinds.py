@@ -53,10 +53,10 @@ def test_a_cell_of_each_kind_passes_its_check(tmp_path: Path, kind: str) -> None
 @pytest.mark.full
 def test_what_is_about_the_parts_safety_is_not_assumed_away(tmp_path: Path) -> None:
     """How deep a feed hold digs follows from times that only a person can state."""
-    robot = 'type = "handover"\nprofile = "plc-opcua"\naddress = "opc.tcp://plc:4840"\ndelivery = "folder:nc"'
+    robot = 'type = "plc_robot"\nprofile = "plc-opcua"\naddress = "opc.tcp://plc:4840"\ndelivery = "folder:nc"'
     told = init(tmp_path, f"{ROUND}[robot]\n{robot}\n")
     assert "program.rnc" in told["written"]
-    with pytest.raises(ConfigError, match=r"limits\.pit_nm: a feed hold at the controller would dig"):
+    with pytest.raises(ConfigError, match=r"limits\.max_stall_removal_nm: a feed hold at the controller would dig"):
         check_cell(*load_cell(tmp_path / "cell" / "cell.toml"))
 
 
@@ -65,7 +65,7 @@ def test_a_controller_whose_language_polishd_does_not_write_is_left_without_a_pr
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = init(tmp_path, ROUND + '[robot]\ntype = "universal_robots"\naddress = "tcp://ur:30004"\n')
-    assert told["written"] == ["cell.toml", "instrument.toml"]
+    assert told["written"] == ["cell.toml", "drive.eds", "instrument.toml"]
     assert "urscript" in told["program"]
     setup_verb(tmp_path / "cell" / "cell.toml", as_json=True)
     found = {step["what"]: step for step in json.loads(capsys.readouterr().out)["steps"]}

@@ -80,7 +80,7 @@ def test_a_wrong_answer_is_told_at_once_and_asked_again(
 @pytest.mark.full
 def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> None:
     person = Person(
-        robot__type=["handover"],
+        robot__type=["plc_robot"],
         robot__profile=["", "plc-opcua"],
         robot__delivery=["folder:programs"],
         spindle__type=["spindle_profile"],
@@ -90,7 +90,7 @@ def test_a_device_type_is_asked_what_it_cannot_do_without(tmp_path: Path) -> Non
     assert person.problems == [("robot.profile", "cannot be left out")]
     assert answers.cell["robot"]["address"] == "opc.tcp://robot-controller:4840"
     config = draft_cell(answers, tmp_path / "cell", load_own()).judged()
-    assert {"handover", "device_profiles"} <= set(config.plugins.load)
+    assert {"devices"} <= set(config.plugins.load)
 
 
 @pytest.mark.full
@@ -135,7 +135,7 @@ def test_a_folder_has_maps_where_the_newest_of_its_files_that_is_one_is_found(tm
 @pytest.mark.full
 def test_on_a_terminal_it_leaves_a_cell_and_its_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    typed = "\n".join(["ur10e", *[""] * 10, "M-7", "", "12", "-", *[""] * 12])
+    typed = "\n".join(["ur10e", *[""] * 12, "M-7", "", "12", "-", *[""] * 12])
     said = CliRunner().invoke(app, ["init", "cell"], input=f"{typed}\n")
     assert said.exit_code == 0, said.output
     assert load_config(tmp_path / "cell" / "cell.toml").part.aperture_mm == 12

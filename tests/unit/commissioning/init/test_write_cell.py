@@ -55,7 +55,7 @@ def init(folder: Path, answers: str, *options: str) -> dict[str, Any]:
 @pytest.mark.full
 def test_an_arm_and_a_part_become_a_cell_whose_program_its_plan_takes(tmp_path: Path) -> None:
     told = init(tmp_path, LENS)
-    assert told["written"] == ["cell.toml", "instrument.toml", "program.rnc"]
+    assert told["written"] == ["cell.toml", "drive.eds", "instrument.toml", "program.rnc"]
     config, hooks = load_cell(tmp_path / "cell" / "cell.toml")
     robot = config.robot_model()
     assert isinstance(robot, SerialRobot)
@@ -294,7 +294,7 @@ def drafted(folder: Path, answers: str) -> CellConfig:
 @pytest.mark.parametrize("part", ["aperture_mm = 300.0", "rectangle_mm = [400.0, 300.0]"])
 def test_a_large_part_becomes_a_cell_whose_plan_takes_the_program(tmp_path: Path, part: str) -> None:
     told = init(tmp_path, f"[part]\n{part}\n")
-    assert told["written"] == ["cell.toml", "instrument.toml", "program.rnc"]
+    assert told["written"] == ["cell.toml", "drive.eds", "instrument.toml", "program.rnc"]
     assert "moved to where the robot reaches all of it" in told["look"]["part.origin_mm"]
     config, hooks = load_cell(tmp_path / "cell" / "cell.toml")
     recipe = make_recipe(config, hooks)

@@ -1,4 +1,4 @@
-"""``polishd sim --from``: what of a cell the simulator becomes, what it is not, and what is never touched."""
+"""``polishd rehearse``: what of a cell the simulator becomes, what it is not, and what is never touched."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ ARM = {
 }
 
 
-def made(folder: Path, text: str, plugins: str = "") -> RehearsalDraft:
+def made(folder: Path, text: str) -> RehearsalDraft:
     """What is gathered of such a cell; nothing is written."""
     cell = folder / "cell.toml"
-    cell.write_text(text.replace('load = ["rnc_robot"', f'load = ["rnc_robot"{plugins}'))
+    cell.write_text(text)
     (folder / "program.rnc").write_text("G21 G90 G94\nM2\n")
     return draft_rehearsal(*load_cell(cell))
 
@@ -161,9 +161,9 @@ def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None
     ],
 )
 def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: str, kind: str) -> None:
-    keys = f'type = "handover"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
+    keys = f'type = "plc_robot"\nprofile = "{profile}"\naddress = "{address}"\ndelivery = "sftp://me@10.0.0.2/nc"'
     secrets = 'delivery_password = "env:SECRET"\nserver_certificate = "plc.der"'
-    draft = made(tmp_path, robot(f"{keys}\n{secrets}"), ', "handover"')
+    draft = made(tmp_path, robot(f"{keys}\n{secrets}"))
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert sim.robot.kind == kind
     assert "127." in other["robot.address"]
@@ -177,7 +177,7 @@ def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: st
 def test_an_arm_of_universal_robots(tmp_path: Path) -> None:
     text = robot('type = "universal_robots"\naddress = "tcp://10.0.0.2:30004"\nfirst_register = 30\nrate_hz = 500.0')
     text = with_keys(text.replace('"rs274"', '"urscript"'), {"kinematics": ARM})
-    draft = made(tmp_path, text, ', "universal_robots"')
+    draft = made(tmp_path, text)
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert (sim.robot.kind, sim.robot.cycle_hz, sim.plant.speed) == ("universal_robots", 500, 4.0)
     assert isinstance(sim.robot_model(), SerialRobot)
@@ -207,7 +207,7 @@ def test_drives_by_profile_and_on_canopen_and_what_the_simulated_ones_count_in(t
     spindle += "pole_pairs = 2\n"
     head, _, rest = CELL.partition("[actuator]")
     text = head + actuator + spindle + "[metrology]" + rest.partition("[metrology]")[2]
-    draft = made(tmp_path, text, ', "cia402", "device_profiles"')
+    draft = made(tmp_path, text)
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert (sim.actuator.kind, sim.actuator.node) == ("slcan", 9)
     assert (sim.spindle.kind, sim.spindle.unit, sim.spindle.pole_pairs) == ("profile", 3, 2)
@@ -253,7 +253,7 @@ def test_nothing_real_is_started_or_told(tmp_path: Path) -> None:
     text += '\n[notify.siren]\ntype = "command"\ncommand = ["./siren.sh"]\n'
     draft = made(tmp_path, text)
     other = changed(draft, tmp_path)
-    assert other["between.clean.command"] == ["true"]
+    assert other["part_handling.clean.command"] == ["true"]
     assert other["notify.siren"] is None
     assert any("./wash.sh would act on the real cell" in note for note in draft.notes)
 
@@ -292,7 +292,7 @@ def test_what_nothing_can_stand_in_for_is_refused_with_its_place(tmp_path: Path,
 def test_a_rehearsal_is_never_written_where_the_real_cell_writes(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "state")
     text = CELL.replace("# run_dir", "run_dir").replace('"sim/maps"', '"incoming"')
-    draft = made(tmp_path, text.replace("# accept_unnamed = false", f'claimed = "{tmp_path}/archive" #'))
+    draft = made(tmp_path, text.replace("# accept_without_part_id = false", f'claimed = "{tmp_path}/archive" #'))
     for folder in ("state", "state/sub", "link", "runs", "runs/today/x", "incoming", "archive", "incoming/quarantine"):
         with pytest.raises(ConfigError, match=r"of the real cell .* name another folder with --out"):
             require_apart(draft, tmp_path / folder)
@@ -322,7 +322,7 @@ def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) 
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))
     before = cell.read_bytes()
-    said = CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only"])
+    said = CliRunner().invoke(app, ["rehearse", str(cell), "--write-only"])
     assert said.exit_code == 0, said.output
     folder = tmp_path / "lens-rehearsal"
     assert load_simulator(folder / "sim.toml").plant.curvature_radius_mm == 800.0
@@ -337,7 +337,7 @@ def test_the_verb_writes_a_rehearsal_whose_instrument_is_proved(tmp_path: Path) 
 def test_speed_and_seed_are_written_with_write_only(tmp_path: Path) -> None:
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))
-    words = ["sim", "--from", str(cell), "--write-only", "--speed", "20", "--seed=7"]
+    words = ["rehearse", str(cell), "--write-only", "--speed", "20", "--seed=7"]
     said = CliRunner().invoke(app, words)
     assert said.exit_code == 0, said.output
     plant = load_simulator(tmp_path / "lens-rehearsal" / "sim.toml").plant
@@ -355,7 +355,7 @@ def test_an_option_that_would_be_dropped_is_refused(tmp_path: Path, options: lis
     cell = tmp_path / "lens.toml"
     cell.write_text(with_keys(CELL, LENS))
     with pytest.raises(ConfigError, match=said):
-        CliRunner().invoke(app, ["sim", "--from", str(cell), "--write-only", *options], catch_exceptions=False)
+        CliRunner().invoke(app, ["rehearse", str(cell), "--write-only", *options], catch_exceptions=False)
     assert [path.name for path in tmp_path.iterdir()] == ["lens.toml"]
 
 
@@ -366,4 +366,4 @@ def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
 
 def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--state and --artefact go without --from"):
-        CliRunner().invoke(app, ["sim", "--from", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)
+        CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)

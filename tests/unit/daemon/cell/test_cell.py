@@ -112,7 +112,7 @@ def test_status_has_each_with_what_is_wrong() -> None:
     told.run(0.1, 0.9, in_contact=False)
     facts = told.signals.facts()
     assert facts["flow"] == {
-        "value": 0.9, "text": "0.9 l/min", "wrong": "flow is 0.9 l/min, must be at least 1 l/min", "leads_to": "lift"
+        "value": 0.9, "text": "0.9 l/min", "wrong": "flow is 0.9 l/min, must be at least 1 l/min", "action": "lift"
     }  # fmt: skip
     assert (facts["guard"]["value"], facts["guard"]["text"], facts["guard"]["wrong"]) == (True, "on", "")
 
@@ -141,7 +141,7 @@ async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: Fake
         fake.cell.pressing = True
         fake.monitor.values["guard"] = False
         limits, said = await told.get()
-    assert (limits, limits.leads_to) == (GUARD, "estop")
+    assert (limits, limits.action) == (GUARD, "estop")
     assert said.startswith("guard is off, must be on in contact")
 
 
@@ -175,7 +175,7 @@ async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
             fake.clock.advance(0.01)
             await asyncio.sleep(0.01)
     what = "flow is 0.2 l/min, must be at least 1 l/min before contact; it is waited for, for up to 5 s"
-    assert published == [SignalOutOfRange(cycle=3, signal="flow", what=what, leads_to="wait")], "told once"
+    assert published == [SignalOutOfRange(cycle=3, signal="flow", what=what, action="wait")], "told once"
 
 
 async def test_what_is_waited_for_in_vain_holds_the_cell(fake: FakeCell) -> None:

@@ -36,7 +36,7 @@ async def test_a_device_that_is_not_ready_is_told_by_its_own_words_and_nothing_m
         await running.held()
         said = f"DeviceFault: {name} is not ready: fault: drive disabled; see to it: no pass was begun"
         assert running.daemon.reason == said
-        assert [event.data["kind"] for event in running.told if event.name == "held"] == ["DeviceFault"]
+        assert [event.data["kind"] for event in running.told if event.name == "cell_held"] == ["DeviceFault"]
         assert bench.fake.of("robot.resume", "actuator.set_force", "spindle.set_speed") == []
         assert bench.journal.passes == ()
         bench.fake.devices[name].tells = READY

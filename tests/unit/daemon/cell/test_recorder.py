@@ -16,7 +16,7 @@ from polishd.config.cell import CellConfig
 from polishd.daemon.cell import recorder
 from polishd.daemon.cell.recorder import place, recording_to
 from polishd.model.errors import ConfigError
-from polishd.util.wire_recording import Tap, read_recording, record_sent, tap
+from polishd.util.wire_recording import LinkTap, read_recording, record_sent, tap
 
 CELL = cast(
     CellConfig,
@@ -28,7 +28,7 @@ CELL = cast(
 )
 
 
-def tapped(link: str) -> Tap:
+def tapped(link: str) -> LinkTap:
     found = tap(link)
     assert found is not None
     return found

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon.cell import readiness
-from polishd.model.devices import LeadsTo, SignalLimits, SignalRange
+from polishd.model.devices import SignalAction, SignalLimits, SignalRange
 from polishd.model.errors import SafetyStop, SignalFault
 from polishd.model.events import CellHeld, SignalOutOfRange
 from polishd.model.states import Outcome
@@ -32,8 +32,8 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
         yield Bench(tmp_path, journal)
 
 
-def monitored(bench: Bench, leads_to: LeadsTo) -> FakeMonitor:
-    return bench.fake.with_monitor(replace(FLOW, leads_to=leads_to), flow=1.5)
+def monitored(bench: Bench, action: SignalAction) -> FakeMonitor:
+    return bench.fake.with_monitor(replace(FLOW, action=action), flow=1.5)
 
 
 def told_of(running: Running) -> list[SignalOutOfRange]:
@@ -81,7 +81,7 @@ async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
 
 async def test_of_two_that_are_wrong_the_worse_counts(bench: Bench) -> None:
     """A monitor that falls silent takes all its signals along; nobody should go on from one of them by `resume`."""
-    limits = [replace(FLOW, name=f"{word} flow", leads_to=word) for word in ("hold", "lift")]
+    limits = [replace(FLOW, name=f"{word} flow", action=word) for word in ("hold", "lift")]
     monitor = bench.fake.with_monitor(*limits, flow=1.5)
     async with Running(bench) as running:
         await running.in_contact()
@@ -129,7 +129,7 @@ async def test_notify_tells_and_goes_on(bench: Bench) -> None:
         monitor.values["flow"] = 1.5
         assert await running.outcome() is Outcome.IN_TOLERANCE
     (wrong,) = (event for event in running.told if isinstance(event, SignalOutOfRange))
-    assert (wrong.what, wrong.leads_to) == (WRONG, "notify")
+    assert (wrong.what, wrong.action) == (WRONG, "notify")
     concern = wrong.concern()
     assert concern is not None
     assert concern.what == WRONG

@@ -15,8 +15,8 @@ IN_MS = {"watchdog_s": "watchdog_ms"}
 LIMITS = TimeLimits(ActuatorTimes(), RobotTimes(), SpindleTimes())
 
 
-def keys(limits: TimeLimits, lookahead_s: float = 8.0) -> list[str]:
-    return [key for key, _ in too_short(limits.chain(lookahead_s))]
+def keys(limits: TimeLimits, stream_ahead_s: float = 8.0) -> list[str]:
+    return [key for key, _ in too_short(limits.chain(stream_ahead_s))]
 
 
 def test_the_shipped_times_hold() -> None:
@@ -37,13 +37,13 @@ def test_what_goes_unseen_is_what_each_may_be_late_by_and_then_the_lift() -> Non
 
 
 @pytest.mark.parametrize(
-    ("changed", "lookahead_s", "expected"),
+    ("changed", "stream_ahead_s", "expected"),
     [
         ({"robot": RobotTimes(watchdog_s=2.0)}, 8.0, ["robot.watchdog_s"]),
         ({"robot": RobotTimes(silence_s=3.0)}, 8.0, ["robot.watchdog_s"]),
         ({"robot": RobotTimes(watchdog_s=math.inf)}, 8.0, []),
-        ({}, 1.0, ["job.lookahead_s"]),
-        ({"actuator": ActuatorTimes(retract_s=12.0)}, 8.0, ["robot.watchdog_s", "job.lookahead_s"]),
+        ({}, 1.0, ["job.stream_ahead_s"]),
+        ({"actuator": ActuatorTimes(retract_s=12.0)}, 8.0, ["robot.watchdog_s", "job.stream_ahead_s"]),
         ({"actuator": ActuatorTimes(watchdog_s=0.3)}, 8.0, ["actuator.watchdog_s"]),
         (
             {"actuator": ActuatorTimes(watchdog_s=0.3, keys={"watchdog_s": "watchdog_ms"})},
@@ -56,9 +56,9 @@ def test_what_goes_unseen_is_what_each_may_be_late_by_and_then_the_lift() -> Non
     ],
 )
 def test_what_is_shorter_than_what_it_guards_is_named(
-    changed: dict[str, object], lookahead_s: float, expected: list[str]
+    changed: dict[str, object], stream_ahead_s: float, expected: list[str]
 ) -> None:
-    assert keys(replace(LIMITS, **changed), lookahead_s) == expected
+    assert keys(replace(LIMITS, **changed), stream_ahead_s) == expected
 
 
 def test_what_is_wrong_says_how_long_is_needed_and_why() -> None:
@@ -79,9 +79,9 @@ def test_a_time_that_never_comes_is_json() -> None:
     [
         (SensorTimes(), 0.5, 0.3, []),
         (SensorTimes(silence_s=0.1), 0.5, 0.3, ["force_sensor.silence_s"]),
-        (SensorTimes(), 0.3, 0.3, ["force_sensor.grace_s"]),
-        (SensorTimes(), 0.5, 0.2, ["limits.force_grace_s"]),
-        (SensorTimes(delay_s=0.5), 0.5, 0.3, ["force_sensor.grace_s", "limits.force_grace_s"]),
+        (SensorTimes(), 0.3, 0.3, ["force_sensor.alarm_delay_s"]),
+        (SensorTimes(), 0.5, 0.2, ["limits.force_alarm_delay_s"]),
+        (SensorTimes(delay_s=0.5), 0.5, 0.3, ["force_sensor.alarm_delay_s", "limits.force_alarm_delay_s"]),
     ],
 )
 def test_a_landing_must_not_look_like_a_disagreement(
@@ -103,7 +103,7 @@ STAYS = ActuatorTimes(unpowered="stays")
 def test_a_tool_that_stays_is_taken_off_by_the_robot_while_it_still_moves() -> None:
     limits = replace(LIMITS, actuator=STAYS, robot=RobotTimes(stop_s=7.0))
     assert limits.buffer_s == limits.taken_off_s == limits.reading_s + 7.0
-    assert keys(limits, 7.7) == ["job.lookahead_s"]
+    assert keys(limits, 7.7) == ["job.stream_ahead_s"]
     assert keys(limits, 7.8) == []
     assert keys(replace(limits, actuator=ActuatorTimes()), 7.7) == [], "one that lifts needs no robot for it"
     whats = [limit.what for limit in limits.chain(8.0)]

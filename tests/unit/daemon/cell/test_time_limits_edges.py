@@ -31,7 +31,7 @@ def test_each_link_of_the_chain() -> None:
         ("robot.silence_s", 1.25, 0.0),
         ("robot.watchdog_s", 10.0, 6.5),  # longer than 1.25 + 4.5
         ("robot.stop_s", 6.0, 0.0),
-        ("job.lookahead_s", 8.5, 6.5),
+        ("job.stream_ahead_s", 8.5, 6.5),
         ("", 25.5, 0.0),  # lift 7.5, a robot that lifts 9 instead, and stops 9
     ]
 

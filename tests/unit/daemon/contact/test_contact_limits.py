@@ -21,7 +21,7 @@ from polishd.model.devices import ForceSample, SpeedSample
 from polishd.model.errors import DeviceFault, LinkError, SafetyStop, WrongSeat
 from tests.fakes.devices import FakeCell
 
-LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.5, deepest_mm=8.0)
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.5, deepest_mm=8.0)
 
 
 def force(
@@ -157,13 +157,13 @@ async def test_speed_of_the_spindle(samples: list[SpeedSample], error: type[Exce
 @pytest.mark.parametrize(("rpm", "stops"), [(STILL_RPM, False), (-STILL_RPM, False), (STILL_RPM + 0.1, True)])
 async def test_a_spindle_that_is_told_to_rest_may_read_a_little(rpm: float, stops: bool) -> None:
     assert STILL_RPM == 5.0
-    watched = Watched(ContactLimits(force_n=0.5, rpm=0.0, force_band=0.25, grace_s=0.5))
+    watched = Watched(ContactLimits(force_n=0.5, rpm=0.0, force_band=0.25, alarm_delay_s=0.5))
     found = await watched.hear([speed(0.0, 0.0), speed(9.0, rpm)])
     assert isinstance(found, SafetyStop) is stops
 
 
 async def test_one_that_turns_the_other_way_is_held_against_its_own_speed() -> None:
-    watched = Watched(ContactLimits(force_n=0.5, rpm=-1000.0, force_band=0.25, grace_s=0.5))
+    watched = Watched(ContactLimits(force_n=0.5, rpm=-1000.0, force_band=0.25, alarm_delay_s=0.5))
     assert await watched.hear([speed(0.0, -1000.0), speed(9.0, -960.0)]) is None
 
 

@@ -15,8 +15,8 @@ STEP_S = 0.05
 class Words:
     """A check that hears both words every 50 ms."""
 
-    def __init__(self, set_n: float = 12.0, band_n: float = 1.0, *, set_band: float = 0.25) -> None:
-        self.check = ForceCheck(set_n, band_n, 0.5, set_band=set_band, set_grace_s=0.3)
+    def __init__(self, set_n: float = 12.0, max_difference_n: float = 1.0, *, set_band: float = 0.25) -> None:
+        self.check = ForceCheck(set_n, max_difference_n, 0.5, set_band=set_band, set_alarm_delay_s=0.3)
         self.at_s = 100.0
 
     def hear(self, actuator_n: float, sensor_n: float, seconds: float = STEP_S, *, landed: bool = True) -> None:
@@ -49,7 +49,8 @@ def test_a_sensor_that_leaves_is_named_with_both_values_and_the_set_point(words:
         words.hear(12.02, 10.5, 1.0)
     assert str(stop.value) == (
         "the forces disagree: the actuator says 12.02 N, the force sensor 10.50 N, the set point is 12 N; 1.52 N "
-        "apart, at most 1 N (force_sensor.band_n), for more than 0.5 s; the force sensor left the set point first"
+        "apart, at most 1 N (force_sensor.max_difference_n), for more than 0.5 s; "
+        "the force sensor left the set point first"
     )
     assert words.at_s == pytest.approx(101.0 + 0.5, abs=2 * STEP_S), "no sooner than after the grace, and no later"
 
@@ -122,9 +123,9 @@ def test_a_force_that_one_of_them_feels_first_is_none(words: Words) -> None:
 
 
 def test_a_slow_sensor_has_its_delay_to_tell() -> None:
-    check = ForceCheck(12.0, 1.0, 5.0, set_band=0.25, set_grace_s=5.0, delay_s=0.5)
+    check = ForceCheck(12.0, 1.0, 5.0, set_band=0.25, set_alarm_delay_s=5.0, delay_s=0.5)
     assert check.one_sided_s == pytest.approx(0.6)
-    assert ForceCheck(12.0, 1.0, 5.0, set_band=0.25, set_grace_s=5.0, delay_s=0.1).one_sided_s == 0.2
+    assert ForceCheck(12.0, 1.0, 5.0, set_band=0.25, set_alarm_delay_s=5.0, delay_s=0.1).one_sided_s == 0.2
 
 
 def test_one_that_has_not_been_heard_since_is_not_held_against_the_other(words: Words) -> None:
@@ -192,7 +193,7 @@ def test_a_long_interval_is_not_followed_for_as_long_again() -> None:
 
 
 def test_who_else_reads_what_is_said() -> None:
-    check = ForceCheck(12.0, 1.0, 0.5, set_band=0.25, set_grace_s=0.3, most_n=18.0)
+    check = ForceCheck(12.0, 1.0, 0.5, set_band=0.25, set_alarm_delay_s=0.3, most_n=18.0)
     check.actuator(1.0, 12.0)
     with pytest.raises(SafetyStop, match=r"the force sensor reads 49.00 N; .*; the actuator reads 12.00 N"):
         check.sensor(1.01, 49.0, landed=True)

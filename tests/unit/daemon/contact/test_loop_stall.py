@@ -21,14 +21,16 @@ import numpy as np
 import pytest
 
 from polishd.daemon.cell.cell import Cell, MonotonicClock
+from polishd.daemon.job_runner import JobRunner
+from polishd.daemon.job_source import SingleJob
 from polishd.daemon.journal.checksums import register_checksum
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
+from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.runtime.events import EventBus
 from polishd.daemon.runtime.process import logging_to
 from polishd.daemon.socket import client
 from polishd.daemon.socket.server import serving
-from polishd.daemon.state_machine import Daemon
 from polishd.model.devices import ActuatorTimes, ExecutedBlock, ForceSample, SpeedSample, SpindleTimes
 from polishd.model.program import Plan, Segment
 from polishd.model.states import Outcome
@@ -219,10 +221,12 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
         monkeypatch.setattr(
             job,
             "decide",
-            lambda cycle, _: AnotherPass() if cycle <= EARLIER_PASSES else passes_used(job.judging.recipe),
+            lambda cycle, _: AnotherPass() if cycle <= EARLIER_PASSES else passes_used(job.recipe),
         )
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
-        daemon, asker = Daemon(cell, job, bus), Asker(tmp_path)
+        jobs = SingleJob(journal, job.folder, job)
+        requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
+        daemon, asker = JobRunner(cell, jobs, requests, bus), Asker(tmp_path)
         async with serving(tmp_path, daemon.handlers, bus):
             asker.start()
             try:

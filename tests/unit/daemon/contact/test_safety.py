@@ -26,7 +26,7 @@ from polishd.util.wire_recording import record_received, tap
 from tests.fakes.devices import FakeCell, FakeDevice, blank
 from tests.patience import SOON_S
 
-LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3)
+LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3)
 SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
 INTO = ["spindle.set_speed 1000", "actuator.set_force 12"]
 LIFTED = ["actuator.set_force 0", "actuator.retract", "lifted"]
@@ -476,7 +476,7 @@ async def test_a_tool_that_does_not_land(fake: FakeCell) -> None:
     fake.actuator.reads = blank
     fake.actuator.times = ActuatorTimes(landing_s=0.02)
     with pytest.raises(SafetyStop, match="did not land: no force within 25% of 12 N"):
-        await polish_for(fake, limits=replace(LIMITS, grace_s=0.0))
+        await polish_for(fake, limits=replace(LIMITS, alarm_delay_s=0.0))
     assert fake.events == [*INTO, *SAFE]
 
 

@@ -127,7 +127,7 @@ async def test_landing_has_its_own_time_and_then_the_grace() -> None:
     """A tool that lands just in time may still swing in."""
     fake = FakeCell()
     fake.actuator.times = ActuatorTimes(landing_s=0.001)
-    await polish_for(fake, 0.1, replace(LIMITS, grace_s=60.0))
+    await polish_for(fake, 0.1, replace(LIMITS, alarm_delay_s=60.0))
     assert "robot.make_safe" not in fake.events
 
 

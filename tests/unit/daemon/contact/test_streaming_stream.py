@@ -29,11 +29,11 @@ def fake() -> FakeCell:
 
 
 async def whole_pass(
-    fake: FakeCell, plan: Plan, lookahead_s: float = 1.0, each: Callable[[int], object] = int
+    fake: FakeCell, plan: Plan, stream_ahead_s: float = 1.0, each: Callable[[int], object] = int
 ) -> list[int]:
     """All of a pass; ``each`` is told of every block in contact."""
     seqs = []
-    async with streaming(plan, fake.robot, fake.clock, lookahead_s, least_s=lookahead_s / 4) as stream:
+    async with streaming(plan, fake.robot, fake.clock, stream_ahead_s, least_s=stream_ahead_s / 4) as stream:
         await stream.approach()
         async for block in stream.polish():
             each(block.seq)

@@ -50,7 +50,7 @@ async def test_the_last_offer_counts(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "terms",
-    [{"process.force_n": 8.0}, {"memory.tool": "bonnet 8"}, {"process.learns": "machine"}],
+    [{"process.force_n": 8.0}, {"estimates.tool": "bonnet 8"}, {"process.estimates": "machine"}],
 )
 async def test_it_is_of_that_process_and_tool_alone(tmp_path: Path, terms: dict[str, Any]) -> None:
     offer(tmp_path)
@@ -72,7 +72,7 @@ def test_a_recipe_is_the_same_wherever_its_files_lie_and_whatever_the_machine() 
         {**TERMS, **elsewhere, "kinematics.kind": "hybrid", "part.id": "X"}
     )
     assert recipe_of({**TERMS, **spot}) != recipe_of({**TERMS, "process.tif": {"file": "b", "sha256": "cd"}})
-    assert recipe_of({**TERMS, "process.learns": "machine"}) == ""
+    assert recipe_of({**TERMS, "process.estimates": "machine"}) == ""
     assert recipe_of({**TERMS, "process.force_max_n": 15.0}) == recipe_of(TERMS), "a limit"
 
 

@@ -25,8 +25,8 @@ from tests.unit.daemon.small import small_job, small_map, small_recipe
 
 TERMS = {
     "process.force_n": 12.0,
-    "process.learns": "rate",
-    "memory.tool": None,
+    "process.estimates": "rate",
+    "estimates.tool": None,
     "part.id": "P-1",
     "part.aperture_mm": 24.0,
     "job.tolerance_nm": 2.0,
@@ -114,7 +114,7 @@ async def test_the_last_lesson_counts(tmp_path: Path) -> None:
     [
         ("process.force_n", 15.0, False),
         ("process.force_max_n", 15.0, True),
-        ("memory.tool", "bonnet 8", False),
+        ("estimates.tool", "bonnet 8", False),
         ("instrument.profile", "other.toml", False),
         ("kinematics.tool_length_mm", 400.0, False),
         ("part.id", "P-2", True),
@@ -131,7 +131,7 @@ async def test_only_a_job_of_the_same_series_remembers(
 
 
 def test_what_is_learned_over_the_part_belongs_to_its_form() -> None:
-    rate, machine = ({**TERMS, "process.learns": learns} for learns in ("rate", "machine"))
+    rate, machine = ({**TERMS, "process.estimates": learns} for learns in ("rate", "machine"))
     for key, rate_alone, more in (("part.id", True, True), ("part.aperture_mm", True, False)):
         other = {key: "other"}
         assert (initial_estimates.series_of(rate | other) == initial_estimates.series_of(rate)) is rate_alone

@@ -160,7 +160,7 @@ async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, 
     names = [event.name for event in job.told]  # type: ignore[attr-defined]
     progress = plan.program.n // PROGRESS_BLOCKS
     assert progress > 2
-    assert names == ["measured", "solved", "pass_begun", *["progress"] * progress, "pass_ended"]
+    assert names == ["measured", "solved", "pass_started", *["progress"] * progress, "pass_ended"]
     assert job.told[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
 
 
@@ -303,7 +303,7 @@ async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
     told = job.told[-1]  # type: ignore[attr-defined]
-    assert told.name == "learned"
+    assert told.name == "estimates_updated"
     assert told.data["rate"] == pytest.approx(rate, rel=0.02)
 
 
@@ -336,7 +336,7 @@ async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itse
     for _ in range(2):
         await job.learn(1, await job.measured(1, surface))
     last = job.told[-1]  # type: ignore[attr-defined]
-    assert last.name == "learned"
+    assert last.name == "estimates_updated"
     assert last.data["rate"] == pytest.approx(0.8, rel=0.05)
 
 
@@ -354,7 +354,7 @@ async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
         assert np.array_equal(other.executed_s(1), job.executed_s(1))
         await other.learn(2, await other.measured(2, again))
         told = other.told[-1]  # type: ignore[attr-defined]
-        assert told.name == "learned"
+        assert told.name == "estimates_updated"
         assert told.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
 
 

@@ -103,9 +103,9 @@ async def test_who_watches_sees_readings_with_their_ages(bench: Bench) -> None:
         await running.in_contact()
         live = await running.daemon.handlers["live"]()
         assert live["pressing"]
-        assert live["told"]["force"]["age_s"] >= 0
-        assert "at_s" not in live["told"]["force"]
-        assert live["told"]["sensed"] is None
+        assert live["readings"]["force"]["age_s"] >= 0
+        assert "at_s" not in live["readings"]["force"]
+        assert live["readings"]["sensed"] is None
         assert {"state", "cycle", "phase", "ages_s", "signals", "health", "unsafe"} <= set(live)
 
 
@@ -120,8 +120,8 @@ async def test_alarms_are_acknowledged_by_name(bench: Bench) -> None:
 
 
 def test_a_signal_may_be_asked_for_orders_alone() -> None:
-    section = SignalSection(on_order=BoundsSection(state=True))
-    assert section.limits("clear").on_order == SignalRange(state=True)
+    section = SignalSection(on_start=BoundsSection(state=True))
+    assert section.limits("clear").on_start == SignalRange(state=True)
     assert str(section.limits("clear")).endswith("when motion is ordered on")
     with pytest.raises(ValueError, match="nothing is asked of it"):
         SignalSection()

@@ -63,13 +63,13 @@ async def test_a_failure_says_its_last_line(tmp_path: Path, code: str, said: str
 
 
 async def test_a_command_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(HandlingError, match=r"\./wash: cannot be run: .*mend between\.clean\.command"):
+    with pytest.raises(HandlingError, match=r"\./wash: cannot be run: .*mend part_handling\.clean\.command"):
         await run_command("clean", HandlingStep(command=("./wash",), folder=tmp_path), {})
 
 
 async def test_one_that_takes_too_long_is_killed_with_all_that_it_started(tmp_path: Path) -> None:
     task = asyncio.ensure_future(run_command("clean", python(HANGS, tmp_path, within_s=2.0), {}))
-    with pytest.raises(HandlingError, match=r"not done after 2 s \(between\.clean\.within_s\), and was killed"):
+    with pytest.raises(HandlingError, match=r"not done after 2 s \(part_handling\.clean\.within_s\), and was killed"):
         await task
     if (tmp_path / "pids").exists():  # a busy machine may not have got so far
         await until_gone(tmp_path)

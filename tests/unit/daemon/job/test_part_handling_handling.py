@@ -36,7 +36,7 @@ RIM_MM, PLACE_MM = 12.0, 11.0
 TURN = np.radians([90.0, 210.0, 330.0])
 PLACES = np.stack([PLACE_MM * np.cos(TURN), PLACE_MM * np.sin(TURN), np.zeros(3)], axis=1)
 UP = np.tile([0.0, 0.0, 1.0], (3, 1))
-ASKED = TouchOff(0.8, None, 0.3, each_pass=False, places_mm=PLACES, normal=UP, axis=UP, rim_mm=RIM_MM)
+ASKED = TouchOff(0.8, None, 0.3, each_pass=False, points_mm=PLACES, normal=UP, axis=UP, rim_mm=RIM_MM)
 LANDED = "actuator.set_force 0.8"
 CONTACT = "actuator.set_force 12"
 
@@ -80,7 +80,7 @@ async def test_the_seat_is_proved_at_three_places_before_contact_with_the_spindl
     assert calls[: 3 * len(touch)] == 3 * touch
     assert calls[3 * len(touch) :][:3] == ["robot.prepare", "spindle.set_speed 1000", CONTACT]
     assert ended(bench, "touch_off", "run") == ["0 touch_off done", "0 run done"]
-    (told,) = [event for event in job.told if event.name == "touched_off"]
+    (told,) = [event for event in job.told if event.name == "part_touched_off"]
     assert told.seat.worst_mm == pytest.approx(0.0, abs=1e-9)
     kept = json.loads((bench.tmp_path / "run/cycle-00/touch_off.json").read_text())
     assert kept["seat"]["off_mm"] == pytest.approx([0.0, 0.0, 0.0])
@@ -106,7 +106,7 @@ async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int
     sits(bench, *[5.0 + 0.2 * sign] * 3)
     job = proving(bench)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    (told,) = [event for event in job.told if event.name == "touched_off"]
+    (told,) = [event for event in job.told if event.name == "part_touched_off"]
     assert told.seat.height_mm == pytest.approx(-0.2 * sign, abs=0.02)
 
 
@@ -118,12 +118,12 @@ async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int
             (4.5, 4.5, 4.5),
             r"0\.50\d mm too high, tilted.*0\.50 mm too high at x 0\.0, y 11\.0 mm; .*nothing was polished",
         ),
-        ((4.8, 5.1, 5.1), r"0\.20 mm too high at x 0\.0, y 11\.0 mm; 0\.10 mm too low.*touch_off\.most_off_mm"),
+        ((4.8, 5.1, 5.1), r"0\.20 mm too high at x 0\.0, y 11\.0 mm; 0\.10 mm too low.*touch_off\.max_offset_mm"),
     ],
 )
 async def test_a_part_that_sits_wrong_is_not_polished(bench: Bench, positions_mm: tuple[float, ...], said: str) -> None:
     sits(bench, *positions_mm)
-    asked = replace(ASKED, most_off_mm=0.2)
+    asked = replace(ASKED, max_offset_mm=0.2)
     with pytest.raises(WrongSeat, match=f"(?i){said}"):
         await bench.polish(proving(bench, asked))
     assert CONTACT not in bench.fake.events
@@ -356,7 +356,7 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, maps=6, wait_s=60.0)), max_cycles=1)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    told = [(event.cycle, event.maps) for event in job.told if event.name == "repeated"]
+    told = [(event.cycle, event.maps) for event in job.told if event.name == "map_repeated"]
     assert told == [(0, 2), (1, 2), (1, 3), (1, 4)]
     rows = bench.journal._store.read("SELECT cycle, sha256 FROM map ORDER BY id")
     assert [cycle for cycle, _ in rows] == [0, 0, 1, 1, 1, 1], "all of them are journalled"
@@ -396,7 +396,7 @@ class WarmPart:
         self._truth = bench.measure
         self._journal = bench.journal
         self._swells_nm = swells_nm
-        self._warm_nm = 0.0
+        self._thermal_nm = 0.0
         self._passes = 0
         self.true_nm = 0.0
         bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
@@ -405,11 +405,11 @@ class WarmPart:
     def measure(self) -> SurfaceMap:
         true = self._truth()
         self.true_nm = steps.condition(small_recipe(), true).stats.rms_nm
-        self._warm_nm *= 0.3
+        self._thermal_nm *= 0.3
         if len(self._journal.passes) > self._passes:
-            self._passes, self._warm_nm = len(self._journal.passes), self._swells_nm
+            self._passes, self._thermal_nm = len(self._journal.passes), self._swells_nm
         radius = true.grid.radius_mm() / RIM_MM
-        return as_map(true.height_nm + self._warm_nm * radius**2)
+        return as_map(true.height_nm + self._thermal_nm * radius**2)
 
 
 @pytest.mark.full
@@ -447,7 +447,7 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     with pytest.raises(RemovalCheckStop, match=r"a trefoil changed by .* nm: three points of the mount"):
         await bench.polish(job)
     assert bench.phases()[-1] == "1 settle failed"
-    told = [event for event in job.told if event.name == "repeated"]
+    told = [event for event in job.told if event.name == "map_repeated"]
     assert [event.maps for event in told] == [2], "it does not come to rest: no more maps are waited for"
     assert "mount" in told[0].notes[0]
     assert (bench.tmp_path / "run/cycle-01/settling-00").is_dir()
@@ -471,5 +471,5 @@ async def test_a_part_that_goes_on_changing_holds_the_cell_where_the_tolerance_d
         assert bench.phases()[-1] == "1 settle failed"
     else:
         await bench.polish(job)
-    told = [event.maps for event in job.told if event.name == "repeated"]
+    told = [event.maps for event in job.told if event.name == "map_repeated"]
     assert told == [2, 3], "it does not come nearer: no more maps are waited for"

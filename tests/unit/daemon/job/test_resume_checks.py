@@ -56,9 +56,9 @@ def change(cell: Path, section: str, values: dict[str, Any]) -> None:
     [
         ("robot", {"address": "tcp://10.0.0.1:7700"}),
         ("metrology", {"timeout_s": 60.0}),
-        ("dwell", {"within_s": 99.0, "choose": "knee"}),
+        ("dwell", {"cpu_limit_s": 99.0, "objective": "knee"}),
         ("limits", {"max_removal_nm": 500.0}),
-        ("job", {"max_cycles": 9, "tolerance_nm": 0.9, "lookahead_s": 2.0}),
+        ("job", {"max_cycles": 9, "tolerance_nm": 0.9, "stream_ahead_s": 2.0}),
         ("cell", {"run_dir": "elsewhere"}),
     ],
 )
@@ -79,7 +79,7 @@ def test_what_may_change(cell: Path, section: str, values: dict[str, Any]) -> No
         ("program", {"offset_mm": [0.0, 1.0, 0.0]}, "program.offset_mm: is [0.0, 1.0, 0.0]"),
         ("machine", {"accel_mm_s2": 77.0}, "machine.accel_mm_s2: is 77.0"),
         ("job", {"tolerance_period_mm": 5.0}, "job.tolerance_period_mm: is 5.0"),
-        ("instrument", {"spike_mads": 9.0}, "instrument.spike_mads: is 9.0"),
+        ("instrument", {"spike_threshold_mad": 9.0}, "instrument.spike_threshold_mad: is 9.0"),
     ],
 )
 def test_what_may_not_is_refused_with_place_and_both_values(
@@ -99,7 +99,7 @@ def test_all_that_differs_is_told_and_nothing_else(cell: Path) -> None:
     begin(cell)
     change(cell, "part", {"edge_mm": 7.5})
     change(cell, "process", {"rpm": 900.0})
-    change(cell, "dwell", {"within_s": 99.0})
+    change(cell, "dwell", {"cpu_limit_s": 99.0})
     with pytest.raises(ConfigError) as refused:
         go_on(cell)
     keys = [line.split(": ")[1] for line in str(refused.value).splitlines()[:-1]]

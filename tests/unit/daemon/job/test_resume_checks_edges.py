@@ -62,8 +62,8 @@ def test_what_counts_of_a_value_and_what_is_said_of_it(cell: Path, was: Any, now
 def test_each_that_differs_is_told_once_in_their_order_also_where_one_side_has_none(cell: Path) -> None:  # noqa: F811
     found = refusal(
         cell,
-        {"process.rpm": 1.0, "part.a": 1, "dwell.within_s": 1.0},
-        {"part.edge_mm": 2.0, "part.a": 1, "dwell.within_s": 2.0},
+        {"process.rpm": 1.0, "part.a": 1, "dwell.cpu_limit_s": 1.0},
+        {"part.edge_mm": 2.0, "part.a": 1, "dwell.cpu_limit_s": 2.0},
     )
     assert [line.split(":")[0] for line in found] == ["part.edge_mm", "process.rpm"]
 
@@ -98,7 +98,7 @@ def test_the_first_rule_that_fits_holds(key: str, may: bool) -> None:
 
 def test_files_are_named_with_what_they_hold_and_one_that_is_gone_is_told(cell: Path) -> None:  # noqa: F811
     config = begin(cell)
-    found = file_terms(config, ["instrument.profile", "part.nominal", "no.such.key"])
+    found = file_terms(config, ["instrument.profile", "part.form", "no.such.key"])
     assert list(found) == ["instrument.profile"], "of those that name one"
     assert set(found["instrument.profile"]) == {"file", "sha256"}
     assert config.profile_path is not None

@@ -58,10 +58,10 @@ class TwoTools(Bench):
 
     def job(self, wide_passes: int = 1, change: HandlingStep | None = None, **changes: Any) -> Any:
         between = BetweenPasses(change=change) if change else BetweenPasses()
-        terms = {"between": between, "tolerance_nm": 1e-6}
+        terms = {"part_handling": between, "tolerance_nm": 1e-6}
         first = replace(wide(**terms), turn=ToolStep("wide", wide_passes, 0.0))
         # The fake robot takes 1.5 mm for each block's length, and this tolerance would allow no time beyond the plan.
-        contact = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, grace_s=0.3, excess_nm=5.0)
+        contact = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3, excess_nm=5.0)
         turns = (
             ToolStepState(first, small_program(), replace(contact, force_n=WIDE_N)),
             ToolStepState(narrow(**terms), small_program(), contact),

@@ -14,7 +14,7 @@ from polishd.model.errors import ConfigError
 from polishd.model.estimates import Estimate, FindingLimits, PassIndicators
 from polishd.model.events import CellHeld, DaemonFailed, EstimatesUpdated, FindingReported
 from polishd.model.states import Outcome
-from polishd.model.tolerance import Judged
+from polishd.model.tolerance import LineResult
 
 SHOWN = PassIndicators(10.0, 1.0, 1.5, 1.0, 600.0, Estimate(0.9, 0.02), None, None, (1.0, 1.6), 1.5)
 
@@ -23,7 +23,7 @@ def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | 
     """A job of one pass that came to its end, and one that did not."""
     with Journal.open(folder, job=job, part_id=f"{job}-part") as journal:
         for cycle, how in enumerate(("done", "interrupted")):
-            judged = [Judged("PV", 30.0 / (1 + cycle), 20.0, "nm").facts()]
+            judged = [LineResult("PV", 30.0 / (1 + cycle), 20.0, "nm").facts()]
             journal.record_map(cycle, f"{job}{cycle}", "x", {"rms_nm": 20.0 - 10 * cycle, "judged": judged})
             journal.begin_pass(cycle, "sha", "boot", 3, facts={"predicted_rms_nm": 1.0})
             journal.end_pass(cycle, how)

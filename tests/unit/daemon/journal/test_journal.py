@@ -408,7 +408,7 @@ INSERT INTO map VALUES (1, 1, 0, 'aa', 'x', '{}', 1.5), (2, 2, 0, 'bb', 'y', '{"
 INSERT INTO phase VALUES (1, 2, 0, 'measure', 3.0, 3.6, 'done', NULL);
 INSERT INTO pass VALUES (2, 0, 'prog', 'boot', 5, 1, 4, '{"rate": 0.9}', 4.0, NULL, NULL);
 INSERT INTO segment VALUES (2, 0, 1, 10.0, 10.5, 1, 0), (2, 0, 2, 10.5, 11.5, 1, 0);
-INSERT INTO event VALUES (1, 2, 4.0, 0, 'pass_begun', '{}');
+INSERT INTO event VALUES (1, 2, 4.0, 0, 'pass_started', '{}');
 PRAGMA user_version = 1;
 """  # noqa: E501
 
@@ -459,7 +459,7 @@ def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
             assert np.isnan([blocks.force_n, blocks.rpm, blocks.told_s]).all()
             assert (journal.uncertain(0), journal.contact_s(0)) == (((3, 4),), 1.5)
             assert (journal.passes[0].reach_s, journal.passes[0].uncertain) == (None, None)
-    assert rows(of_format_2, "PRAGMA user_version") == [(6,)]
+    assert rows(of_format_2, "PRAGMA user_version") == [(7,)]
     kept = sqlite3.connect(of_format_2 / "journal.v2.sqlite")
     assert kept.execute("SELECT total(in_contact) FROM segment").fetchone() == (3.0,)
     kept.close()
@@ -475,7 +475,7 @@ def test_a_journal_of_format_3_is_read_on(tmp_path: Path) -> None:
             assert (blocks.force_n[5], blocks.rpm[5], blocks.told_s[5]) == (11.9, 998.0, 7.5)
             assert np.isnan(blocks.sensor_force_n).all()
             assert blocks.acting_n[5] == 11.9
-    assert rows(tmp_path, "PRAGMA user_version") == [(6,)]
+    assert rows(tmp_path, "PRAGMA user_version") == [(7,)]
     assert (tmp_path / "journal.v3.sqlite").exists()
 
 
@@ -492,7 +492,7 @@ def test_a_journal_of_format_1_is_read_on(of_format_1: Path) -> None:
             assert [record.blocks for record in journal.passes] == [5]
             assert journal.unfinished() == journal.passes[0]
             assert journal.tally(0).done == 2
-    assert rows(of_format_1, "PRAGMA user_version") == [(6,)]
+    assert rows(of_format_1, "PRAGMA user_version") == [(7,)]
 
 
 def test_a_journal_of_format_1_is_kept_as_it_was(of_format_1: Path) -> None:

@@ -159,7 +159,7 @@ def test_journal_of_another_format_is_refused(tmp_path: Path) -> None:
     connection = sqlite3.connect(tmp_path / "journal.sqlite")
     connection.execute("PRAGMA user_version = 99")
     connection.close()
-    with pytest.raises(ConfigError, match="has format 99, this polishd writes format 6"):
+    with pytest.raises(ConfigError, match="has format 99, this polishd writes format 7"):
         opened(tmp_path)
 
 

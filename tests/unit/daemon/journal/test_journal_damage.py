@@ -330,7 +330,7 @@ async def until(there: Callable[[], bool]) -> None:
 
 
 def states(site: Site) -> list[str]:
-    return [str(event.data["state"]) for event in site.told if event.name == "state"]
+    return [str(event.data["state"]) for event in site.told if event.name == "state_changed"]
 
 
 async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(site: Site) -> None:
@@ -346,7 +346,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
         assert (status["state"], status["job"]) == ("held", "small")
         assert "JournalDamage: " in status["reason"]
         assert "does not match its checksum. To do: " in status["reason"]
-        for verb in ("resume", "job_list"):
+        for verb in ("resume", "queue_list"):
             refused = await asyncio.to_thread(request, state, verb)
             assert refused["error"].startswith("the cell stays held: JournalDamage: "), verb
         assert (await asyncio.to_thread(request, state, "hold"))["state"] == "held"
@@ -355,7 +355,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     assert isinstance(task.result(), JournalDamage)
     assert site.bench is not None
     assert site.bench.fake.events == [], "no device was opened"
-    assert [event.data["kind"] for event in site.told if event.name == "held"] == ["JournalDamage"]
+    assert [event.data["kind"] for event in site.told if event.name == "cell_held"] == ["JournalDamage"]
     assert files(state) == before, "it is left as it is, for whoever mends it"
     assert last_ending(state)["reason"].startswith("JournalDamage: ")
 

@@ -182,7 +182,7 @@ async def test_a_broken_notifier_takes_nothing_down(site: Site, told_by: Any) ->
     told_by(notifier(breaks, "broken", Severity.INFO), notifier(told.append, "sound", Severity.INFO))
     summary = await run_cell(site.config, site.hooks)
     assert summary["outcome"] == "in_tolerance"
-    assert {"job_finished"} <= {one.event for one in told} <= {"job_finished", "notification_failed"}
+    assert {"run_folder_completed"} <= {one.event for one in told} <= {"run_folder_completed", "notification_failed"}
     assert [one["error"] for one in journalled(site, "notification_failed")] == ["SystemExit: who wrote this"]
 
 

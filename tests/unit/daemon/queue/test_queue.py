@@ -95,7 +95,7 @@ def test_a_job_under_way_that_nobody_goes_on_with_is_put_aside(tmp_path: Path) -
         queue.begin(queue.to_do()[0], journal.of_job("a", "P-1", {}).number)
     with Queue.at_rest(tmp_path) as queue:
         queue.remove("a", "broken")
-        assert [(entry.state, entry.reason) for entry in queue.entries()] == [("put aside", "broken")]
+        assert [(entry.state, entry.reason) for entry in queue.entries()] == [("set aside", "broken")]
         queue.add([job("b")])
         queue.remove("b")
         assert [(entry.state, entry.reason) for entry in queue.entries()][-1] == ("removed", "")
@@ -123,7 +123,7 @@ def test_all_are_added_or_none(queue: Queue) -> None:
     assert names(queue) == ["a"]
 
 
-@pytest.mark.parametrize(("how", "again"), [("accepted", False), ("rejected", False), ("put aside", True)])
+@pytest.mark.parametrize(("how", "again"), [("accepted", False), ("rejected", False), ("set aside", True)])
 def test_a_job_that_is_done_is_not_done_again_but_one_put_aside_may(tmp_path: Path, how: str, again: bool) -> None:
     with Journal.of_cell(tmp_path) as cell:
         queue = Queue(cell.store)

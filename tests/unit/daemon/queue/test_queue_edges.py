@@ -62,7 +62,7 @@ def test_of_an_empty_queue_nothing_is_next_under_way_or_worked(worked: Worked) -
 
 def test_a_job_from_its_place_to_its_end(worked: Worked) -> None:
     queue, begun_s = worked.queue, time.time()
-    files = {"part.nominal": {"file": "a.csv", "sha256": "aa"}}
+    files = {"part.form": {"file": "a.csv", "sha256": "aa"}}
     queue.add([NewJob("a", "P-7", JobFile(Path("/jobs/a.toml"), "# a"), files), job("b")])
     assert (entry := queue.next()) is not None
     assert (entry.files, entry.part_id, entry.job, entry.begun_s, entry.ended_s) == (files, "P-7", None, None, None)
@@ -123,9 +123,9 @@ def test_the_job_that_ended_last_counts_and_not_the_one_that_was_added_last(work
 def test_one_that_could_not_begin_has_begun_and_ended_at_once_and_counts_as_worked(worked: Worked) -> None:
     worked.queue.add([job("a"), job("b")])
     (entry, _) = worked.queue.to_do()
-    worked.queue.end(entry, JobResult("put aside", "RemovalCheckStop: x", "RemovalCheckStop"))
+    worked.queue.end(entry, JobResult("set aside", "RemovalCheckStop: x", "RemovalCheckStop"))
     assert (last := worked.queue.last_ended()) is not None
-    assert (last.name, last.state) == ("a", "put aside")
+    assert (last.name, last.state) == ("a", "set aside")
     assert last.begun_s is not None
     assert [one.name for one in worked.queue.to_do()] == ["b"]
 
@@ -159,10 +159,10 @@ def test_taking_out_the_one_under_way_ends_its_job_too(worked: Worked, reason: s
     worked.queue.remove("b", reason)
     worked.queue.remove("a", reason)
     taken = {one.name: (one.state, one.reason) for one in worked.queue.entries()}
-    assert taken == {"a": ("put aside", said), "b": ("removed", reason)}
+    assert taken == {"a": ("set aside", said), "b": ("removed", reason)}
     assert [one.fault for one in worked.queue.entries()] == ["", ""], "two in a row are no reason to stop"
     rows = worked.journal.store.read("SELECT outcome, detail, ended IS NULL FROM job WHERE id = ?", (number,))
-    assert rows == [("put aside", reason, 0)]
+    assert rows == [("set aside", reason, 0)]
 
 
 def test_a_name_twice_in_one_order_adds_none_and_says_where(worked: Worked) -> None:
@@ -199,7 +199,7 @@ def test_an_error_is_told_with_its_name_and_what_stops_by_its_row_says_that() ->
     assert verdict.stops.startswith("instrument or alignment is wrong")
     torn = judge(LinkError("gone"), torn=True, previous="")
     assert torn is not None
-    assert (torn.how, torn.reason, torn.stops) == ("put aside", "LinkError: gone", "")
+    assert (torn.how, torn.reason, torn.stops) == ("set aside", "LinkError: gone", "")
     assert judge(LinkError("gone"), torn=False, previous="LinkError", tool="worn") is None
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from polishd.config.job import JobFile
-from polishd.daemon import state_machine as daemon_module
+from polishd.daemon import job_runner as daemon_module
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.queue.queue import NewJob, Queue
 from polishd.daemon.queue.requests import BACK, LOST
@@ -69,7 +69,7 @@ async def test_a_part_of_the_shop_begins_once_the_shop_has_said_that_it_may(hall
     assert not cell.task.done(), "the queue is not empty: it waits for the shop's word"
     assert cell.polished == []
     assert "these are ours: lens" in (await cell.daemon.status())["shop"]
-    await cell.daemon.handlers["shop_word"](stands=["c1"])
+    await cell.daemon.handlers["shop_assignments"](stands=["c1"])
     await cell.until("changing")
     await cell.order("resume")
     assert await cell.task is Outcome.IN_TOLERANCE
@@ -95,10 +95,10 @@ async def test_what_the_shop_wants_back_or_has_given_away_is_taken_out_while_it_
     for name in ("a", "b", "c"):
         given(cell.queue, name, f"claim {name}")
     await cell.start(until_empty=True)
-    await cell.daemon.handlers["shop_word"](back=["claim a"], lost=["claim b", "of nobody"])
+    await cell.daemon.handlers["shop_assignments"](back=["claim a"], lost=["claim b", "of nobody"])
     assert verdicts(cell.queue) == {"a": "removed", "b": "removed", "c": "waiting"}
     assert [entry.reason for entry in cell.queue.entries()][:2] == [BACK, LOST]
-    await cell.daemon.handlers["shop_word"](stands=["claim b"], lost=["claim c"])
+    await cell.daemon.handlers["shop_assignments"](stands=["claim b"], lost=["claim c"])
     assert await cell.task is Outcome.IN_TOLERANCE
     assert cell.polished == []
 
@@ -107,7 +107,7 @@ async def test_after_a_restart_a_job_under_way_waits_for_the_shops_word(hall: Ca
     first = hall()
     given(first.queue, "lens", "c1")
     await first.start()
-    await first.daemon.handlers["shop_word"](stands=["c1"])
+    await first.daemon.handlers["shop_assignments"](stands=["c1"])
     await first.until("changing")
     await stopped(first)
     first.journal.close()
@@ -118,7 +118,7 @@ async def test_after_a_restart_a_job_under_way_waits_for_the_shops_word(hall: Ca
     resumed = asyncio.ensure_future(again.order("resume"))
     await turns()
     assert again.polished == []
-    await again.daemon.handlers["shop_word"](stands=["c1"])
+    await again.daemon.handlers["shop_assignments"](stands=["c1"])
     await resumed
     await again.until("changing")
     await again.order("resume")
@@ -132,7 +132,7 @@ async def test_a_cell_that_was_given_up_learns_before_contact_that_it_has_lost_i
     first = hall()
     given(first.queue, "lens", "c1")
     await first.start()
-    await first.daemon.handlers["shop_word"](stands=["c1"])
+    await first.daemon.handlers["shop_assignments"](stands=["c1"])
     await first.until("changing")
     await stopped(first)
     first.journal.close()
@@ -140,12 +140,12 @@ async def test_a_cell_that_was_given_up_learns_before_contact_that_it_has_lost_i
     again = hall()
     await again.start(until_empty=True)
     await again.until("held")
-    await again.daemon.handlers["shop_word"](lost=["c1"])
+    await again.daemon.handlers["shop_assignments"](lost=["c1"])
     resumed = asyncio.ensure_future(again.order("resume"))
     assert await again.task is Outcome.IN_TOLERANCE
     resumed.cancel()
     assert again.polished == []
-    assert verdicts(again.queue) == {"lens": "put aside"}
+    assert verdicts(again.queue) == {"lens": "set aside"}
     assert again.queue.entries()[0].reason == LOST
 
 
@@ -164,12 +164,12 @@ async def test_what_came_by_the_same_claim_is_added_once(hall: Callable[..., Hal
 async def test_what_is_offered_is_an_event_of_the_journal(hall: Callable[..., Hall]) -> None:
     cell = hall()
     await cell.start()
-    assert await cell.daemon.handlers["shop_offer"](offers=[OFFER]) == {"offers": 1}
+    assert await cell.daemon.handlers["shop_rates"](offers=[OFFER]) == {"offers": 1}
     assert cell.told[-1] == ShopRateReceived(**OFFER)  # type: ignore[arg-type]
-    rows = cell.journal.store.read("SELECT data FROM event WHERE name = 'rate_offered'")
+    rows = cell.journal.store.read("SELECT data FROM event WHERE name = 'shop_rate_received'")
     assert [json.loads(data) for (data,) in rows] == [OFFER]
     wrong: list[Any] = [{}, {**OFFER, "rate": "1"}, {**OFFER, "more": 1}, "x"]
     for one in wrong:
         with pytest.raises(ConfigError, match="an offer has recipe, cell"):
-            await cell.daemon.handlers["shop_offer"](offers=[one])
+            await cell.daemon.handlers["shop_rates"](offers=[one])
     await stopped(cell)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -17,11 +18,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from polishd.daemon.runtime.compute import Compute, process_cpu_s
+from polishd.daemon.runtime.compute import Compute
 from polishd.daemon.runtime.process import BEHIND
 from polishd.model.errors import ComputeError, MapError
 from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.recipe import CpuLimit
+from polishd.util.worker_process import process_cpu_s
 from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
@@ -53,13 +55,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-async def test_the_worker_inherits_no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MAIL_PASSWORD", "s3cret")
-    async with Compute() as compute:
-        assert await compute(os.getenv, "MAIL_PASSWORD") is None
-        assert await compute(os.getenv, "PATH") == os.environ["PATH"]
 
 
 @pytest.mark.full
@@ -152,9 +147,11 @@ async def test_killed_when_its_cpu_time_is_used_and_restarted(compute: Compute, 
     await compute.start()
     before = compute.pid
     assert before is not None
-    with pytest.raises(ComputeError, match=rf"{job.__name__} was ended: it used \d\.\d s of CPU time in") as caught:
-        await compute(job, within_s=CpuLimit(0.2, "dwell.within_s"))
-    assert "at most 0.2 s in 62 s are allowed; dwell.within_s gives it more" in str(caught.value)
+    with pytest.raises(
+        ComputeError, match=rf"{job.__name__}: the compute worker exceeded its limit: .* s of CPU"
+    ) as caught:
+        await compute(job, within_s=CpuLimit(0.2, "dwell.cpu_limit_s"))
+    assert re.search(r"\(limit 0\.2 s\) in .*\(limit 62 s\)\. Increase dwell\.within_s\.", str(caught.value))
     assert not alive(before)
     assert compute.pid not in {None, before}
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
@@ -166,7 +163,7 @@ async def test_one_that_sleeps_is_killed_at_the_backstop() -> None:
         await compute.start()
         before = compute.pid
         assert before is not None
-        with pytest.raises(ComputeError, match=r"forever was ended: it used 0\.\d s of CPU .* most 50 s in 1 s are"):
+        with pytest.raises(ComputeError, match=r"forever: .*0\.\d s of CPU .* in \d+\.\d s \(limit 1 s\)"):
             await compute(jobs.forever, within_s=50.0)
         assert not alive(before)
 
@@ -213,23 +210,22 @@ async def test_a_worker_that_cannot_start_is_told(
     (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(7)\n")
     with monkeypatch.context() as patch:
         patch.syspath_prepend(str(tmp_path))
-        with pytest.raises(ComputeError, match=r"the worker did not start \(exit code 7\)"):
+        with pytest.raises(ComputeError, match="the compute worker did not start: ended with exit code 7"):
             await compute(jobs.pid)
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
 
 
 @pytest.mark.full
 async def test_a_dead_worker_is_an_error_and_is_replaced(compute: Compute) -> None:
-    with pytest.raises(ComputeError, match=r"die: the worker died \(exit code 3\)"):
+    with pytest.raises(ComputeError, match="die: the compute worker ended with exit code 3"):
         await compute(jobs.die, 3)
-    with pytest.raises(ComputeError, match=r"be_killed: the worker died \(signal 9; out of memory\?\)"):
+    with pytest.raises(ComputeError, match="be_killed: the compute worker was ended by SIGKILL"):
         await compute(jobs.be_killed)
     assert await compute(jobs.divide, 1.0, 2.0) == 0.5
     pid = compute.pid
     assert pid is not None
     os.kill(pid, signal.SIGKILL)  # between calls
-    assert compute._process is not None
-    await compute._process.wait()
+    await asyncio.to_thread(os.waitid, os.P_PID, pid, os.WEXITED | os.WNOWAIT)
     assert await compute(jobs.divide, 1.0, 4.0) == 0.25
 
 
@@ -265,7 +261,7 @@ async def test_closed_for_good() -> None:
     await compute.close()
     await compute.close()
     assert not alive(pid)
-    with pytest.raises(ComputeError, match=r"the worker died|closed"):
+    with pytest.raises(ComputeError, match=r"SIGKILL \(by polishd\)"):
         await call
     with pytest.raises(ComputeError, match="the compute worker is closed"):
         await compute(jobs.pid)
@@ -326,12 +322,3 @@ async def test_a_worker_without_memory_is_an_error_and_stays(compute: Compute) -
         await compute(_too_much)
     pid = compute.pid
     assert await compute(os.getpid) == pid
-
-
-async def test_the_kernel_ends_the_worker_before_the_daemon_where_memory_is_out(compute: Compute) -> None:
-    await compute.start()
-    assert _oom_score(str(compute.pid)) > _oom_score("self")
-
-
-def _oom_score(process: str) -> int:
-    return int(Path(f"/proc/{process}/oom_score_adj").read_text())

@@ -96,7 +96,7 @@ async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, err
         assert bench.moved() == []
         assert (await running.daemon.handlers["resume"]())["state"] == "polishing"
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    held = next(event for event in running.told if event.name == "held")
+    held = next(event for event in running.told if event.name == "cell_held")
     assert held.data == {"error": str(error), "kind": type(error).__name__}
     state = next(event for event in running.told if event.data.get("state") == "held")
     assert (state.data["tool_off"], state.data["robot_at_rest"]) == ("yes", "yes")

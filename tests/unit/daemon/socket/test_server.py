@@ -164,7 +164,7 @@ async def test_a_subscriber_that_sends_lines_is_answered_and_goes_on_to_hear(dae
         refused = json.loads(await reader.readline())
         assert refused == {"ok": False, "error": "this connection is for events: ask on another one"}
         bus.publish(CellHeld(error="a scratch", kind="LinkError"))
-        assert json.loads(await reader.readline())["event"]["name"] == "held"
+        assert json.loads(await reader.readline())["event"]["name"] == "cell_held"
     writer.close()
 
 

@@ -24,8 +24,8 @@ from polishd.drivers.transport import background
 from polishd.drivers.transport.address import SlcanAddress
 from polishd.drivers.transport.can_bus import CanFrame, OnFrame
 from tests.campaigns.codecs.virtual import VirtualLoop
+from tests.fakes.can_peers import SlcanPeer
 from tests.fakes.cia402 import EDS, NODE, Frame, cia402_spindle, sim_motor
-from tests.fakes.drive import SlcanPeer
 from tests.fakes.wires import PtyWire
 
 SILENCE_S = 0.5

@@ -16,6 +16,7 @@ from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.sim_backends.cia402 import node as stage
 from polishd.sim_backends.cia402.device import Motor
 from tests.conformance.conftest import seen
+from tests.fakes.can_peers import SlcanPeer, SocketcandPeer
 from tests.fakes.cia402 import (
     CONTROLLER,
     EDS,
@@ -27,7 +28,6 @@ from tests.fakes.cia402 import (
     sim_coil,
     sim_motor,
 )
-from tests.fakes.drive import SlcanPeer, SocketcandPeer
 from tests.fakes.wires import PtyWire, TcpWire
 from tests.patience import SOON_S
 

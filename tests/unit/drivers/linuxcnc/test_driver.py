@@ -295,14 +295,14 @@ async def test_an_aborted_program_is_not_gone_on_with(rig: Rig) -> None:
 
 
 async def test_a_machine_that_does_not_stop_is_a_fault(rig: Rig) -> None:
-    rig.robot._following._stop_s, rig.robot._times = 0.2, RobotTimes(stop_s=0.2)
+    rig.robot._times = RobotTimes(stop_s=0.2)
     await load(rig.robot)
     await rig.robot.resume()
     rig.fake.block_s = 1e3
     rig.fake._obey = lambda name, value: None  # type: ignore[method-assign]
-    with pytest.raises(DeviceFault, match="moving after pause"):
+    with pytest.raises(DeviceFault, match=r"moving 0\.2 s after pause"):
         await rig.robot.hold()
-    with pytest.raises(DeviceFault, match="moving after abort"):
+    with pytest.raises(DeviceFault, match=r"moving 0\.2 s after abort"):
         await rig.robot.make_safe()
 
 

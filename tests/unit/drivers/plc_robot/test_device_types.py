@@ -1,4 +1,4 @@
-"""The device type ``handover``: what its options name is looked at before anything is opened."""
+"""The device type ``plc_robot``: what its options name is looked at before anything is opened."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from polishd.commissioning.rehearsal.simulated_cell import demo_program, with_va
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import shipped
 from polishd.daemon import checks
-from polishd.drivers.plc_robot.device_types import HandoverOptions, build, own_lines
+from polishd.drivers.plc_robot.device_types import PlcRobotOptions, build, own_lines
 from polishd.model.errors import PolishdError
 from polishd.plugin_loader import load_own
 from polishd.plugins.rnc_robot.dialect import DIALECTS
@@ -31,7 +31,7 @@ def built(folder: Path, **options: Any) -> Robot:
     (folder / "password").chmod(0o600)
     (folder / "hosts").touch()
     context = DeviceContext(base_dir=folder, state_dir=folder / "state", part_id="P-1", readers=())
-    return build(HandoverOptions(**options), context)
+    return build(PlcRobotOptions(**options), context)
 
 
 @pytest.mark.parametrize(
@@ -83,13 +83,15 @@ def test_a_library_that_is_missing_is_named_with_its_extra(
         built(tmp_path, **options)
 
 
-def cell(tmp_path: Path, example: str, *, wired: bool = False, pit_nm: float = 10.0) -> Path:
+def cell(tmp_path: Path, example: str, *, wired: bool = False, max_stall_removal_nm: float = 10.0) -> Path:
     """The shipped example with such a robot."""
     commissioned(tmp_path)
     section, _, _ = example.partition("[robot]")[2].partition("\n[")
-    robot = '\ntype = "handover"\nprofile = "mine.toml"\naddress = "opc.tcp://127.0.0.1:4840"\ndelivery = "folder:nc"\n'
-    text = example.replace(section, robot).replace('"rnc_robot",', '"rnc_robot", "handover",', 1)
-    text = text.replace("force_band = 0.25", f"pit_nm = {pit_nm}\nforce_band = 0.25")
+    robot = (
+        '\ntype = "plc_robot"\nprofile = "mine.toml"\naddress = "opc.tcp://127.0.0.1:4840"\ndelivery = "folder:nc"\n'
+    )
+    text = example.replace(section, robot)
+    text = text.replace("force_band = 0.25", f"max_stall_removal_nm = {max_stall_removal_nm}\nforce_band = 0.25")
     shipped = Path(checks.__file__).parents[1] / "config" / "controller_profiles" / "plc-opcua.toml"
     profile = shipped.read_text().replace("report_ms = 20.0", "report_ms = 230.0")
     (tmp_path / "mine.toml").write_text(("in_motion_wired = true\n" if wired else "") + profile)
@@ -107,7 +109,7 @@ def checked(path: Path) -> dict[str, Any]:
 def test_a_feed_hold_that_would_dig_is_refused_by_check(tmp_path: Path, example: str) -> None:
     """230 ms to the report, 115 ms to the look, 20 ms on the link, 200 ms until the force is off: some 90 nm."""
     with pytest.raises(
-        ConfigError, match=r"cell\.toml:\d+: limits\.pit_nm: a feed hold .* would dig \d+\.\d nm"
+        ConfigError, match=r"cell\.toml:\d+: limits\.max_stall_removal_nm: a feed hold .* would dig \d+\.\d nm"
     ) as said:
         checked(cell(tmp_path, example))
     assert "365 ms until it is told, 200 ms until the force is off" in str(said.value)
@@ -117,10 +119,10 @@ def test_a_feed_hold_that_would_dig_is_refused_by_check(tmp_path: Path, example:
 @pytest.mark.full
 def test_a_wire_to_the_actuator_makes_up_for_slow_reports(tmp_path: Path, example: str) -> None:
     assert "feed hold at the controller" not in checked(cell(tmp_path, example, wired=True))
-    found = checked(cell(tmp_path, example, pit_nm=100.0))
+    found = checked(cell(tmp_path, example, max_stall_removal_nm=100.0))
     assert "nm at most" in found["feed hold at the controller"]
     assert "end of a block known to" not in found, "its controller tells when each began"
-    path = cell(tmp_path, example, pit_nm=100.0)
+    path = cell(tmp_path, example, max_stall_removal_nm=100.0)
     profile = (tmp_path / "mine.toml").read_text().replace("line_began =", "# ")
     (tmp_path / "mine.toml").write_text(profile)
     assert "66 ms rms, 1" in checked(path)["end of a block known to"]
@@ -141,7 +143,7 @@ def test_dialects_and_controller_profiles_are_held_against_each_other(tmp_path: 
     context = DeviceContext(tmp_path, tmp_path, "P-1", ())
     found: dict[str, set[str]] = {}
     for profile in shipped():
-        lines = own_lines(HandoverOptions(**{**OPCUA, "profile": profile}), context)
+        lines = own_lines(PlcRobotOptions(**{**OPCUA, "profile": profile}), context)
         said = {name: known.misreads(lines) for name, known in formats.items() if known.misreads is not None}
         assert set(said) == set(DIALECTS)
         found[profile] = {name for name, wrong in said.items() if not wrong}

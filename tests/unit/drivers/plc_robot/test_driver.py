@@ -85,7 +85,7 @@ async def test_a_feed_hold_at_the_controller_is_a_fault_at_once(rig: tuple[FakeP
 
 
 async def test_a_reader_that_runs_ahead_is_found_out_before_contact(tmp_path: Path) -> None:
-    fake = FakePlc(tmp_path, speed=SLOW, reads_ahead=2)
+    fake = FakePlc(tmp_path, speed=SLOW, read_ahead_lines=2)
     async with direct(fake) as robot:
         with pytest.raises(DeviceFault, match="not the block that it executes"):
             await in_contact(robot, plan())

@@ -14,7 +14,7 @@ from asyncua.server.user_managers import UserManager
 
 from polishd.api import ConfigError, DeviceContext, LinkError
 from polishd.config.controller_profile import load_controller_profile
-from polishd.drivers.plc_robot.device_types import HandoverOptions, build
+from polishd.drivers.plc_robot.device_types import PlcRobotOptions, build
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
 from polishd.sim_backends.plc_robot.servers import NAMESPACE, OPCUA_TYPES
 
@@ -23,7 +23,7 @@ SILENCE_S = 20.0
 
 
 def papers_of(folder: Path, name: str, uri: str) -> tuple[Path, Path]:
-    """A certificate and its key, made as docs/handover.md says."""
+    """A certificate and its key, made as docs/plc-robot.md says."""
     key, certificate = folder / f"{name}.key", folder / f"{name}.pem"
     subprocess.run(
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "9", "-keyout", key, "-out", certificate,
@@ -126,7 +126,7 @@ async def test_a_file_that_is_no_certificate_is_told(url: str, folder: Path) -> 
 def test_papers_that_are_not_complete_are_refused_before_anything_is_opened(
     folder: Path, keys: dict[str, str], says: str
 ) -> None:
-    options = HandoverOptions(
+    options = PlcRobotOptions(
         profile="plc-opcua", address="opc.tcp://10.0.0.7:4840", delivery="folder:programs", **keys
     )
     with pytest.raises(ConfigError, match=says):
@@ -139,7 +139,7 @@ def test_a_private_key_that_others_may_read_is_refused(tmp_path: Path, mode: int
     for name in names.values():
         (tmp_path / name).touch()
     (tmp_path / "polishd.key").chmod(mode)
-    options = HandoverOptions(
+    options = PlcRobotOptions(
         profile="plc-opcua", address="opc.tcp://10.0.0.7:4840", delivery="folder:programs", **names
     )
     with pytest.raises(ConfigError, match=r"private_key 'polishd\.key': mode 06\d\d of .*Run: chmod 600 "):

@@ -17,7 +17,6 @@ from polishd.drivers.plc_robot.program_tracker import (
     LineCheck,
     PlcProgramFile,
     PlcProgramTracker,
-    between,
 )
 from tests.programs import plan_of
 
@@ -250,13 +249,3 @@ def test_the_last_block_of_the_approach_is_over_when_the_dwells_are() -> None:
     watch.update(report(0.3, 2))
     watch.update(report(0.6, 3))
     assert len(watch) == 1
-
-
-@given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=20), st.floats(0.0, 2.0), st.floats(1e-3, 3.0), st.booleans())
-def test_ends_rise_and_stay_between_the_reports(expected: list[float], gap: float, span: float, reaches: bool) -> None:
-    low, high = 10.0 + gap, 10.0 + gap + span
-    ends = between(10.0, np.array(expected), low, high, reaches=reaches)
-    assert (np.diff(ends, prepend=low) > 0).all()
-    assert ends[-1] <= high + 1e-9
-    if reaches:
-        assert ends[-1] == pytest.approx(high, abs=1e-9)

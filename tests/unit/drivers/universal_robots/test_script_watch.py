@@ -24,11 +24,16 @@ START = RtdeSample(
 )
 
 
+def go(found: UrProgramTracker, until: int) -> None:
+    found.until = until
+    found.go(0.0)
+
+
 def watch(lines: Sequence[bytes] = PROGRAM) -> UrProgramTracker:
     found = UrProgramTracker(plan_of(lines), len(lines))
     found.sent(5, blocks_of(lines))
     found.update(START)
-    found.ordered(len(lines))
+    go(found, len(lines))
     return found
 
 
@@ -80,13 +85,13 @@ def test_a_dwell_of_nothing_gets_nothing_of_the_move_before_it() -> None:
 
 def test_no_time_passes_while_it_waits_or_is_held() -> None:
     found = watch()
-    found.ordered(2)
+    go(found, 2)
     feed(
         found,
         [at(1, 1), at(2, 1), at(3, 2, ScriptPhase.WAITS), at(4, 2, ScriptPhase.WAITS), at(200, 2, ScriptPhase.WAITS)],
     )
     assert (found.state, len(found)) == ("held", 2)
-    found.ordered(5)
+    go(found, 5)
     feed(found, [at(201, 2), at(202, 2), at(203, 3), at(204, 3)])
     assert found[2].end_s - found[2].start_s == pytest.approx(2 * RATE_S)
 
@@ -97,7 +102,7 @@ def test_a_start_that_does_not_come_is_a_fault_by_our_own_clock() -> None:
     found = UrProgramTracker(plan_of(PROGRAM), len(PROGRAM), lambda: now_s)
     found.sent(5, blocks_of(PROGRAM))
     found.update(START)
-    found.ordered(len(PROGRAM))
+    go(found, len(PROGRAM))
     feed(found, [at(tick, 0, ScriptPhase.WAITS) for tick in range(1, 3000)])
     assert found.state == "running"
     now_s += START_S + 0.1
@@ -141,7 +146,7 @@ def test_a_program_that_was_stopped_is_a_fault_and_one_that_ends_is_none() -> No
 
 def test_a_pause_while_it_is_held_anyway_is_told_and_no_fault() -> None:
     found = watch()
-    found.ordered(0)
+    go(found, 0)
     feed(found, [at(1, 0, ScriptPhase.WAITS), at(2, 0, ScriptPhase.WAITS, runtime=UrRuntimeState.PAUSED)])
     assert (found.state, found.ended) == ("held", False)
     assert "paused" in found.detail

@@ -1,14 +1,13 @@
-"""Parsers that do what C libraries do on broken files; run by the worker of ``apart``."""
+"""Parsers that do what C libraries do on broken files; run by the worker of ``sandbox``."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import pickle
 import signal
-import sys
 import time
 from datetime import UTC, datetime
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import MapInput, MapStep, MaskCount
+from tests.unit.util.worker_targets import answers_pipe
 
 EVERYTHING = SurfaceMap(
     height_nm=np.array([[1.0, np.nan], [-3.5, 4.0]]),
@@ -60,11 +60,14 @@ def parse(path: Path) -> SurfaceMap:  # noqa: C901
         case "half":
             return SurfaceMap(height_nm=np.zeros((1, 1)), pitch_mm=None, part_id="a\udcffb")
         case "pickle":  # as a file would that has taken the worker over
-            Connection(int(sys.argv[1])).send(Evil(path))
+            os.write(answers_pipe(), pickle.dumps(Evil(path)) + b"\n")
         case "no map":
-            Connection(int(sys.argv[1])).send_bytes(b'["", 0, {"shape": [3, -1], "has_path": true}]')
+            heights = b'{"name": "height_nm", "type": "f8", "shape": [3]}'
+            head = b'{"reason": "", "errno": 0, "map": {"has_path": true}, "arrays": [%b]}\n'
+            os.write(answers_pipe(), head % heights + bytes(24))
         case "huge":
-            Connection(int(sys.argv[1])).send_bytes(b'["", 0, {"shape": [1073741824, 1073741824], "has_path": true}]')
+            huge = b'{"arrays": [{"name": "height_nm", "type": "f8", "shape": [1073741824, 1073741824]}]}\n'
+            os.write(answers_pipe(), huge)
         case "refuse":
             raise MapError(f"{path}: torn")
         case "raise":

@@ -127,7 +127,7 @@ def test_fifty_thousand_files_delay_a_map_by_a_few_polls(tmp_path: Path, maps: P
 
 
 class Share:
-    """The folder's file system: while it hangs, whoever looks into it waits."""
+    """The folder's file system: while it hangs, each reader waits."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.answers = threading.Event()

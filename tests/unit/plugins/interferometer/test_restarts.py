@@ -149,7 +149,7 @@ def test_a_new_journal_is_not_given_old_maps(tmp_path: Path, maps: Path) -> None
 
 @pytest.mark.parametrize("after", [None, JOURNALLED])
 def test_a_wait_that_was_cancelled_in_the_last_moment(tmp_path: Path, maps: Path, after: str | None) -> None:
-    """The poll's thread went on and claimed a map that nobody was handed."""
+    """The poll's thread continued and claimed a map that was not delivered."""
     daemon = Daemon(tmp_path, after)
     daemon.poll(1)
     (maps / "a.dat").write_bytes(dat(1))
@@ -248,7 +248,7 @@ def test_somebody_writes_on_while_it_is_claimed(tmp_path: Path, maps: Path, monk
         monkeypatch.setattr(Path, "rename", real)
         result = real(self, target)
         target.write_bytes(dat(2))
-        os.utime(target, ns=(kept.st_atime_ns, kept.st_mtime_ns))  # even so: the content tells
+        os.utime(target, ns=(kept.st_atime_ns, kept.st_mtime_ns))  # even so: the content differs
         return result
 
     monkeypatch.setattr(Path, "rename", rename)
@@ -326,9 +326,9 @@ def test_out_of_order_stale_and_the_way_out(tmp_path: Path, maps: Path) -> None:
     daemon.poll(1)
     (maps / "back.dat").write_bytes(dat(4, after_s=59.0))
     assert daemon.poll() is None
-    told = reason(maps, "back.dat")
-    assert "back.dat: StaleMap: out of order: measured at 2026-03-01T12:00:59" in told
-    hint = told.split("move it back as ")[1].split(" while")[0]
+    text = reason(maps, "back.dat")
+    assert "back.dat: StaleMap: out of order: measured at 2026-03-01T12:00:59" in text
+    hint = text.split("move it back as ")[1].split(" while")[0]
     (maps / "quarantine" / "back.dat").rename(maps / hint)
     second = daemon.poll()
     assert second
@@ -400,11 +400,11 @@ LESS = MapStep("subtract", "0.1.0", {}, (MapInput("map", "a.dat", ""), MapInput(
 def test_what_somebody_made_by_hand_drives_nothing(
     tmp_path: Path, maps: Path, ending: str, history: MapStep, why: str | None
 ) -> None:
-    """Whatever file it was written to: a scale or an orientation that nobody proved stays known as such."""
+    """An unproved scale or orientation stays marked in every written format."""
     writer = {reader.suffixes[0]: reader for reader in (METROPRO, DATX, X3P)}[ending]
     assert writer.write is not None
     (maps / f"a{ending}").write_bytes(writer.write(replace(BARE, history=history)))
-    options = {"accept_unnamed": True}  # X3P has no field for the part
+    options = {"accept_without_part_id": True}  # X3P has no field for the part
     daemon = Daemon(tmp_path, None, instrument=ANSWERS_ALL, readers=(METROPRO, DATX, X3P), **options)
     found = daemon.poll()
     assert (found is None) == (why is not None)
@@ -418,7 +418,7 @@ def test_what_somebody_made_by_hand_drives_nothing(
 def test_what_a_file_leaves_open_and_no_profile_answers_is_refused_by_name(
     tmp_path: Path, maps: Path, word: str, instrument: Instrument | None
 ) -> None:
-    """A list of numbers read as a map, whatever format somebody took it for."""
+    """A list of numbers read as a map, in any format."""
     opened = replace(METROPRO, read=lambda path: replace(METROPRO.read(path), unsaid=frozenset({word})))
     (maps / "a.dat").write_bytes(dat(1))
     assert Daemon(tmp_path, None, instrument=instrument, readers=(opened,)).poll() is None

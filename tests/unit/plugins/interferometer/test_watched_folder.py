@@ -30,7 +30,7 @@ PART = "DEMO-100"
 
 
 def dat(seed: int = 0, *, part: str = PART, at: float | None = None, pitch_m: float = 5e-4, n: int = 40) -> bytes:
-    """A MetroPro file of its own content for each seed."""
+    """A MetroPro file with different content for each seed."""
     header = bytearray(834)
     for offset, code, value in (
         (0, "4s", b"\x88\x1b\x03\x6f"), (6, ">i", 834), (68, ">2H", (n, n)),
@@ -283,7 +283,7 @@ async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> N
 
 async def test_unnamed_maps_can_be_allowed(make: Callable[..., WatchedFolder], folder: Path) -> None:
     (folder / "a.dat").write_bytes(dat(1, part=""))
-    assert (await make(accept_unnamed=True).next_map(None)).part_id == ""
+    assert (await make(accept_without_part_id=True).next_map(None)).part_id == ""
 
 
 async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
@@ -326,7 +326,7 @@ async def test_a_broken_record(make: Callable[..., WatchedFolder], tmp_path: Pat
 async def test_maps_from_before_the_pass_are_stale_only_after_a_pass(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
-    """With nobody to ask, the first map may have been measured before the daemon was started."""
+    """Without a request, the first map may be older than the start of the daemon."""
     device = make(timeout_s=0.8)
     (folder / "old.dat").write_bytes(dat(1, at=time.time() - 3600))
     first = await device.next_map(None)
@@ -413,7 +413,7 @@ async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., Wa
 
 def of_part(make: Callable[..., WatchedFolder], part: str, **options: Any) -> WatchedFolder:
     """A device that accepts unnamed maps, with that part in."""
-    device = make(accept_unnamed=True, **options)
+    device = make(accept_without_part_id=True, **options)
     device._rules = replace(device._rules, part_id=part)
     return device
 
@@ -465,7 +465,7 @@ async def test_what_was_asked_for_the_last_part_is_not_asked_for_this_one(
 async def test_unnamed_maps_are_asked_to_be_new_once_one_was_taken(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
-    """Also where the journal names no map, and nobody listens to requests."""
+    """Also where the journal names no map, and no request is written."""
     (folder / "a.dat").write_bytes(dat(1, part=""))
     await of_part(make, "P-1").next_map(None)
     (folder / "b.dat").write_bytes(dat(2, part="", at=time.time() - 60))

@@ -55,14 +55,14 @@ def test_every_shipped_profile_is_named_and_there() -> None:
 
 def test_a_shipped_dialect_is_read_when_a_program_is_and_what_is_said_of_it_before_is_so() -> None:
     """The expressions of all of them took a tenth of a check."""
-    told = {one.name: one for one in formats.shipped_formats()}
-    assert tuple(told) == DIALECTS
+    formats_by_name = {one.name: one for one in formats.shipped_formats()}
+    assert tuple(formats_by_name) == DIALECTS
     formats.shipped.cache_clear()
-    told["rs274"].read(HEAD.encode() + b"G1 X1. F60.\nG1 X2.\nM2\n", "p.rnc")
+    formats_by_name["rs274"].read(HEAD.encode() + b"G1 X1. F60.\nG1 X2.\nM2\n", "p.rnc")
     assert formats.shipped.cache_info().currsize == 1
     for name in DIALECTS:
         known = formats.format_of(dialect(name))
-        assert (known.name, known.make is None) == (name, told[name].make is None)
+        assert (known.name, known.make is None) == (name, formats_by_name[name].make is None)
     assert {name for name in DIALECTS if name not in NC} == LANGUAGES
     assert len(NC) == 10
 
@@ -147,7 +147,7 @@ BROKEN = [
     ("not TOML", "[dwell\n", r"shop\.toml: .*line 1.*mend the TOML"),
     ("twice", "name = 1\nname = 2\n", r"shop\.toml: .*mend the TOML"),
     ("a number", "extends = 5", r"shop\.toml: extends: is no text"),
-    ("nobody", 'extends = "nobody.toml"', r"nobody\.toml: cannot be read"),
+    ("missing", 'extends = "missing.toml"', r"missing\.toml: cannot be read"),
     ("empty", "", r"shop\.toml: kind: "),
     ("no kind", 'kind = "iso"', r"shop\.toml: kind: "),
     ("no name", 'kind = "nc"', r"shop\.toml: name: "),

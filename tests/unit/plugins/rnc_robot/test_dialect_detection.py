@@ -8,8 +8,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.model.errors import ProgramError
-from polishd.plugins.rnc_robot.dialect import LANGUAGES, dialect
-from polishd.plugins.rnc_robot.dialect_detection import detect
+from polishd.plugins.rnc_robot.dialect import LANGUAGES, detect, dialect
 from polishd.plugins.rnc_robot.formats import read
 from tests.commissioned import commissioned
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS

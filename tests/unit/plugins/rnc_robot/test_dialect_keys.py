@@ -74,7 +74,7 @@ def test_vector(shop: Shop) -> None:
     np.testing.assert_allclose(found.axis, np.array([[0, 0, 5], [3, 0, 4], [3, 0, 4]]) / 5, atol=1e-15)
     with pytest.raises(ProgramError, match="line 3: the tool vector is zero"):
         read(profile, "G1 X1 I0 J0 K0 F60\n")
-    with pytest.raises(ProgramError, match="line 3: a point, and where I is, is not said before it"):
+    with pytest.raises(ProgramError, match="line 3: a point before I is stated"):
         read(profile, "G1 X1 F60\nX2 I0 J0 K1\n")
     with pytest.raises(ProgramError, match="line 3: an arc while I, J, K are a tool vector"):
         read(profile, "G2 X1 I0.5 F60\n")

@@ -42,7 +42,7 @@ class Run:
 
 def interpret(path: Path) -> Run:
     command = ["rs274", "-g", path.name]
-    # a home of its own: two at once share ~/.tool.mmap, and die of SIGBUS now and then
+    # a separate home: two at once share ~/.tool.mmap, and die of SIGBUS now and then
     with TemporaryDirectory() as home:
         done = subprocess.run(
             command,

@@ -182,7 +182,7 @@ def test_changes_read_well() -> None:
         'line 1 "G1 X1" became line 1 "G1 X2"',
         'line 2 was added: "M5"',
     ]
-    assert str(found("A\nM5\n", "A\n")[0]) == 'line 2 was taken out: "M5"'
+    assert str(found("A\nM5\n", "A\n")[0]) == 'line 2 was removed: "M5"'
     none = np.zeros((0, 2), dtype=np.int64)
     (change,) = changes(b"\tX\xff\r\n", b"X\n", none, none, SAME)
     assert str(change) == 'line 1 "X\\xff\\r" became line 1 "X"'

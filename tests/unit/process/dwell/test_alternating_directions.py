@@ -12,11 +12,11 @@ import pytest
 from polishd.model.dwell import WarmStart
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.dwell import alternating_directions, alternating_step, automatic, newton_cg
-from polishd.process.dwell.lower_bound import proved
-from polishd.process.dwell.problem import DwellProblem, negligible, without_traces
+from polishd.process.dwell import alternating_directions, automatic, newton_cg
+from polishd.process.dwell.lower_bound import prove_lower_bound
+from polishd.process.dwell.problem import DwellProblem, negligible_share, without_traces
 from polishd.process.dwell.quadratic import quadratic, regularisation_from_rho
-from polishd.process.removal import multi_tool_effect
+from polishd.process.removal import combined_effect
 from polishd.process.removal.effect import SparseEffect
 from polishd.process.removal.spread_effect import SpreadEffect
 from tests.unit.process.moves import inward_program
@@ -87,7 +87,7 @@ def test_where_steps_lead_nowhere_projected_newton_goes_on(monkeypatch: pytest.M
 def test_too_weak_a_pull_is_noticed_and_too_strong_a_one_only_takes_longer(
     pull: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(alternating_step, "PULL", pull)
+    monkeypatch.setattr(alternating_directions, "PULL", pull)
     found = alternating_directions.solve(problem(), 120.0, 1e-5, 0.0).certificate
     assert (found.solver, found.stopped) == (alternating_directions.NAME, "converged")
 
@@ -141,7 +141,7 @@ def test_a_gap_that_is_proved_to_be_small_is_enough() -> None:
 def test_a_sharper_proof_is_found_by_the_coarser_effect_and_holds() -> None:
     asked = problem(rho=1e-5)
     found = alternating_directions.solve(asked, 120.0, 1e-4, 0.0)
-    sharper = proved(asked, found, 1e-6, 60.0).certificate
+    sharper = prove_lower_bound(asked, found, 1e-6, 60.0).certificate
     assert found.certificate.gap is not None
     assert sharper.gap is not None
     assert sharper.gap < 0.2 * found.certificate.gap
@@ -197,7 +197,7 @@ def test_the_default_takes_it_where_there_is_no_matrix() -> None:
 
 def test_traces_below_zero_are_nothing_and_more_stays_to_be_refused() -> None:
     """Of a plan of 500 mm: 0.16 nm of 1,188, where the path ends."""
-    cleared = without_traces(np.array([[1188.0, -0.16], [0.5, -1.3]]), negligible(problem().effect))
+    cleared = without_traces(np.array([[1188.0, -0.16], [0.5, -1.3]]), negligible_share(problem().effect))
     assert cleared.tolist() == [[1188.0, 0.0], [0.5, -1.3]]
     assert without_traces(np.array([[-1.0]]), 1e-3).tolist() == [[-1.0]]
 
@@ -219,7 +219,7 @@ def test_compiled_steps_come_to_the_same_dwell(monkeypatch: pytest.MonkeyPatch) 
     some = float(np.quantile(alternating_directions.solve(asked, 120.0).time_s, 0.9))
     weighed = replace(asked, weight=np.where(GRID.radius_mm() < 9, 2.0, 1.0), upper_s=np.full(asked.upper_s.size, some))
     plain = alternating_directions.solve(weighed, 120.0, 1e-7, 0.0)
-    monkeypatch.setattr(multi_tool_effect, "COMPILED_BLOCKS", 0)
+    monkeypatch.setattr(combined_effect, "COMPILED_BLOCKS", 0)
     found = alternating_directions.solve(weighed, 120.0, 1e-7, 0.0)
     assert found.certificate.kkt_residual <= 1e-7
     assert found.certificate.iterations == pytest.approx(plain.certificate.iterations, rel=0.2)

@@ -1,4 +1,4 @@
-"""The certificate is measured on the solution itself: a wrong dwell is told from a right one."""
+"""The certificate is computed from the solution: it separates a wrong dwell from a right one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import sparse
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.dwell.certificate import certified, kkt_residual, largest_gap
+from polishd.process.dwell.certificate import certify_dwell, kkt_residual, largest_gap
 from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import projected_gradient, quadratic
@@ -28,7 +28,7 @@ def two_samples(target: tuple[float, float], lower: float = 0.0) -> DwellProblem
 
 
 def certify(problem: DwellProblem, time_s: FloatArray) -> DwellSolution:
-    return certified(problem, time_s, solver="hand", iterations=3, seconds=0.5, stopped="converged")
+    return certify_dwell(problem, time_s, solver="hand", iterations=3, seconds=0.5, stopped="converged")
 
 
 def test_every_figure_by_hand() -> None:
@@ -152,7 +152,7 @@ def test_samples_outside_the_mask_do_not_count() -> None:
 
 
 def test_the_gap_by_hand() -> None:
-    """Each point by itself: f = (2 t - h)^2 / 2 + t^2 / 2 has its least at t = 2 h / 5; P is 1/2, its curvature 5."""
+    """Point by point: f = (2 t - h)^2 / 2 + t^2 / 2 has its least at t = 2 h / 5; P is 1/2, its curvature 5."""
     problem = two_samples((5.0, 10.0), lower=0.0)
     best = np.array([2.0, 4.0])
     assert largest_gap(problem, best) == pytest.approx(0.0, abs=1e-12)

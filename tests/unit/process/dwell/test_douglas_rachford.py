@@ -10,7 +10,7 @@ import pytest
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.process.dwell import douglas_rachford, newton_cg
-from polishd.process.dwell.douglas_rachford import solve, splitting
+from polishd.process.dwell.douglas_rachford import solve, start_splitting
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.removal.convolution import ConvolutionEffect
@@ -117,7 +117,7 @@ def test_a_warm_start_takes_a_fifth_of_the_iterations(problem: DwellProblem) -> 
 
 
 def iterations_to(goal: float, problem: DwellProblem) -> int:
-    work, f = splitting(problem, problem.effect), quadratic(problem)  # type: ignore[arg-type]
+    work, f = start_splitting(problem, problem.effect), quadratic(problem)  # type: ignore[arg-type]
     for count in range(1, 2000):
         work.iterate()
         if f.value(np.clip(work.time_s, problem.lower_s, problem.upper_s)) <= goal:

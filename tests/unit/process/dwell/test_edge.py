@@ -14,7 +14,7 @@ from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import regularisation_from_rho
-from polishd.process.metrology.edge_extension import Extension, extend
+from polishd.process.metrology.edge_extension import Extension, extend_surface
 from polishd.process.removal.dynamic_tif import effect_matrix
 from polishd.process.removal.effect import SparseEffect
 from polishd.process.removal.path_tif import contact_centres_mm, rim_contact
@@ -111,7 +111,7 @@ def test_where_the_map_ends_before_the_part_the_extension_saves_the_rim(seed: in
     bare = left(target, plain_effect(), dwell(plain_effect(), target, data), data)
     rims: dict[str, float] = {"none": bare.rim}
     for method in METHODS:
-        wider = extend(np.where(data, target, np.nan), data, 1.0, BLANK, method, cutoff_period_mm=12.0)
+        wider = extend_surface(np.where(data, target, np.nan), data, 1.0, BLANK, method, cutoff_period_mm=12.0)
         time = dwell(plain_effect(), wider.height_nm, wider.mask, np.where(data, 1.0, 0.01))
         found = left(target, plain_effect(), time, data)
         rims[method] = found.rim

@@ -12,12 +12,17 @@ import pytest
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.dwell import douglas_rachford
-from polishd.process.dwell.from_arrays import DwellCase, array_problem, default_solve, dwell_from_arrays, dwell_lattice
-from polishd.process.removal import sampled_tif
+from polishd.process.dwell import douglas_rachford, from_arrays
+from polishd.process.dwell.from_arrays import (
+    DwellCase,
+    array_problem,
+    default_solve,
+    dwell_from_arrays,
+    dwell_lattice,
+    map_axes,
+)
 from polishd.process.removal.convolution import ConvolutionEffect
 from polishd.process.removal.effect import SparseEffect
-from polishd.process.removal.sampled_tif import map_axes
 
 EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "dwell_from_arrays.py"
 X, Y = 100 + np.arange(31) * 0.5, 50 - np.arange(21) * 0.5
@@ -165,7 +170,7 @@ def test_many_points_on_the_maps_own_samples_are_a_convolution(monkeypatch: pyte
     x, y = np.meshgrid(X[0] + 0.5 * np.arange(-5, 36), Y[0] - 0.5 * np.arange(-5, 26))
     case = replace(CASE, points_mm=np.stack([x.ravel(), y.ravel()], axis=1), rho=1e-4)
     plain, _ = array_problem(case)
-    monkeypatch.setattr(sampled_tif, "MATRIX_ENTRIES", 1000)
+    monkeypatch.setattr(from_arrays, "MATRIX_ENTRIES", 1000)
     problem, points = array_problem(case)
     assert isinstance(plain.effect, SparseEffect)
     assert isinstance(problem.effect, ConvolutionEffect)
@@ -176,7 +181,7 @@ def test_many_points_on_the_maps_own_samples_are_a_convolution(monkeypatch: pyte
     found = default_solve(problem)
     assert found.certificate.solver == douglas_rachford.NAME
     assert found.certificate.objective == pytest.approx(default_solve(plain).certificate.objective, rel=1e-4)
-    monkeypatch.setattr(sampled_tif, "MOST_ENTRIES", 1000)
+    monkeypatch.setattr(from_arrays, "MOST_ENTRIES", 1000)
     with pytest.raises(ComputeError, match="too many for a matrix"):
         array_problem(replace(case, points_mm=case.points_mm + 0.1))
 

@@ -22,7 +22,7 @@ from polishd.process.dwell.from_arrays import (
 from polishd.process.dwell.interior_point import solve as interior_point
 from polishd.process.dwell.newton_cg import solve as newton_cg
 from polishd.process.metrology.statistics import slope
-from polishd.process.removal.multi_tool_effect import SeveralEffects, together
+from polishd.process.removal.combined_effect import CombinedEffect, combine_effects
 
 X = np.arange(-20, 20.1, 1.0)
 MASK = np.hypot(X, X[:, None]) < 18
@@ -103,7 +103,9 @@ def test_the_slope_can_be_asked_for_and_is_met() -> None:
 
 @pytest.mark.full
 def test_a_goal_that_none_reaches_is_refused_with_what_each_came_to() -> None:
-    with pytest.raises(ComputeError, match=r"no choice of tools gets there:\n  large: 0\.0001 nm RMS is out of reach"):
+    with pytest.raises(
+        ComputeError, match=r"no choice of tools reaches the target:\n  large: 0\.0001 nm RMS is out of reach"
+    ):
         both(1e-4)
     with pytest.raises(ComputeError, match="two ways"):
         dwell_of_tools(CASE, [LARGE], budget_s=10.0, target_slope_urad=1.0)
@@ -115,7 +117,7 @@ def test_a_goal_that_none_reaches_is_refused_with_what_each_came_to() -> None:
 
 def test_effects_of_several_are_their_sum_and_transposed_right() -> None:
     parts = [array_problem(alone(tool))[0].effect for tool in (LARGE, SMALL)]
-    written, summed = together(parts), SeveralEffects(tuple(parts))
+    written, summed = combine_effects(parts), CombinedEffect(tuple(parts))
     rng = np.random.default_rng(2)
     time, weight = rng.uniform(0, 1, written.n), rng.standard_normal(MASK.shape)
     np.testing.assert_allclose(summed.removal_nm(time), written.removal_nm(time), rtol=1e-12)
@@ -129,6 +131,6 @@ def test_it_is_the_optimum_of_the_matrix_written_out() -> None:
     found = dwell_of_tools(CASE, [LARGE, SMALL])
     exact = interior_point(found.problem, 600.0)
     parts = tuple(array_problem(alone(tool))[0].effect for tool in (LARGE, SMALL))
-    summed = newton_cg(replace(found.problem, effect=SeveralEffects(parts)), 600.0, 1e-7)
+    summed = newton_cg(replace(found.problem, effect=CombinedEffect(parts)), 600.0, 1e-7)
     assert found.certificate.objective == pytest.approx(exact.certificate.objective, rel=1e-5)
     assert summed.certificate.objective == pytest.approx(exact.certificate.objective, rel=1e-5)

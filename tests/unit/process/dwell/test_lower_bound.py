@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy import optimize, sparse
 
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.dwell.certificate import certified, largest_gap
-from polishd.process.dwell.lower_bound import LowerBound, proved, smallest_gap
+from polishd.process.dwell.certificate import certify_dwell, largest_gap
+from polishd.process.dwell.lower_bound import LowerBound, prove_lower_bound, smallest_gap
 from polishd.process.dwell.newton_cg import solve
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
@@ -109,7 +109,7 @@ def test_any_tangent_is_a_bound_even_beyond_the_bounds(seed: int, rho: float) ->
 def test_with_next_to_no_regularisation_it_proves_much_more_than_the_tangent_at_the_dwell(rho: float) -> None:
     problem = dwell_problem(radius_mm=14, rho=rho)
     found = solve(problem, 60.0, 1e-5)
-    sharper = proved(problem, found, 1e-5, 60.0)
+    sharper = prove_lower_bound(problem, found, 1e-5, 60.0)
     before, after = found.certificate, sharper.certificate
     assert before.gap is not None
     assert after.gap is not None
@@ -126,7 +126,7 @@ def test_without_any_bound_or_regularisation_something_is_proved() -> None:
     found = solve(problem, 60.0, 1e-6)
     assert largest_gap(problem, found.time_s) == np.inf
     assert found.certificate.gap is None
-    gap = proved(problem, found, 1e-3, 60.0).certificate.gap
+    gap = prove_lower_bound(problem, found, 1e-3, 60.0).certificate.gap
     assert gap is not None
     assert gap < 0.05
 
@@ -138,8 +138,8 @@ def test_a_dwell_that_is_far_off_is_said_to_be() -> None:
     f, best = quadratic(problem), solve(problem, 60.0, 1e-9)
     far: FloatArray = np.clip(1.05 * best.time_s, problem.lower_s, problem.upper_s)
     true = f.value(far) - f.value(best.time_s)
-    found = certified(problem, far, solver="hand", iterations=0, seconds=0.0, stopped="")
-    gap = proved(problem, found, 1e-5, 60.0).certificate.gap
+    found = certify_dwell(problem, far, solver="hand", iterations=0, seconds=0.0, stopped="")
+    gap = prove_lower_bound(problem, found, 1e-5, 60.0).certificate.gap
     assert gap is not None
     assert true <= gap * found.certificate.objective <= found.certificate.objective
 
@@ -147,4 +147,4 @@ def test_a_dwell_that_is_far_off_is_said_to_be() -> None:
 def test_what_is_proved_already_is_given_back() -> None:
     problem = dwell_problem(radius_mm=8, rho=1e-2)
     found = solve(problem, 60.0, 1e-8)
-    assert proved(problem, found, 1e-4, 60.0) is found
+    assert prove_lower_bound(problem, found, 1e-4, 60.0) is found

@@ -75,7 +75,7 @@ def test_a_plant_without_noise_is_recovered() -> None:
 
 
 def test_bounds_hold_on_both_sides() -> None:
-    problem = dwell_problem(radius_mm=12, unreached=0.05)
+    problem = dwell_problem(radius_mm=12, unreachable=0.05)
     problem = replace(problem, upper_s=np.maximum(problem.lower_s, 0.12))
     certificate = lucy_richardson.solve(problem, 10).certificate
     assert certificate.bound_violation_s == 0

@@ -13,7 +13,7 @@ from scipy import optimize, sparse
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
 from polishd.process.removal.effect import SparseEffect
@@ -21,7 +21,7 @@ from tests.unit.process.gaussian import dwell_problem
 
 
 def least_squares(problem: DwellProblem) -> tuple[FloatArray, FloatArray]:
-    """The problem as ``|A t - b|^2``: regularisation as rows of its own."""
+    """The problem as ``|A t - b|^2``: regularization as further rows."""
     m = np.count_nonzero(problem.solve_mask)
     rows = problem.effect.matrix.toarray()[problem.solve_mask.ravel()] / np.sqrt(m)
     n = rows.shape[1]
@@ -237,7 +237,10 @@ def test_weights_and_price_enter_as_written() -> None:
     assert solution.certificate.objective == pytest.approx(written, rel=1e-12)
     for _ in range(20):  # no feasible dwell nearby is better
         near = np.clip(t + 1e-3 * rng.standard_normal(t.size), problem.lower_s, problem.upper_s)
-        assert certified(priced, near, solver="x", iterations=0, seconds=0, stopped="x").certificate.objective > written
+        assert (
+            certify_dwell(priced, near, solver="x", iterations=0, seconds=0, stopped="x").certificate.objective
+            > written
+        )
     assert solution.certificate.predicted_band_rms_nm is not None
     assert 0 < solution.certificate.predicted_band_rms_nm < solution.certificate.predicted_rms_nm
 

@@ -40,17 +40,17 @@ def test_by_hand() -> None:
 
 @settings(max_examples=40)
 @given(st.integers(0, 1000), st.floats(0, 0.9), st.floats(-100, 100))
-def test_it_is_the_smallest_that_reaches_all_but_the_fraction(seed: int, unreached: float, shift: float) -> None:
+def test_it_is_the_smallest_that_reaches_all_but_the_fraction(seed: int, unreachable: float, shift: float) -> None:
     height = rough(EFFECT.grid, seed=seed) + shift
     least = EFFECT.removal_nm(PROBLEM.lower_s)
-    piston = choose_piston_nm(height, MASK, least, unreached)
+    piston = choose_piston_nm(height, MASK, least, unreachable)
     count = np.count_nonzero(MASK)
 
     def short(p: float) -> int:
         return int(np.count_nonzero((height + p - least)[MASK] < -1e-9))
 
-    assert short(piston) <= unreached * count + 1e-6
-    assert short(piston - 1e-6) > unreached * count - 1
+    assert short(piston) <= unreachable * count + 1e-6
+    assert short(piston - 1e-6) > unreachable * count - 1
 
 
 def test_less_piston_costs_residual_and_more_costs_time() -> None:
@@ -64,10 +64,10 @@ def test_less_piston_costs_residual_and_more_costs_time() -> None:
     assert too_much.dwell_total_s > 1.1 * chosen.dwell_total_s
 
 
-@pytest.mark.parametrize("unreached", [-0.1, 1.0, float("nan")])
-def test_fractions_out_of_range(unreached: float) -> None:
+@pytest.mark.parametrize("unreachable", [-0.1, 1.0, float("nan")])
+def test_fractions_out_of_range(unreachable: float) -> None:
     with pytest.raises(ComputeError, match="at least 0 and below 1"):
-        choose_piston_nm(ZERO, MASK, ZERO, unreached)
+        choose_piston_nm(ZERO, MASK, ZERO, unreachable)
 
 
 def test_surfaces_that_cannot_be_used() -> None:

@@ -11,10 +11,10 @@ import pytest
 
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import interior_point, newton_cg
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.from_arrays import DwellCase, array_problem, dwell_from_arrays
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.residual_curve import CurvePoint, floor_cost, highest_price, price_curve, within_budget
+from polishd.process.dwell.residual_curve import CurvePoint, floor_cost, highest_price, price_curve, solve_within_budget
 from tests.unit.process.dwell.exact_dwell import by_nnls, by_pivoting, clipped_lsmr, fista, richardson_lucy
 
 pytestmark = pytest.mark.full
@@ -48,7 +48,7 @@ def named(request: pytest.FixtureRequest, shared_data: Path) -> tuple[str, Dwell
 
 def off(found: CurvePoint, exact_s: FloatArray) -> float:
     """By how much the residual RMS differs from the exact one's, relative."""
-    exact = certified(found.problem, exact_s, solver="exact", iterations=0, seconds=0, stopped="").certificate
+    exact = certify_dwell(found.problem, exact_s, solver="exact", iterations=0, seconds=0, stopped="").certificate
     assert exact.kkt_residual < 1e-8
     assert exact.objective == pytest.approx(found.solution.certificate.objective, rel=1e-7)
     return abs(found.rms_nm / exact.predicted_rms_nm - 1)
@@ -103,7 +103,7 @@ def figures(problem: DwellProblem, time_s: FloatArray) -> tuple[float, float]:
 def test_fista_is_not_better_in_its_own_time(named: tuple[str, DwellCase]) -> None:
     problem, _ = array_problem(replace(named[1], rho=1e-10))
     rms_nm, total_s = figures(problem, fista(problem, 200))
-    ours = within_budget(problem, total_s, solve, tolerance=2e-2)
+    ours = solve_within_budget(problem, total_s, solve, tolerance=2e-2)
     assert ours.total_s <= total_s
     assert ours.rms_nm < 0.97 * rms_nm
 
@@ -113,7 +113,7 @@ def test_nor_is_any_other_method_of_the_literature(named: tuple[str, DwellCase])
     problem, _ = array_problem(replace(named[1], rho=1e-10))
     for theirs in (clipped_lsmr(problem, 100), clipped_lsmr(problem, 1000), richardson_lucy(problem, 100)):
         rms_nm, total_s = figures(problem, theirs)
-        assert within_budget(problem, total_s, solve, tolerance=1e-2).rms_nm < 0.95 * rms_nm
+        assert solve_within_budget(problem, total_s, solve, tolerance=1e-2).rms_nm < 0.95 * rms_nm
 
 
 @pytest.mark.slow

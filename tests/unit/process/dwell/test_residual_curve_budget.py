@@ -14,7 +14,7 @@ from polishd.model.errors import ComputeError
 from polishd.process.dwell import interior_point, newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
-from polishd.process.dwell.residual_curve import better_within_nm, floor_cost, to_target, within_budget
+from polishd.process.dwell.residual_curve import floor_cost, possible_gain_nm, solve_to_target, solve_within_budget
 from tests.unit.process.gaussian import dwell_problem
 
 PROBLEM = dwell_problem(radius_mm=8, rho=1e-6, feed_mm_s=500)
@@ -27,7 +27,7 @@ FLOOR_S = float(PROBLEM.lower_s.sum())
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.99])
 def test_the_budget_is_used_and_kept(share: float) -> None:
     budget = FLOOR_S + share * (FREE.dwell_total_s - FLOOR_S)
-    found = within_budget(PROBLEM, budget, solve)
+    found = solve_within_budget(PROBLEM, budget, solve)
     assert 0.999 * budget <= found.total_s <= budget
     c = found.solution.certificate
     assert c.kkt_residual <= 1e-8
@@ -37,7 +37,7 @@ def test_the_budget_is_used_and_kept(share: float) -> None:
 
 def test_no_dwell_within_the_budget_is_better() -> None:
     budget = 0.8 * FREE.dwell_total_s
-    found = within_budget(PROBLEM, budget, solve)
+    found = solve_within_budget(PROBLEM, budget, solve)
     best = quadratic(PROBLEM).value(found.solution.time_s)
     rng = np.random.default_rng(1)
     for size in (1e-3, 1e-2, 0.1):
@@ -57,12 +57,12 @@ def test_no_dwell_within_the_budget_is_better() -> None:
 @pytest.mark.parametrize("more", [1.0, 1.02, 1.3])
 def test_what_any_dwell_within_a_budget_can_be_better_by_is_proved(more: float) -> None:
     """Of a dwell that leaves some of it unused, too: beside the least within all of it."""
-    found = within_budget(PROBLEM, 0.6 * FREE.dwell_total_s, solve)
+    found = solve_within_budget(PROBLEM, 0.6 * FREE.dwell_total_s, solve)
     budget = more * found.total_s
-    proof = better_within_nm(found, budget)
+    proof = possible_gain_nm(found, budget)
     assert proof is not None
     value = quadratic(PROBLEM).value
-    least = within_budget(PROBLEM, budget, solve, tolerance=1e-5).solution.time_s
+    least = solve_within_budget(PROBLEM, budget, solve, tolerance=1e-5).solution.time_s
     true = value(found.solution.time_s) ** 0.5 - value(least) ** 0.5
     assert true <= proof + 1e-9
     assert proof < (1e-4 if more == 1 else 3 * true)
@@ -71,7 +71,7 @@ def test_what_any_dwell_within_a_budget_can_be_better_by_is_proved(more: float) 
 
 @pytest.mark.full
 def test_more_budget_never_hurts() -> None:
-    found = [within_budget(PROBLEM, share * FREE.dwell_total_s, solve) for share in (0.5, 0.7, 0.9, 1.0, 1.5)]
+    found = [solve_within_budget(PROBLEM, share * FREE.dwell_total_s, solve) for share in (0.5, 0.7, 0.9, 1.0, 1.5)]
     misses = [quadratic(PROBLEM).value(point.solution.time_s) for point in found]
     assert misses == sorted(misses, reverse=True)
 
@@ -84,11 +84,11 @@ def test_a_budget_that_does_not_bind_costs_one_solve() -> None:
         calls += 1
         return solve(problem)
 
-    found = within_budget(PROBLEM, 1.1 * FREE.dwell_total_s, counted)
+    found = solve_within_budget(PROBLEM, 1.1 * FREE.dwell_total_s, counted)
     assert calls == 1
     assert found.rms_nm == FREE.predicted_rms_nm
     assert any("does not bind" in note for note in found.solution.certificate.notes)
-    within_budget(PROBLEM, 0.8 * FREE.dwell_total_s, counted)
+    solve_within_budget(PROBLEM, 0.8 * FREE.dwell_total_s, counted)
     assert calls < 20
 
 
@@ -96,10 +96,10 @@ def test_budgets_below_the_floor_are_refused_with_both_numbers() -> None:
     problem = replace(PROBLEM, lower_s=np.full(PROBLEM.effect.n, 0.5))
     floor = 0.5 * PROBLEM.effect.n
     with pytest.raises(ComputeError, match=rf"the budget is 7 s, but the dwell floor alone takes {floor:g} s"):
-        within_budget(problem, 7.0, solve)
+        solve_within_budget(problem, 7.0, solve)
     with pytest.raises(ComputeError, match="budget is nan s"):
-        within_budget(problem, float("nan"), solve)
-    found = within_budget(problem, floor * 1.0001, solve)  # and just above it is met
+        solve_within_budget(problem, float("nan"), solve)
+    found = solve_within_budget(problem, floor * 1.0001, solve)  # and just above it is met
     assert floor <= found.total_s <= floor * 1.0001
 
 
@@ -109,9 +109,9 @@ def test_a_general_solver_keeps_a_budget_too() -> None:
 
     problem = dwell_problem(radius_mm=8)
     budget = 0.8 * general(problem).certificate.dwell_total_s
-    found = within_budget(problem, budget, general)
+    found = solve_within_budget(problem, budget, general)
     assert 0.999 * budget <= found.total_s <= budget
-    exact = within_budget(problem, budget, solve)
+    exact = solve_within_budget(problem, budget, solve)
     assert found.rms_nm == pytest.approx(exact.rms_nm, rel=2e-2)
 
 
@@ -119,16 +119,16 @@ def test_a_general_solver_keeps_a_budget_too() -> None:
 @pytest.mark.parametrize("factor", [1.2, 3.0])
 def test_a_target_is_met_and_not_overdone(factor: float) -> None:
     target = factor * FREE.predicted_rms_nm
-    found = to_target(PROBLEM, target, solve)
+    found = solve_to_target(PROBLEM, target, solve)
     assert 0.99 * target <= found.rms_nm <= target
     assert found.total_s <= FREE.dwell_total_s
-    again = within_budget(PROBLEM, 0.99 * found.total_s, solve)
+    again = solve_within_budget(PROBLEM, 0.99 * found.total_s, solve)
     assert again.rms_nm > found.rms_nm
 
 
 def test_a_target_out_of_reach_is_refused() -> None:
     with pytest.raises(ComputeError, match=r"is out of reach: the least is"):
-        to_target(PROBLEM, 0.9 * FREE.predicted_rms_nm, solve)
+        solve_to_target(PROBLEM, 0.9 * FREE.predicted_rms_nm, solve)
 
 
 def test_what_the_floor_costs() -> None:

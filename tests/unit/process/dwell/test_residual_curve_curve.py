@@ -12,10 +12,10 @@ import pytest
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.process.dwell import interior_point
-from polishd.process.dwell.certificate import certified
+from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic
-from polishd.process.dwell.residual_curve import Curve, CurvePoint, highest_price, price_curve, solved
+from polishd.process.dwell.residual_curve import CurvePoint, ResidualCurve, highest_price, price_curve, solve_once
 from tests.unit.process.gaussian import dwell_problem
 
 PROBLEM = dwell_problem(radius_mm=8, rho=1e-6, feed_mm_s=500)
@@ -23,18 +23,18 @@ solve = partial(interior_point.solve, within_s=30.0)
 
 
 @cache
-def whole_curve() -> Curve:
+def whole_curve() -> ResidualCurve:
     """Sixteen solves, which collecting need not wait for."""
     return price_curve(PROBLEM, solve)
 
 
-def made(pairs: list[tuple[float, float]]) -> Curve:
+def made(pairs: list[tuple[float, float]]) -> ResidualCurve:
     """A curve of these total times and residuals."""
     points, first = [], whole_curve().points[0].solution
     for total_s, rms_nm in pairs:
         certificate = replace(first.certificate, dwell_total_s=total_s, predicted_rms_nm=rms_nm)
         points.append(CurvePoint(PROBLEM, replace(first, certificate=certificate)))
-    return Curve(tuple(points))
+    return ResidualCurve(tuple(points))
 
 
 def test_the_price_curve_trades_time_for_residual_and_every_point_is_certified() -> None:
@@ -46,7 +46,7 @@ def test_the_price_curve_trades_time_for_residual_and_every_point_is_certified()
         assert (c.stopped, c.bound_violation_s) == ("converged", 0)
         assert c.kkt_residual <= 1e-8
         # the certificate is that of the problem that stands beside it
-        anew = certified(point.problem, point.solution.time_s, solver="", iterations=0, seconds=0, stopped="")
+        anew = certify_dwell(point.problem, point.solution.time_s, solver="", iterations=0, seconds=0, stopped="")
         assert anew.certificate.objective == c.objective
         misses.append(quadratic(replace(point.problem, price_nm2_per_s=0.0)).value(point.solution.time_s))
     totals = [point.total_s for point in whole_curve().points]
@@ -59,7 +59,9 @@ def test_no_dwell_of_the_curve_is_beaten_at_its_own_time() -> None:
     """Pareto: the others' price-free objective is lower only with more time."""
     free = quadratic(PROBLEM)
     front = [(point.total_s, free.value(point.solution.time_s)) for point in whole_curve().points]
-    held = [solved(replace(PROBLEM, regularisation=PROBLEM.regularisation * 10.0**k), solve) for k in range(4, -7, -1)]
+    held = [
+        solve_once(replace(PROBLEM, regularisation=PROBLEM.regularisation * 10.0**k), solve) for k in range(4, -7, -1)
+    ]
     others = [(p.total_s, free.value(p.solution.time_s)) for p in held]
     for total_s, miss in others:
         quicker = [m for t, m in front if t <= total_s]
@@ -91,7 +93,7 @@ def test_at_the_highest_price_nothing_is_polished_and_just_below_something_is() 
 
 def test_p_that_conditions_no_more_is_noted() -> None:
     noted = [
-        any("ill-conditioned" in note for note in solved(problem, solve).solution.certificate.notes)
+        any("ill-conditioned" in note for note in solve_once(problem, solve).solution.certificate.notes)
         for problem in (PROBLEM, replace(PROBLEM, regularisation=0.0))
     ]
     assert noted == [False, True]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from polishd.process.dwell import douglas_rachford as module
-from polishd.process.dwell.douglas_rachford import splitting
+from polishd.process.dwell.douglas_rachford import start_splitting
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.fft.simd import COUNT, load, store
 from polishd.process.fft.transforms import (
@@ -96,9 +96,9 @@ def test_the_compiled_iteration_is_the_plain_one(
         n, weight = effect.n, np.broadcast_to(np.linspace(0.1, 3.0, effect.grid.nx), effect.grid.shape)
         lower, upper = np.full(n, 0.02), np.linspace(0.1, 0.3, n)
         problem = replace(problem, weight=weight, price_nm2_per_s=0.5, lower_s=lower, upper_s=upper)
-    plain = splitting(problem, effect)
+    plain = start_splitting(problem, effect)
     monkeypatch.setattr(module, "COMPILED_NODES", 0)
-    compiled = splitting(problem, effect)
+    compiled = start_splitting(problem, effect)
     assert type(compiled.iteration) is not type(plain.iteration)
     for _ in range(50):
         plain.iterate()
@@ -107,7 +107,7 @@ def test_the_compiled_iteration_is_the_plain_one(
     for name, value in plain.state.items():
         np.testing.assert_allclose(compiled.state[name], value, atol=5e-5 * np.abs(value).max())
     assert ((compiled.time_s >= problem.lower_s - 1e-7) & (compiled.time_s <= problem.upper_s + 1e-7)).all()
-    again = splitting(replace(problem, warm=_Start(compiled)), effect)
+    again = start_splitting(replace(problem, warm=_Start(compiled)), effect)
     np.testing.assert_allclose(again.state["y"], compiled.state["y"], rtol=1e-6)
 
 

@@ -1,6 +1,6 @@
-"""A tiny process of its own for the tests of identification: elliptic Gaussian spots, summed one by one.
+"""A small independent process for the tests of identification: elliptic Gaussian spots, summed one by one.
 
-It shares nothing with polishd.process but the words: what a parameter means is said here once more.
+It shares no code with polishd.process: the effect of each parameter is written here once more.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from polishd.process.identification.parameters import (
     PriorKnowledge,
     RemovalMap,
     RemovalNoise,
-    unlearned,
+    initial_knowledge,
     usual_parameters,
 )
 from polishd.process.removal.tif import MeasuredSpot, measured_spot
@@ -71,7 +71,7 @@ def found(removed: RemovalMap, blocks: ExecutedBlocks, prior: PriorKnowledge) ->
 def knowing(names: str = "") -> PriorKnowledge:
     """Nothing but the priors of the rate, piston, tilt and of the parameters or extensions named."""
     wanted = {"rate", "piston", "tilt_x", "tilt_y", *names.split()}
-    return unlearned([p for p in all_parameters() if {p.name, (p.extension or "").split(" ")[0]} & wanted])
+    return initial_knowledge([p for p in all_parameters() if {p.name, (p.extension or "").split(" ")[0]} & wanted])
 
 
 def all_parameters() -> tuple[Parameter, ...]:
@@ -112,7 +112,7 @@ def polished(
 def spot() -> MeasuredSpot:
     """The spot as the controller was given it: a map of it at gamma 1, leaning along y.
 
-    Each of its samples stands for a square, which widens it: what is sampled is narrower by that.
+    Each sample covers a square, which widens the spot; the sampled spot is narrower by that.
     """
     pitch = 0.3
     fine = (np.arange(61) - 30) * pitch

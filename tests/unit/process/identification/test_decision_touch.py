@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from polishd.pipeline.steps import TOUCH_MISS_MM
-from polishd.process.identification.decision import LOGARITHMS, EstimatedShift, beliefs_of, decide
+from polishd.process.identification.decision import LOGARITHMS, EstimatedShift, decide, estimates_after_pass
 from polishd.process.identification.parameters import PriorKnowledge
 from tests.unit.process.identification.identified import EVERYTHING, Polished, disc, knowing, polished, removal
 
@@ -100,7 +100,7 @@ class Held:
         return {name: one for name, one in every.items() if stats.binom.cdf(*one, least) < 0.001}
 
     def farthest(self) -> tuple[float, str]:
-        """Most of its own errors that a statement is off, and which it is."""
+        """Largest deviation of a statement in its standard errors, and its name."""
         return max((max(map(abs, off)), name) for name, off in self.off.items())
 
     def __str__(self) -> str:
@@ -136,11 +136,11 @@ def stated(
                 name = estimate.parameter.name
                 held.add(f"learned: {name}", (estimate.value - truth[name]) / estimate.sigma)
         taken = [each.name for each in decision.corrected if each.name != "rate"]
-        told = beliefs_of(found.learned, taken, hours, (0.1, 10.0), found.volume)
-        assert told.rate.sigma is not None
-        believed = removed_evenly(known, {**told.applied, "rate": float(np.log(told.rate.value))})
+        estimates = estimates_after_pass(found.learned, taken, hours, (0.1, 10.0), found.volume)
+        assert estimates.rate.sigma is not None
+        believed = removed_evenly(known, {**estimates.applied, "rate": float(np.log(estimates.rate.value))})
         off = np.log(believed / removed_evenly(known, in_use(known, truth, hours, seed)))
-        held.add("rate", float(off) / (told.rate.sigma / told.rate.value))
+        held.add("rate", float(off) / (estimates.rate.sigma / estimates.rate.value))
         kept += 1
         if kept == machines:
             return held, seed + 1
@@ -182,6 +182,6 @@ def test_what_is_left_out_draws_nothing_that_is_corrected_far_from_where_it_was_
     decision = decide(found)
     assert {"compliance", "field 2", "field 3"} <= {each.name for each in decision.corrected}
     taken = [each.name for each in decision.corrected if each.name != "rate"]
-    told = beliefs_of(found.learned, taken, 0.0, (0.1, 10.0), found.volume)
+    estimates = estimates_after_pass(found.learned, taken, 0.0, (0.1, 10.0), found.volume)
     at = found["compliance"]
-    assert abs(told.applied["compliance"] - at.value) < at.sigma
+    assert abs(estimates.applied["compliance"] - at.value) < at.sigma

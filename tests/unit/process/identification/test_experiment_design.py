@@ -1,4 +1,4 @@
-"""Which tracks teach most: against what each of them tells."""
+"""Track times of the first touch, against the information of each track."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from polishd.model.surface import FloatArray
-from polishd.process.identification.experiment_design import after, design
-from polishd.process.identification.forward_model import ForwardModel, forward
+from polishd.process.identification.experiment_design import design_track_times, knowledge_after_pass
+from polishd.process.identification.forward_model import ForwardModel, build_forward_model
 from polishd.process.identification.parameters import PriorKnowledge
 from tests.unit.process.identification.identified import PROCESS, RADIUS_MM, Polished, disc, knowing, polished, spot
 
@@ -28,12 +28,12 @@ def tracks(seconds: FloatArray | None = None) -> Polished:
 def model_of(one: Polished, known: PriorKnowledge) -> ForwardModel:
     grid, mask = disc()
     shown = {"parameters": known.parameters, "projection": "linear", "radius_mm": RADIUS_MM}
-    return forward(one.blocks(), grid, mask, spot(), PROCESS, **shown)  # type: ignore[arg-type]
+    return build_forward_model(one.blocks(), grid, mask, spot(), PROCESS, **shown)  # type: ignore[arg-type]
 
 
 def chosen(names: str, wanted: dict[str, float], **limits: float) -> FloatArray:
     known = knowing(names)
-    return design(
+    return design_track_times(
         model_of(tracks(), known),
         np.repeat(np.arange(6), 2),
         known,
@@ -50,10 +50,10 @@ def test_what_is_wanted_is_reached_and_not_much_more() -> None:
     seconds = chosen("", {"rate": 0.01})
     some = seconds > 0
     known = knowing("")
-    reached = after(model_of(tracks(seconds), known), known, NOISE_NM)
+    reached = knowledge_after_pass(model_of(tracks(seconds), known), known, NOISE_NM)
     assert reached.sigma[reached.at("rate")] <= 0.01
     less = tracks(np.where(some, np.maximum(seconds - 0.5, 0.0), 0.0))
-    short = after(model_of(less, known), known, NOISE_NM)
+    short = knowledge_after_pass(model_of(less, known), known, NOISE_NM)
     assert short.sigma[short.at("rate")] > 0.01, "a step less on each track would not do"
 
 
@@ -62,8 +62,8 @@ def test_an_offset_is_told_from_a_shift_by_leaning_both_ways() -> None:
     assert seconds[LEANS == 0.0].sum() > 0
     assert seconds[LEANS > 0.0].sum() > 0
     known = knowing("offset shift")
-    both = after(model_of(tracks(seconds), known), known, NOISE_NM)
-    one = after(model_of(tracks(np.where(LEANS == 0.0, 20.0, 0.0)), known), known, NOISE_NM)
+    both = knowledge_after_pass(model_of(tracks(seconds), known), known, NOISE_NM)
+    one = knowledge_after_pass(model_of(tracks(np.where(LEANS == 0.0, 20.0, 0.0)), known), known, NOISE_NM)
     assert both.sigma[both.at("offset_x")] <= 0.05
     assert one.sigma[one.at("offset_x")] > 0.2, "however long with one lean"
 

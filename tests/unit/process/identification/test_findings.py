@@ -1,4 +1,4 @@
-"""Stall, drift, wear and another spot, told apart by the numbers that passes show."""
+"""Stall, drift, wear and another spot, separated by the figures of the passes."""
 
 from __future__ import annotations
 
@@ -126,8 +126,8 @@ def test_two_passes_in_a_row_that_bring_little_are_a_stall() -> None:
 
 def test_a_plan_that_expects_nothing_gains_nothing() -> None:
     assert stalls([a_pass(2.0, 1.99, 1.98), a_pass(1.99, 1.9, 1.97)])
-    assert stalls([a_pass(2.0, 2.0, None), a_pass(2.0, 2.0, None)]) == [], "nothing was predicted, so nobody knows"
-    assert stalls([a_pass(2.0, 2.0, 1.0)] * 2, FindingLimits(least_gain=0.0)) == []
+    assert stalls([a_pass(2.0, 2.0, None), a_pass(2.0, 2.0, None)]) == [], "no prediction, so no finding"
+    assert stalls([a_pass(2.0, 2.0, 1.0)] * 2, FindingLimits(min_improvement=0.0)) == []
 
 
 def test_what_is_left_within_reach_is_looked_for_in_the_report() -> None:

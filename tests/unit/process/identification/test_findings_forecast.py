@@ -13,8 +13,8 @@ from polishd.process.identification.findings import (
     Forecast,
     forecast,
     gain_too_small,
-    pooled,
-    unexplained,
+    pool_unexplained,
+    unexplained_share,
 )
 
 N = 72
@@ -50,11 +50,11 @@ def test_nine_of_ten_come_between(rate_sigma: float, share: float) -> None:
         true = 18.0 * figure(rng)
         seen = true + NOISE_NM * rng.standard_normal(true.size)
         removal = 0.98 * true
-        told = forecast(seen, removal, removed_nm=60.0, rate_sigma=rate_sigma, unexplained=share)
+        cast = forecast(seen, removal, removed_nm=60.0, rate_sigma=rate_sigma, unexplained=share)
         odd = share * 60.0 * np.exp(WITHIN * rng.standard_normal()) * field(rng) if share else 0.0
         after = true - (1 + rate_sigma * rng.standard_normal()) * removal - odd
         came = float((after + NOISE_NM * rng.standard_normal(true.size)).std())
-        held += told.low_nm <= came <= told.high_nm
+        held += cast.low_nm <= came <= cast.high_nm
     assert 0.82 <= held / 300 <= 0.97, f"{held} of 300: 90 % are to, and 300 tell 90 from 82"
 
 
@@ -70,8 +70,8 @@ def test_a_known_machine_has_a_narrow_forecast_and_an_unknown_one_a_wide() -> No
 def test_the_rate_s_error_is_of_what_varies_of_the_removal() -> None:
     """An even removal has no rate that could be seen."""
     now = 2.0 * figure(np.random.default_rng(2))
-    told = forecast(now, np.full(now.size, 100.0), removed_nm=100.0, rate_sigma=0.3, unexplained=0.0)
-    assert told.low_nm == told.high_nm == pytest.approx(2.0)
+    cast = forecast(now, np.full(now.size, 100.0), removed_nm=100.0, rate_sigma=0.3, unexplained=0.0)
+    assert cast.low_nm == cast.high_nm == pytest.approx(2.0)
 
 
 def test_what_no_rate_explains_goes_with_all_that_is_removed() -> None:
@@ -85,8 +85,8 @@ def test_what_no_rate_explains_goes_with_all_that_is_removed() -> None:
 def test_noise_that_no_spot_follows_comes_again() -> None:
     now = 10.0 * figure(np.random.default_rng(3))
     noise = 0.5 * np.random.default_rng(4).standard_normal(now.size)
-    told = forecast(now + noise, now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0)
-    assert told.median_nm == pytest.approx(0.5, rel=0.03)
+    cast = forecast(now + noise, now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0)
+    assert cast.median_nm == pytest.approx(0.5, rel=0.03)
 
 
 def test_a_ripple_between_tracks_stays_and_grows_with_each_pass() -> None:
@@ -98,8 +98,8 @@ def test_a_ripple_between_tracks_stays_and_grows_with_each_pass() -> None:
     assert stays.low_nm == stays.high_nm == pytest.approx(1.0)
     assert 1.0 <= grows.low_nm < 1.1
     assert 1.2 < grows.median_nm < 1.0 + 0.015 * 60.0 < grows.high_nm
-    told = {"rate_sigma": 0.0, "unexplained": 0.0, "finer_nm": 1.0, "ripple": 0.015}
-    none_to_gain = forecast(0.1 * now, 0.1 * now, removed_nm=60.0, **told)
+    cast = {"rate_sigma": 0.0, "unexplained": 0.0, "finer_nm": 1.0, "ripple": 0.015}
+    none_to_gain = forecast(0.1 * now, 0.1 * now, removed_nm=60.0, **cast)
     assert none_to_gain.better < 0.2
 
 
@@ -109,22 +109,22 @@ def test_what_no_rate_explains_is_found_beside_noise() -> None:
     predicted[MASK], odd[MASK] = 40.0 + 18.0 * figure(rng), figure(rng)
     noise = NOISE_NM * rng.standard_normal((2, *MASK.shape))
     measured = 0.9 * predicted + 40.0 + 3.0 * X + odd + noise[0] - noise[1]
-    assert unexplained(predicted, measured, MASK, NOISE_NM) == pytest.approx(1.0 / np.hypot(40.0, 18.0), rel=0.1)
+    assert unexplained_share(predicted, measured, MASK, NOISE_NM) == pytest.approx(1.0 / np.hypot(40.0, 18.0), rel=0.1)
     nothing = 0.9 * predicted + noise[0] - noise[1]
-    assert unexplained(predicted, nothing, MASK, NOISE_NM) == pytest.approx(0.0, abs=0.002)
+    assert unexplained_share(predicted, nothing, MASK, NOISE_NM) == pytest.approx(0.0, abs=0.002)
 
 
 def test_a_weak_pass_shows_nothing_of_it() -> None:
     predicted = np.zeros(MASK.shape)
     predicted[MASK] = 1.2 * figure(np.random.default_rng(5))
-    assert unexplained(predicted, predicted, MASK, 0.0) is None
-    assert unexplained(10.0 * predicted, predicted, MASK, 4.0) is None
-    assert pooled(UNEXPLAINED, None) == UNEXPLAINED
+    assert unexplained_share(predicted, predicted, MASK, 0.0) is None
+    assert unexplained_share(10.0 * predicted, predicted, MASK, 4.0) is None
+    assert pool_unexplained(UNEXPLAINED, None) == UNEXPLAINED
 
 
 def test_what_a_pass_showed_counts_as_much_as_all_before() -> None:
-    assert pooled(0.05, 0.05) == pytest.approx(0.05)
-    assert pooled(0.05, 0.01) == pytest.approx(np.sqrt((0.05**2 + 0.01**2) / 2))
+    assert pool_unexplained(0.05, 0.05) == pytest.approx(0.05)
+    assert pool_unexplained(0.05, 0.01) == pytest.approx(np.sqrt((0.05**2 + 0.01**2) / 2))
 
 
 def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:
@@ -137,12 +137,12 @@ def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:
         "made. Take another tool, or tolerance, or a quieter map"
     )
     assert gain_too_small(Forecast(0.60, 0.64, 0.70, 0.9, 0.06), limits) is None
-    assert gain_too_small(hopeless, FindingLimits(least_gain=0.0)) is None, "who turns it off has it off"
+    assert gain_too_small(hopeless, FindingLimits(min_improvement=0.0)) is None, "who turns it off has it off"
 
 
 def test_noise_of_a_map_s_own_samples_adds_in_quadrature_and_costs_no_chance_to_gain() -> None:
     now = 10.0 * figure(np.random.default_rng(3))
-    told = forecast(now, 0.96 * now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, noise_nm=0.3)
-    assert told.median_nm == pytest.approx(0.5, rel=0.01)
+    cast = forecast(now, 0.96 * now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, noise_nm=0.3)
+    assert cast.median_nm == pytest.approx(0.5, rel=0.01)
     poor = forecast(0.1 * now, 0.1 * now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, noise_nm=3.0)
     assert poor.better == 1.0

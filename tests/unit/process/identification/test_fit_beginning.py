@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from polishd.model.surface import FloatArray
-from polishd.process.identification.fit import beginning
-from polishd.process.identification.forward_model import forward
+from polishd.process.identification.fit import initial_guess
+from polishd.process.identification.forward_model import build_forward_model
 from tests.unit.process.identification.identified import PROCESS, RADIUS_MM, knowing, polished, spot
 
 
 def begun(names: str, **truth: float) -> FloatArray:
     one, known = polished(), knowing(names)
     removed = one.removed(truth)
-    model = forward(
+    model = build_forward_model(
         one.blocks(),
         removed.grid,
         removed.mask,
@@ -23,7 +23,7 @@ def begun(names: str, **truth: float) -> FloatArray:
         projection="linear",
         radius_mm=RADIUS_MM,
     )
-    return beginning(model, removed, known)[
+    return initial_guess(model, removed, known)[
         [known.at(name) for name in known.names if name[:6] in {"offset", "shift_"}]
     ]
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from polishd.model.errors import ComputeError
 from polishd.process.identification.fit import own_noise
-from polishd.process.identification.forward_model import forward
+from polishd.process.identification.forward_model import build_forward_model
 from polishd.process.identification.parameters import PriorKnowledge, RemovalMap, RemovalNoise
 from tests.unit.process.identification.identified import (
     EVERYTHING,
@@ -71,7 +71,7 @@ def test_what_is_wrong_is_found_within_its_error(names: str, truth: dict[str, fl
     for one in result.estimates:
         assert abs(one.value - truth.get(one.parameter.name, 0.0)) < 3.5 * one.sigma, one.sentence
     for name, value in truth.items():
-        assert result[name].told.decided, result[name].sentence
+        assert result[name].confounding.decided, result[name].sentence
         assert abs(value) > 5 * result[name].sigma, "the pass shows it well"
 
 
@@ -168,7 +168,7 @@ def test_correlated_noise_widens_the_errors_as_it_should() -> None:
 def test_the_derivatives_are_those_of_the_removal() -> None:
     one = polished()
     grid, mask = disc()
-    model = forward(
+    model = build_forward_model(
         one.blocks(), grid, mask, spot(), PROCESS, parameters=all_parameters(), projection="linear", radius_mm=RADIUS_MM
     )
     theta = np.array([0.05 * min(p.sigma, 1.0) for p in all_parameters()])
@@ -199,7 +199,7 @@ def test_projections_that_fit_alike_are_said_to() -> None:
     one = polished(gamma_span=0.002)
     result = found(one.removed({}), one.blocks(normal=one.gamma + 1e-5), knowing(""))
     assert (result.projection, result.projection_rivals) == ("linear", ("normal",))
-    assert any("normal cannot be told from it" in said for said in result.sentences)
+    assert any("this map also fits" in line and "normal" in line for line in result.sentences)
 
 
 def test_a_coarser_map_keeps_place_mean_and_noise() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.identification.residual_diagnosis import leftover
+from polishd.process.identification.residual_diagnosis import fit_residual
 
 GRID = Grid(41, 41, 1.0)
 X, Y = np.meshgrid(GRID.x_mm, GRID.y_mm)
@@ -34,7 +34,7 @@ def test_each_is_told_from_all_others() -> None:
     predicted = removal()
     moved = ndimage.shift(predicted, (-0.3, 0.4), order=3, mode="nearest")  # 0.4 mm right, 0.3 up
     bent = -3.0 * POWER + 1.5 * ASTIGMATISM + 2.0 * TREFOIL
-    left = leftover(0.8 * moved + bent + 40.0 + 3.0 * U + noise(0.2), MASK, 1.0, predicted)
+    left = fit_residual(0.8 * moved + bent + 40.0 + 3.0 * U + noise(0.2), MASK, 1.0, predicted)
     assert left is not None
     assert left.rate is not None
     wanted = {"power_nm": -3.0, "astigmatism_nm": 1.5, "trefoil_nm": 2.0, "shift_mm": 0.5}
@@ -49,7 +49,7 @@ def test_errors_are_those_of_many_draws() -> None:
     """Maps that differ by noise alone: what is found scatters as its standard error says."""
     pulls = []
     for seed in range(60):
-        left = leftover(removal() + noise(0.3, seed), MASK, 1.0, removal())
+        left = fit_residual(removal() + noise(0.3, seed), MASK, 1.0, removal())
         assert left is not None
         pulls.append(left.power_nm.value / (left.power_nm.sigma or 1.0))
     assert 0.5 < np.std(pulls) < 1.6
@@ -57,7 +57,7 @@ def test_errors_are_those_of_many_draws() -> None:
 
 def test_power_alone_does_not_read_as_a_shift() -> None:
     """What the gate's fit, which leaves power out, takes for more than half a millimetre."""
-    left = leftover(removal() - 4.0 * POWER + noise(0.2), MASK, 1.0, removal())
+    left = fit_residual(removal() - 4.0 * POWER + noise(0.2), MASK, 1.0, removal())
     assert left is not None
     assert left.shift_mm.value < 0.05
     assert left.rate is not None
@@ -65,7 +65,7 @@ def test_power_alone_does_not_read_as_a_shift() -> None:
 
 
 def test_two_maps_with_no_pass_between() -> None:
-    left = leftover(2.0 * TREFOIL + noise(0.2), MASK, 1.0)
+    left = fit_residual(2.0 * TREFOIL + noise(0.2), MASK, 1.0)
     assert left is not None
     assert left.rate is None
     assert left.shift_mm.value == 0.0
@@ -74,7 +74,7 @@ def test_two_maps_with_no_pass_between() -> None:
 
 
 def test_where_power_is_alignment_none_is_told() -> None:
-    left = leftover(removal() + 50.0 * POWER + 1.5 * TREFOIL + noise(0.2), MASK, 1.0, removal(), removal="power")
+    left = fit_residual(removal() + 50.0 * POWER + 1.5 * TREFOIL + noise(0.2), MASK, 1.0, removal(), removal="power")
     assert left is not None
     assert left.power_nm.value == pytest.approx(0.0, abs=1e-9)
     assert left.trefoil_nm.value == pytest.approx(1.5, abs=0.1)
@@ -84,4 +84,4 @@ def test_where_power_is_alignment_none_is_told() -> None:
 def test_too_few_samples_tell_nothing() -> None:
     few = np.zeros_like(MASK)
     few[20, 20:30] = True
-    assert leftover(removal(), few, 1.0, removal()) is None
+    assert fit_residual(removal(), few, 1.0, removal()) is None

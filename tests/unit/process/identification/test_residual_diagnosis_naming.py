@@ -9,8 +9,8 @@ import pytest
 
 from polishd.model.estimates import CAUSES, Diagnosis, Estimate
 from polishd.process.identification import residual_diagnosis
-from polishd.process.identification.removal_check import RemovalCheckResult, judge
-from polishd.process.identification.residual_diagnosis import ResidualFit, leftover
+from polishd.process.identification.removal_check import RemovalCheckResult, check_removal
+from polishd.process.identification.residual_diagnosis import ResidualFit, fit_residual
 from tests.unit.process.identification.test_residual_diagnosis_leftover import MASK, POWER, TREFOIL, noise, removal
 
 NOTHING = ResidualFit(
@@ -19,12 +19,12 @@ NOTHING = ResidualFit(
 
 
 def judged(measured: np.ndarray) -> RemovalCheckResult:
-    return judge(np.where(MASK, removal(), 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
+    return check_removal(np.where(MASK, removal(), 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
 
 
 def named(measured: np.ndarray, again: tuple[Diagnosis, ...] | None = None) -> tuple[Diagnosis, ...]:
     """Of a pass that should have removed ``removal()``."""
-    left = leftover(np.where(MASK, measured, 0.0), MASK, 1.0, removal())
+    left = fit_residual(np.where(MASK, measured, 0.0), MASK, 1.0, removal())
     return residual_diagnosis.diagnose_pass(judged(measured), left, 62.0, again)
 
 
@@ -64,9 +64,9 @@ def test_low_orders_are_suspected_until_another_map_tells(bent: np.ndarray, caus
 
 
 def test_what_low_orders_do_to_the_gate_is_not_believed() -> None:
-    """Power that reads as a shift of a millimetre to the gate: another map comes first, and nobody is called."""
+    """The removal check sees power as a shift of a millimeter: another map comes first, without a notification."""
     verdict = judged(removal() - 12.0 * POWER + noise(0.2))
-    left = leftover(removal() - 12.0 * POWER + noise(0.2), MASK, 1.0, removal())
+    left = fit_residual(removal() - 12.0 * POWER + noise(0.2), MASK, 1.0, removal())
     stopped = replace(verdict, stop="the removal lies 1.00 +- 0.01 mm from where it was predicted")
     (found,) = residual_diagnosis.diagnose_pass(stopped, left, 62.0)
     assert (found.cause, found.again) == ("settling", True)
@@ -75,13 +75,13 @@ def test_what_low_orders_do_to_the_gate_is_not_believed() -> None:
 def test_a_limit_is_of_the_removal_or_of_the_noise() -> None:
     """A part of a rate that changes by 1 % over it shows so much of a low order; a noisy map eight of its errors."""
     for sigma, limit in ((0.02, 0.62), (0.5, 4.0)):
-        for size, told in ((0.98 * limit, []), (1.02 * limit, ["mount"])):
+        for size, expected in ((0.98 * limit, []), (1.02 * limit, ["mount"])):
             left = replace(NOTHING, trefoil_nm=Estimate(size, sigma))
-            assert causes(residual_diagnosis.diagnose_pass(judged(removal()), left, 62.0)) == told
+            assert causes(residual_diagnosis.diagnose_pass(judged(removal()), left, 62.0)) == expected
 
 
 def test_no_cause_is_named_by_a_pass_that_shows_none() -> None:
-    weak = judge(0.01 * removal(), 0.01 * removal(), MASK, 1.0)
+    weak = check_removal(0.01 * removal(), 0.01 * removal(), MASK, 1.0)
     left = replace(NOTHING, rate=Estimate(0.2, 0.001), shift_mm=Estimate(3.0, 0.01))
     assert residual_diagnosis.diagnose_pass(weak, left, 0.6) == ()
     assert residual_diagnosis.diagnose_pass(weak, None, 0.6) == ()
@@ -89,7 +89,7 @@ def test_no_cause_is_named_by_a_pass_that_shows_none() -> None:
 
 def test_what_settles_is_waited_for_and_a_mount_is_not() -> None:
     changes = [-5.0 * POWER, -2.0 * POWER, -0.04 * POWER, 2.0 * TREFOIL]
-    found = [residual_diagnosis.diagnose_change(leftover(one + noise(0.05), MASK, 1.0)) for one in changes]
+    found = [residual_diagnosis.diagnose_change(fit_residual(one + noise(0.05), MASK, 1.0)) for one in changes]
     before = [(), *found[:-1]]
     assert [residual_diagnosis.is_settling(*pair) for pair in zip(found, before, strict=True)] == [
         True,
@@ -101,14 +101,14 @@ def test_what_settles_is_waited_for_and_a_mount_is_not() -> None:
         "a set-up that is another each time does not come nearer"
     )
     assert [causes(one) for one in found] == [["settling"], ["settling"], [], ["mount"]]
-    (lasting,) = residual_diagnosis.persistent([*found[1], *found[0]])
+    (lasting,) = residual_diagnosis.largest_of_each_cause([*found[1], *found[0]])
     assert lasting.size == pytest.approx(5.0, abs=0.1), "each cause once, where it was largest"
 
 
 def test_what_the_tolerance_bears_holds_nobody_up() -> None:
-    (mount,) = residual_diagnosis.diagnose_change(leftover(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
-    assert residual_diagnosis.harmful((mount,), 1.5) == (mount,)
-    assert residual_diagnosis.harmful((mount,), 3.0) == ()
+    (mount,) = residual_diagnosis.diagnose_change(fit_residual(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
+    assert residual_diagnosis.limiting_change((mount,), 1.5) == (mount,)
+    assert residual_diagnosis.limiting_change((mount,), 3.0) == ()
 
 
 def test_words_say_how_large_what_else_it_may_be_and_what_is_done() -> None:
@@ -133,7 +133,9 @@ def test_a_figure_that_is_nearly_its_own_mirror_image_is_mirrored_and_not_far_as
     x = np.broadcast_to(np.arange(41) - 20.0, MASK.shape)
     ridge = 12.0 * np.cos(x / 6.0 + 0.42) + 0.05 * removal(5)
     measured = ridge[:, ::-1] + noise(0.1)
-    verdict = judge(np.where(MASK, ridge, 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
-    aside = judge(np.where(MASK, ridge, 0.0), np.where(MASK, np.roll(ridge, 3, axis=1) + noise(0.1), 0.0), MASK, 1.0)
+    verdict = check_removal(np.where(MASK, ridge, 0.0), np.where(MASK, measured, 0.0), MASK, 1.0)
+    aside = check_removal(
+        np.where(MASK, ridge, 0.0), np.where(MASK, np.roll(ridge, 3, axis=1) + noise(0.1), 0.0), MASK, 1.0
+    )
     assert residual_diagnosis.diagnose_removal(verdict).cause == "map"
     assert residual_diagnosis.diagnose_removal(aside).cause == "shift", "what truly lies aside is called so"

@@ -1,11 +1,10 @@
-"""Which poses to measure next: the fewest, and what no pose tells is demanded otherwise."""
+"""Poses to measure next: the fewest, and another reference for terms that no pose determines."""
 
 from __future__ import annotations
 
 import pytest
 
-from polishd.process.metrology.absolute_next_poses import PoseOptions, next_poses
-from polishd.process.metrology.absolute_poses import PartPose, design
+from polishd.process.metrology.absolute_poses import PartPose, PoseOptions, design_poses, next_poses
 
 RADIUS_MM = 50.0
 PORT = tuple(PartPose(angle) for angle in range(15, 360, 15))
@@ -37,7 +36,7 @@ def test_a_fold_that_is_missing_is_filled_by_one_map() -> None:
     found = next_poses(wanted, [PartPose(0), PartPose(90)], options(*PORT))
     assert found.met
     assert len(found.poses) == 1
-    left = {(one.n, one.m) for one in design([PartPose(0), PartPose(90), *found.poses], 6, RADIUS_MM).unknown}
+    left = {(one.n, one.m) for one in design_poses([PartPose(0), PartPose(90), *found.poses], 6, RADIUS_MM).unknown}
     assert not left & set(wanted)
 
 
@@ -68,5 +67,5 @@ def test_what_is_wanted_must_be_a_term_above_tilt() -> None:
     for wanted in ({}, {(1, 1): 0.1}, {(3, 2): 0.1}):
         with pytest.raises(ValueError, match="above tilt"):
             next_poses(wanted, [PartPose(0)], options(*PORT))
-    with pytest.raises(ValueError, match="candidates"):
+    with pytest.raises(ValueError, match="candidate"):
         next_poses(ASTIGMATISM, [PartPose(0)], options())

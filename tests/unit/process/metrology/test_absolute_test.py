@@ -1,4 +1,4 @@
-"""A known part in a known instrument come back, each with its uncertainty; what is wrong with the poses is told."""
+"""A known part in a known instrument come back, each with its uncertainty; wrong poses are reported."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
 from polishd.process.metrology.absolute_poses import PartPose
-from polishd.process.metrology.absolute_test import AbsoluteSolution, PlaceError, separate
+from polishd.process.metrology.absolute_test import AbsoluteSolution, PlaceError, separate_instrument
 from tests.unit.process.metrology.turned_maps import (
     PITCH_MM,
     PLANE,
@@ -37,7 +37,7 @@ def true_astigmatism_nm(found: AbsoluteSolution) -> float:
 
 def test_two_turns_find_the_astigmatism_of_an_instrument() -> None:
     poses = [PartPose(0), PartPose(90)]
-    found = separate(maps(poses, NOISE_NM, instrument=astigmatism_nm), poses, PITCH_MM)
+    found = separate_instrument(maps(poses, NOISE_NM, instrument=astigmatism_nm), poses, PITCH_MM)
     at = found.design.terms.index(ASTIGMATISM)
     off = found.solution.instrument_nm[at] - true_astigmatism_nm(found)
     assert abs(off) < 4 * found.sigma_nm[at]
@@ -48,7 +48,7 @@ def test_two_turns_find_the_astigmatism_of_an_instrument() -> None:
 
 
 def test_four_turns_give_back_instrument_and_part() -> None:
-    found = separate(maps(turns(4), NOISE_NM), turns(4), PITCH_MM)
+    found = separate_instrument(maps(turns(4), NOISE_NM), turns(4), PITCH_MM)
     off = rms_nm(found.instrument_nm - true_nm(instrument_nm))
     assert off < 0.2 * rms_nm(true_nm(instrument_nm))
     assert off == pytest.approx(found.uncertainty_nm, rel=0.5)
@@ -66,7 +66,7 @@ def test_what_is_unknown_is_the_parts() -> None:
     def hidden_nm(x: FloatArray, y: FloatArray) -> FloatArray:
         return 4 * np.asarray((x + 1j * y) ** 4).real + 5 * (x * x + y * y)
 
-    found = separate(maps(turns(4), 0.1, instrument=hidden_nm), turns(4), PITCH_MM)
+    found = separate_instrument(maps(turns(4), 0.1, instrument=hidden_nm), turns(4), PITCH_MM)
     assert rms_nm(found.instrument_nm) < 0.2
     assert rms_nm(found.part_nm - true_nm(part_nm) - true_nm(hidden_nm)) < 0.2
 
@@ -77,7 +77,7 @@ def test_errors_are_what_sigma_says() -> None:
     poses = [*turns(3), PartPose(45)]
     off = []
     for seed in range(20):
-        found = separate(
+        found = separate_instrument(
             maps(poses, NOISE_NM, instrument=astigmatism_nm, seed=seed), poses, PITCH_MM, noise_nm=NOISE_NM
         )
         true = np.zeros(len(found.design.terms))
@@ -95,7 +95,7 @@ def test_a_shift_tells_what_is_round_but_power() -> None:
 
     poses = [*turns(4), *turns(3)[1:], PartPose(0, 2.0), PartPose(0, 0, 2.0)]
     given = maps(poses, 0.1, instrument=round_nm, part=lambda x, y: 5 * (x * x - y * y) + 3 * x**3)
-    found = separate(given, poses, PITCH_MM)
+    found = separate_instrument(given, poses, PITCH_MM)
     at = found.design.terms.index((4, 0))
     assert [one.name for one in found.design.unknown] == ["power"]
     # the unit circle is wider than the part, by the shift: compare maps, not coefficients
@@ -106,18 +106,20 @@ def test_a_shift_tells_what_is_round_but_power() -> None:
 
 def test_the_wrong_sense_is_refused() -> None:
     with pytest.raises(MapError, match=r"times better with the angles' signs turned.*counter-clockwise as the maps"):
-        separate(maps(turns(4), sense=-1), turns(4), PITCH_MM)
+        separate_instrument(maps(turns(4), sense=-1), turns(4), PITCH_MM)
 
 
 def test_half_turns_have_no_sense() -> None:
-    assert not separate(maps(turns(2)), turns(2), PITCH_MM).sense
+    assert not separate_instrument(maps(turns(2)), turns(2), PITCH_MM).sense
 
 
 def test_poses_that_are_not_well_known_make_the_instrument_less_sure() -> None:
     """By far less than one map alone: an error of its pose shows in all of its terms, and is found there."""
     given = maps(turns(4), 0.05)
-    sure = separate(given, turns(4), PITCH_MM, noise_nm=0.05)
-    unsure = separate(given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(angle_deg=0.2, shift_mm=0.2))
+    sure = separate_instrument(given, turns(4), PITCH_MM, noise_nm=0.05)
+    unsure = separate_instrument(
+        given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(angle_deg=0.2, shift_mm=0.2)
+    )
     known = sure.sigma_nm > 1e-6
     assert (unsure.sigma_nm[known] > sure.sigma_nm[known]).all()
     # 0.2 deg turn 2.4 nm of one astigmatism into 0.017 nm of the other, 0.2 mm trefoil and coma into more
@@ -132,7 +134,7 @@ def test_turns_that_were_not_as_said_are_within_their_uncertainty() -> None:
         rng = np.random.default_rng(100 + seed)
         true = [PartPose(p.angle_deg + rng.normal(0, 0.3), *rng.normal(0, 0.15, 2)) for p in turns(4)]
         given = maps(true, 0.05, instrument=astigmatism_nm, part=lambda x, y: 8 * x * y + 6 * (x**3 - 3 * x * y * y))
-        found = separate(given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(0.3, 0.15))
+        found = separate_instrument(given, turns(4), PITCH_MM, noise_nm=0.05, place=PlaceError(0.3, 0.15))
         at = found.design.terms.index(ASTIGMATISM)
         off.append(found.solution.instrument_nm[at] - true_astigmatism_nm(found))
         sigma.append(found.sigma_nm[at])
@@ -144,7 +146,7 @@ def test_a_shift_of_the_wrong_sign_shows() -> None:
     """In the middle of the data, and in terms that differ by more than samples do."""
     poses = [*turns(4), PartPose(45), PartPose(0, 4.0)]
     given = maps(poses)
-    found = separate(given, [*poses[:-1], PartPose(0, -4.0)], PITCH_MM)
+    found = separate_instrument(given, [*poses[:-1], PartPose(0, -4.0)], PITCH_MM)
     assert found.decentre_mm[-1] > 5
     assert found.rest_noise_nm is not None
     assert found.noise_nm > 5 * found.rest_noise_nm
@@ -153,18 +155,18 @@ def test_a_shift_of_the_wrong_sign_shows() -> None:
 def test_maps_that_cannot_be_told_apart_are_refused() -> None:
     given = maps(turns(2))
     with pytest.raises(MapError, match="one map does not tell"):
-        separate(given[:1], [PartPose(0)], PITCH_MM)
+        separate_instrument(given[:1], [PartPose(0)], PITCH_MM)
     with pytest.raises(MapError, match="2 maps and 1 poses"):
-        separate(given, [PartPose(0)], PITCH_MM)
+        separate_instrument(given, [PartPose(0)], PITCH_MM)
     with pytest.raises(MapError, match="not of one camera's frame"):
-        separate([given[0], given[1][:-1]], turns(2), PITCH_MM)
+        separate_instrument([given[0], given[1][:-1]], turns(2), PITCH_MM)
     with pytest.raises(MapError, match="lies alike"):
-        separate(given, [PartPose(0), PartPose(0)], PITCH_MM)
+        separate_instrument(given, [PartPose(0), PartPose(0)], PITCH_MM)
 
 
 def test_little_in_common_needs_the_noise() -> None:
     """Of 0 and 37 deg up to order 4 only power and spherical are in both maps: two equations tell no noise."""
     poses = [PartPose(0), PartPose(37)]
     with pytest.raises(MapError, match="nothing in common to tell their noise"):
-        separate(maps(poses), poses, PITCH_MM, degree=4)
-    assert separate(maps(poses), poses, PITCH_MM, degree=4, noise_nm=0.3).noise_nm == 0.3
+        separate_instrument(maps(poses), poses, PITCH_MM, degree=4)
+    assert separate_instrument(maps(poses), poses, PITCH_MM, degree=4, noise_nm=0.3).noise_nm == 0.3

@@ -1,4 +1,4 @@
-"""What poses leave of an instrument's shorter waves: told beforehand, and so it comes out."""
+"""Share of an instrument's shorter waves that poses leave undetermined: predicted, then confirmed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from polishd.model.surface import FloatArray
 from polishd.process.metrology.absolute_poses import PartPose
-from polishd.process.metrology.absolute_test import hidden_share, separate
+from polishd.process.metrology.absolute_test import hidden_share, separate_instrument
 from tests.unit.process.metrology.turned_maps import PITCH_MM, RADIUS_MM, maps, rms_nm, true_nm, turns
 
 
@@ -37,7 +37,7 @@ def test_what_is_left_of_prints_is_as_large_as_said(count: int) -> None:
         def print_nm(x: FloatArray, y: FloatArray, ways: FloatArray = ways) -> FloatArray:
             return np.asarray(sum(np.sin(31 * (np.cos(a) * x + np.sin(a) * y) + b) for a, b in ways) / 2)
 
-        found = separate(maps(poses, 0.01, instrument=print_nm), poses, PITCH_MM, noise_nm=0.01)
+        found = separate_instrument(maps(poses, 0.01, instrument=print_nm), poses, PITCH_MM, noise_nm=0.01)
         off.append(rms_nm(found.instrument_nm - true_nm(print_nm)))
         said.append(found.hidden_rest_nm)
     # of prints of 1 nm RMS
@@ -47,5 +47,5 @@ def test_what_is_left_of_prints_is_as_large_as_said(count: int) -> None:
 
 def test_noise_is_no_print() -> None:
     poses = turns(4)
-    found = separate(maps(poses, 0.3, instrument=lambda x, y: 3 * (x * x - y * y)), poses, PITCH_MM)
+    found = separate_instrument(maps(poses, 0.3, instrument=lambda x, y: 3 * (x * x - y * y)), poses, PITCH_MM)
     assert found.hidden_rest_nm < 0.03

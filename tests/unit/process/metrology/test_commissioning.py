@@ -13,8 +13,8 @@ from polishd.model.errors import ConfigError, MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import Grid, SurfaceMap
 from polishd.process.frames import ORIENTATIONS, ArrayOrientation
-from polishd.process.metrology.commissioning import ArtefactBump, artefact_heights, prove, require_asymmetric
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.commissioning import ArtefactBump, artefact_heights, prove_profile, require_asymmetric
+from polishd.process.metrology.instrument import apply_profile
 from tests.unit.process.metrology.placed_parts import BUMPS, on_part
 
 GRID = Grid(216, 212, 0.5)
@@ -45,7 +45,7 @@ def test_the_heights_are_the_bumps() -> None:
 def test_a_true_map_proves_the_profile(seed: int) -> None:
     rng = np.random.default_rng(seed)
     turn, shift = rng.uniform(-4, 4), tuple(rng.uniform(-3, 3, 2))
-    proof = prove(SurfaceMap(artefact(turn, shift, seed), 0.5), BUMPS)
+    proof = prove_profile(SurfaceMap(artefact(turn, shift, seed), 0.5), BUMPS)
     assert proof.correlation > 0.99
     assert proof.next_best < 0.9
     assert proof.next_best_name in {way.name + sign for way in ORIENTATIONS for sign in ("", " and negated")}
@@ -58,7 +58,7 @@ def test_a_true_map_proves_the_profile(seed: int) -> None:
 @pytest.mark.parametrize("shift", [(7.0, 0.0), (-4.5, 4.5), (0.0, -12.0)])
 def test_an_artefact_beside_its_place_proves_nothing(shift: tuple[float, float]) -> None:
     with pytest.raises(MapError, match=r"mm from its place, and 5 mm are allowed|does not show the artefact"):
-        prove(SurfaceMap(artefact(0.0, shift), 0.5), BUMPS)
+        prove_profile(SurfaceMap(artefact(0.0, shift), 0.5), BUMPS)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_the_form_of_the_base_does_not_count(
     x, y = np.meshgrid(GRID.x_mm / 53, GRID.y_mm / 53)
     base = power_nm * (x**2 + y**2) + astigmatism_nm * (x**2 - y**2 + x * y)
     noise = np.random.default_rng(2).normal(0, 2, GRID.shape)
-    proof = prove(SurfaceMap(artefact_heights(bumps, GRID) + base + noise, 0.5), bumps)
+    proof = prove_profile(SurfaceMap(artefact_heights(bumps, GRID) + base + noise, 0.5), bumps)
     assert (proof.pitch_ratio, proof.scale) == pytest.approx((1, 1), abs=0.01)
 
 
@@ -85,52 +85,52 @@ def test_the_message_gives_the_profile_that_is_right(way: ArrayOrientation, was:
     raw = SurfaceMap(np.asarray(-2 * way.turn(artefact(1.0))), 0.5)
     profile = Instrument("shop", mirror=was.mirror, rotation_deg=was.rotation_deg)
     with pytest.raises(MapError, match=r"negated and [12]\.\d+ times as high") as refused:
-        prove(as_profiled(raw, profile), BUMPS)
+        prove_profile(apply_profile(raw, profile), BUMPS)
     said = dict(re.findall(r"(mirror|rotation_deg|sign|factor) = ([-\w.]+)", str(refused.value)))
     values = {key: json.loads(value) for key, value in said.items()}
     mended = replace(profile, **values)
     assert mended.factor == 0.5
-    assert prove(as_profiled(raw, mended), BUMPS).correlation > 0.99
+    assert prove_profile(apply_profile(raw, mended), BUMPS).correlation > 0.99
 
 
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("pitch", [0.25, 0.4, 0.485, 0.515, 1.0])
 def test_a_wrong_pitch_is_measured(pitch: float) -> None:
     with pytest.raises(MapError, match=r"times as large: set pitch_mm") as refused:
-        prove(SurfaceMap(artefact(), pitch), BUMPS)
+        prove_profile(SurfaceMap(artefact(), pitch), BUMPS)
     assert float(str(refused.value).split("pitch_mm = ")[1].split()[0]) == pytest.approx(0.5, rel=0.003)
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.94, 1.06, 2.0])
 def test_a_wrong_height_is_measured(factor: float) -> None:
     with pytest.raises(MapError, match="times as high: set factor") as refused:
-        prove(SurfaceMap(factor * artefact(), 0.5), BUMPS)
+        prove_profile(SurfaceMap(factor * artefact(), 0.5), BUMPS)
     said = float(str(refused.value).split("factor = ")[1].split()[0])
     assert said == pytest.approx(1 / factor, rel=0.01)
 
 
 def test_small_errors_are_within_tolerance() -> None:
-    assert prove(SurfaceMap(1.03 * artefact(), 0.505), BUMPS).scale == pytest.approx(1.03, abs=0.01)
+    assert prove_profile(SurfaceMap(1.03 * artefact(), 0.505), BUMPS).scale == pytest.approx(1.03, abs=0.01)
     with pytest.raises(MapError, match="times as high"):
-        prove(SurfaceMap(1.07 * artefact(), 0.5), BUMPS)
+        prove_profile(SurfaceMap(1.07 * artefact(), 0.5), BUMPS)
 
 
 @pytest.mark.full
 def test_another_artefact_is_refused() -> None:
     other = np.random.default_rng(3).normal(0, 30, GRID.shape)
     with pytest.raises(MapError, match="does not show the artefact"):
-        prove(SurfaceMap(other, 0.5), BUMPS)
+        prove_profile(SurfaceMap(other, 0.5), BUMPS)
     with pytest.raises(MapError, match="does not show the artefact"):
-        prove(SurfaceMap(artefact(25.0), 0.5), BUMPS)
+        prove_profile(SurfaceMap(artefact(25.0), 0.5), BUMPS)
 
 
 def test_what_holds_nothing_is_refused() -> None:
     with pytest.raises(MapError, match="no lateral scale"):
-        prove(SurfaceMap(artefact(), None), BUMPS)
+        prove_profile(SurfaceMap(artefact(), None), BUMPS)
     with pytest.raises(MapError, match="no data"):
-        prove(SurfaceMap(np.full((50, 50), np.nan), 0.5), BUMPS)
+        prove_profile(SurfaceMap(np.full((50, 50), np.nan), 0.5), BUMPS)
     with pytest.raises(MapError, match="does not show"):
-        prove(SurfaceMap(np.zeros((50, 50)), 0.5), BUMPS)
+        prove_profile(SurfaceMap(np.zeros((50, 50)), 0.5), BUMPS)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_symmetric_artefacts_are_refused(bumps: tuple[ArtefactBump, ...]) -> Non
     with pytest.raises(ConfigError, match="looks like itself"):
         require_asymmetric(bumps)
     with pytest.raises(ConfigError, match="looks like itself"):
-        prove(SurfaceMap(artefact(), 0.5), bumps)
+        prove_profile(SurfaceMap(artefact(), 0.5), bumps)
 
 
 @pytest.mark.parametrize("bumps", [(), (ArtefactBump(1, 2, 0, 3, 100),), (ArtefactBump(1, 2, 3, 3, 0),)])

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from polishd.model.surface import Grid
 from polishd.process.frames import ORIENTATIONS, ArrayOrientation
-from polishd.process.identification.removal_fit import levelled
+from polishd.process.identification.removal_fit import remove_plane
 from polishd.process.metrology.commissioning import REACH_MM, Explanation, correlations, explanations, peak
 from tests.unit.process.gaussian import rough
 
@@ -91,7 +91,7 @@ def test_the_right_explanation_is_the_best(way: ArrayOrientation, sign: int) -> 
 def test_an_oblong_map_is_turned_by_180_only_and_reach_is_in_mm() -> None:
     grid = Grid(30, 44, 2.0)
     height, mask = rough(grid), np.ones(grid.shape, dtype=np.bool_)
-    found = list(explanations(levelled(height, mask), height, mask, mask, grid.pitch_mm))
+    found = list(explanations(remove_plane(height, mask), height, mask, mask, grid.pitch_mm))
     assert {e.orientation.rotation_deg for e in found} == {0, 180}
     assert len(found) == 8
     assert max(abs(v) for e in found for v in e.shift_mm) <= REACH_MM + grid.pitch_mm

@@ -1,4 +1,4 @@
-"""Dates and lateral scales that no map has are taken off it, whoever read it."""
+"""Implausible dates and lateral scales are removed from a map of any reader."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.conditioning import is_plausible
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.conditioning import drop_implausible
+from polishd.process.metrology.instrument import apply_profile
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 WRITTEN = NOW - timedelta(hours=1)
@@ -20,7 +20,7 @@ MAP = SurfaceMap(np.zeros((40, 64)), 0.5, taken_at=NOW - timedelta(days=30))
 
 
 def found(surface: SurfaceMap) -> SurfaceMap:
-    return is_plausible(surface, NOW, WRITTEN)
+    return drop_implausible(surface, NOW, WRITTEN)
 
 
 def test_a_map_that_may_be_is_as_it_was() -> None:
@@ -79,7 +79,7 @@ def test_a_scale_of_no_part_is_none(pitch_mm: float, why: str) -> None:
     surface = found(replace(MAP, pitch_mm=pitch_mm))
     assert (surface.pitch_mm, set(surface.unsaid)) == (None, {"pitch"})
     assert why in surface.warnings[0]
-    looked_at = as_profiled(surface, Instrument("shop", pitch_mm=0.25))
+    looked_at = apply_profile(surface, Instrument("shop", pitch_mm=0.25))
     assert (looked_at.pitch_mm, looked_at.warnings) == (0.25, ())
 
 
@@ -90,4 +90,4 @@ def test_the_largest_and_the_smallest_scale(pitch_mm: float) -> None:
 
 def test_a_profile_cannot_give_such_a_scale_either() -> None:
     with pytest.raises(MapError, match=r"profile 'shop' gives it a pitch of 312\.6 mm.*more than 20 m"):
-        as_profiled(replace(MAP, pitch_mm=None, unsaid=frozenset({"pitch"})), Instrument("shop", pitch_mm=312.6))
+        apply_profile(replace(MAP, pitch_mm=None, unsaid=frozenset({"pitch"})), Instrument("shop", pitch_mm=312.6))

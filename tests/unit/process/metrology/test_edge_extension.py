@@ -11,7 +11,7 @@ from scipy import ndimage
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.metrology import edge_extension
-from polishd.process.metrology.edge_extension import ExtendedSurface, Extension, extend
+from polishd.process.metrology.edge_extension import ExtendedSurface, Extension, extend_surface
 from polishd.process.metrology.statistics import polynomial
 from tests.unit.process.gaussian import rough
 
@@ -23,7 +23,9 @@ CUTOFF = 12.0
 
 def extended(height: FloatArray, mask: BoolArray, method: Extension, reach_mm: float = 10.0) -> ExtendedSurface:
     """The surface as far as the mask shows it, extended; what lies outside must not matter."""
-    return extend(np.where(mask, height, np.nan), mask, GRID.pitch_mm, reach_mm, method, cutoff_period_mm=CUTOFF)
+    return extend_surface(
+        np.where(mask, height, np.nan), mask, GRID.pitch_mm, reach_mm, method, cutoff_period_mm=CUTOFF
+    )
 
 
 def plane() -> FloatArray:
@@ -60,7 +62,7 @@ def test_the_data_stay_and_the_reach_is_kept(method: Extension) -> None:
 def test_what_lies_outside_the_mask_does_not_matter(method: Extension) -> None:
     height = rough(GRID, cut_mm=CUTOFF)
     rubbish = np.where(DISC, height, 1e6)
-    one = extend(rubbish, DISC, 1.0, 5.0, method, cutoff_period_mm=CUTOFF)
+    one = extend_surface(rubbish, DISC, 1.0, 5.0, method, cutoff_period_mm=CUTOFF)
     np.testing.assert_array_equal(one.height_nm, extended(height, DISC, method, 5.0).height_nm)
 
 
@@ -74,7 +76,7 @@ def test_it_follows_scale_and_offset_of_the_surface(method: Extension) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_the_pitch_only_scales_the_reach(method: Extension) -> None:
     height = rough(GRID, cut_mm=CUTOFF)
-    fine = extend(height, DISC, 0.25, 2.5, method, cutoff_period_mm=CUTOFF / 4)
+    fine = extend_surface(height, DISC, 0.25, 2.5, method, cutoff_period_mm=CUTOFF / 4)
     np.testing.assert_array_equal(fine.height_nm, extended(height, DISC, method).height_nm)
 
 
@@ -220,20 +222,20 @@ def test_what_cannot_be_extended_is_refused() -> None:
     with pytest.raises(ComputeError, match="the mask is empty"):
         extended(height, nothing, "c1")
     with pytest.raises(ComputeError, match=r"the surface is \(110, 120\), its mask \(3, 3\)"):
-        extend(height, np.ones((3, 3), dtype=bool), 1.0, 5.0, "c1")
+        extend_surface(height, np.ones((3, 3), dtype=bool), 1.0, 5.0, "c1")
     holed = height.copy()
     holed[50, 50:53] = np.nan
     with pytest.raises(ComputeError, match="3 samples inside the mask have no data"):
-        extend(holed, DISC, 1.0, 5.0, "c1")
+        extend_surface(holed, DISC, 1.0, 5.0, "c1")
     for reach in (0.5, -1.0, np.nan, np.inf):
         with pytest.raises(ComputeError, match="the reach of the extension"):
             extended(height, DISC, "nearest", reach)
     for pitch in (0.0, np.nan):
         with pytest.raises(ComputeError, match="the map's pitch"):
-            extend(height, DISC, pitch, 5.0, "nearest")
+            extend_surface(height, DISC, pitch, 5.0, "nearest")
     with pytest.raises(ComputeError, match="give cutoff_period_mm"):
-        extend(height, DISC, 1.0, 5.0, "gerchberg_papoulis")
+        extend_surface(height, DISC, 1.0, 5.0, "gerchberg_papoulis")
     with pytest.raises(ComputeError, match="the spot's cut-off period is 2 mm, it must be above 2"):
-        extend(height, DISC, 1.0, 5.0, "gerchberg_papoulis", cutoff_period_mm=2.0)
+        extend_surface(height, DISC, 1.0, 5.0, "gerchberg_papoulis", cutoff_period_mm=2.0)
     with pytest.raises(ComputeError, match="no extension 'spline'"):
-        extend(height, DISC, 1.0, 5.0, "spline")  # type: ignore[arg-type]
+        extend_surface(height, DISC, 1.0, 5.0, "spline")  # type: ignore[arg-type]

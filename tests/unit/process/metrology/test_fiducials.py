@@ -10,7 +10,7 @@ import pytest
 
 from polishd.model.errors import ConfigError, MapError
 from polishd.model.surface import Grid
-from polishd.process.metrology import fiducials
+from polishd.process.metrology import registration
 from polishd.process.metrology.resampling import Registration
 from tests.unit.process.metrology.placed_parts import MARKS_MM, seen_px
 
@@ -20,7 +20,7 @@ SEVEN_MM = (*MARKS_MM, (46.0, 2.0), (5.0, -46.0), (-46.0, 9.0))
 
 
 def fit(found: np.ndarray, nominal: Points = MARKS_MM, grid: Grid = MAP) -> Registration:
-    return fiducials.fit([tuple(p) for p in found], nominal, grid.shape, grid.pitch_mm)
+    return registration.fit_marks([tuple(p) for p in found], nominal, grid.shape, grid.pitch_mm)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -147,12 +147,12 @@ def test_three_coarse_matches_could_be_chance() -> None:
 )
 def test_symmetric_marks_are_refused(marks: Points, match: str) -> None:
     with pytest.raises(ConfigError, match=match):
-        fiducials.require_asymmetric(marks)
+        registration.require_asymmetric(marks)
 
 
 def test_asymmetric_marks_are_taken() -> None:
-    fiducials.require_asymmetric(MARKS_MM)
-    fiducials.require_asymmetric(MARKS_MM[:3])
+    registration.require_asymmetric(MARKS_MM)
+    registration.require_asymmetric(MARKS_MM[:3])
 
 
 def wrong_sets(rng: np.random.Generator) -> Iterator[np.ndarray]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from polishd.model.errors import MapError
 from polishd.model.surface import Grid
 from polishd.process.metrology.spectra import band_rms, radial_psd, split_bands, surface_stats
-from polishd.process.metrology.statistics import polynomial, without
+from polishd.process.metrology.statistics import polynomial, remove_terms
 from tests.unit.process.gaussian import rough
 
 GRID = Grid(120, 120, 1.0)
@@ -44,7 +44,7 @@ def test_the_mean_does_not_count() -> None:
 def test_a_wave_over_a_disc_is_in_its_band(period: float, above: float) -> None:
     wave = np.sin(2 * np.pi * (X * np.cos(0.4) + Y * np.sin(0.4)) / period)
     share = band_rms(wave, DISC, 1.0, 33.0) / wave[DISC].std()
-    # three periods on the disc: a wave near the cut at 33 mm cannot be told better
+    # three periods on the disc: a wave near the cut at 33 mm cannot be determined better
     assert share == pytest.approx(above, abs=0.04)
 
 
@@ -80,7 +80,7 @@ def test_the_squares_of_the_bands_add_up_whatever_the_mask(data: st.DataObject) 
         mask &= np.hypot(x - columns * rng.random(), y - rows * rng.random()) < max(rows, columns) * rng.random()
     mask[rng.integers(rows), rng.integers(columns)] = True
     tilted = rng.standard_normal((rows, columns)).cumsum(0).cumsum(1) + 1e3 * np.arange(columns)
-    level = without(tilted, mask, "tilt")
+    level = remove_terms(tilted, mask, "tilt")
     bands = split_bands(level, mask, pitch, edges)
     total = np.sqrt(sum(band[mask].var() for band in bands))
     assert total == pytest.approx(level[mask].std(), rel=1e-6, abs=1e-9)
@@ -91,7 +91,7 @@ def test_no_band_of_a_short_map_is_more_than_the_whole() -> None:
     """The shared map is 51 mm wide: plain filters at 33 mm gave an MSF of 46.4 of 44.6 nm in all."""
     mask = DISC
     height = rough(GRID, seed=9, cut_mm=5) + 40 * np.cos(2 * np.pi * np.hypot(X, Y) / 60)
-    level = without(height, mask, "tilt")
+    level = remove_terms(height, mask, "tilt")
     for period in (60.0, 100.0, 200.0):
         assert max(band[mask].std() for band in split_bands(level, mask, 1.0, (period,))) <= level[mask].std()
 

@@ -11,7 +11,7 @@ from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.frames import ORIENTATIONS, ArrayOrientation, orientations
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.instrument import apply_profile
 
 HEIGHT = np.arange(12.0).reshape(3, 4)
 HEIGHT[0, 1] = np.nan
@@ -22,7 +22,7 @@ PROFILE = Instrument("shop")
 @pytest.mark.parametrize("way", ORIENTATIONS, ids=lambda way: way.name)
 def test_each_way_is_applied_to_array_marks_and_vectors(way: ArrayOrientation) -> None:
     profile = replace(PROFILE, mirror=way.mirror, rotation_deg=way.rotation_deg, sign=-1, factor=0.5)
-    seen = as_profiled(MAP, profile)
+    seen = apply_profile(MAP, profile)
     np.testing.assert_array_equal(seen.height_nm, -0.5 * way.turn(HEIGHT))
     np.testing.assert_array_equal(seen.height_nm, -0.5 * way.turn(HEIGHT))
     row, column = seen.fiducials_px[0]
@@ -70,30 +70,30 @@ def test_maps_that_are_not_square_have_four() -> None:
 
 def test_a_profile_is_applied_once() -> None:
     with pytest.raises(MapError, match="second time"):
-        as_profiled(as_profiled(MAP, PROFILE), PROFILE)
+        apply_profile(apply_profile(MAP, PROFILE), PROFILE)
     with pytest.raises(MapError, match="second time"):
-        as_profiled(as_profiled(MAP, PROFILE), None)
+        apply_profile(apply_profile(MAP, PROFILE), None)
 
 
 def test_without_a_profile_the_file_must_say_all() -> None:
-    assert as_profiled(MAP, None) is MAP
+    assert apply_profile(MAP, None) is MAP
     for key in ("unit", "surface", "orientation", "pitch"):
         with pytest.raises(MapError, match=rf"does not say its {key}.*\[instrument\]"):
-            as_profiled(replace(MAP, unsaid=frozenset({key})), None)
+            apply_profile(replace(MAP, unsaid=frozenset({key})), None)
     with pytest.raises(MapError, match="pitch_mm"):
-        as_profiled(replace(MAP, pitch_mm=None), None)
+        apply_profile(replace(MAP, pitch_mm=None), None)
 
 
 @pytest.mark.parametrize("key", ["unit", "surface", "orientation", "pitch"])
 def test_what_neither_says_is_refused(key: str) -> None:
     with pytest.raises(MapError, match=rf"does not say its {key}.*neither does the profile 'shop'"):
-        as_profiled(replace(MAP, unsaid=frozenset({key})), PROFILE)
+        apply_profile(replace(MAP, unsaid=frozenset({key})), PROFILE)
 
 
 def test_what_the_profile_says_is_taken() -> None:
     asked = replace(MAP, pitch_mm=None, unsaid=frozenset({"pitch", "unit", "surface", "orientation"}))
     profile = replace(PROFILE, pitch_mm=0.2, unit_nm=632.8, factor=0.5, gives=frozenset({"surface", "orientation"}))
-    seen = as_profiled(asked, profile)
+    seen = apply_profile(asked, profile)
     assert seen.pitch_mm == 0.2
     assert seen.unsaid == frozenset()
     np.testing.assert_allclose(seen.height_nm, HEIGHT * 316.4)
@@ -103,17 +103,17 @@ def test_what_the_profile_says_is_taken() -> None:
 def test_numbers_are_not_given_by_naming_them() -> None:
     asked = replace(MAP, pitch_mm=None, unsaid=frozenset({"pitch", "unit"}))
     with pytest.raises(MapError, match="pitch and unit"):
-        as_profiled(asked, replace(PROFILE, gives=frozenset({"pitch", "unit"})))
+        apply_profile(asked, replace(PROFILE, gives=frozenset({"pitch", "unit"})))
 
 
 def test_a_unit_that_the_file_gives_is_not_applied_again() -> None:
-    np.testing.assert_array_equal(as_profiled(MAP, replace(PROFILE, unit_nm=632.8)).height_nm, HEIGHT)
+    np.testing.assert_array_equal(apply_profile(MAP, replace(PROFILE, unit_nm=632.8)).height_nm, HEIGHT)
 
 
 def test_pitches_must_agree() -> None:
-    assert as_profiled(MAP, replace(PROFILE, pitch_mm=0.253)).pitch_mm == 0.25
+    assert apply_profile(MAP, replace(PROFILE, pitch_mm=0.253)).pitch_mm == 0.25
     with pytest.raises(MapError, match=r"0\.25 mm.*0\.26 mm.*zoom"):
-        as_profiled(MAP, replace(PROFILE, pitch_mm=0.26))
+        apply_profile(MAP, replace(PROFILE, pitch_mm=0.26))
 
 
 def test_a_number_cut_to_16_bits_is_that_of_its_twin() -> None:
@@ -121,10 +121,10 @@ def test_a_number_cut_to_16_bits_is_that_of_its_twin() -> None:
     twins = [replace(MAP, instrument=name) for name in ("Zygo MetroPro, system 61541", "Zygo, system 651365")]
     for entry in ("651365", "61541", *(twin.instrument for twin in twins)):
         for twin in twins:
-            assert as_profiled(twin, replace(PROFILE, serials=(entry,))).pitch_mm == MAP.pitch_mm
+            assert apply_profile(twin, replace(PROFILE, serials=(entry,))).pitch_mm == MAP.pitch_mm
     for other in ("Zygo, system 651366", "Zygo, system 127077", "4D, system 651365x", "system 61541"):
         with pytest.raises(MapError, match="serials"):
-            as_profiled(replace(MAP, instrument=other), replace(PROFILE, serials=("651365",)))
+            apply_profile(replace(MAP, instrument=other), replace(PROFILE, serials=("651365",)))
 
 
 def test_one_key_is_enough_to_look_but_not_to_polish() -> None:
@@ -141,21 +141,21 @@ def test_one_key_is_enough_to_look_but_not_to_polish() -> None:
         (replace(PROFILE, unit_nm=10.0), {"pitch", "surface"}, None, 10.0),
         (replace(PROFILE, unit_nm=10.0, pitch_mm=0.2, gives=frozenset({"surface"})), set(), 0.2, 10.0),
     ):
-        seen = as_profiled(asked, profile, partly=True)
+        seen = apply_profile(asked, profile, partly=True)
         assert (set(seen.unsaid), seen.pitch_mm) == (left, pitch_mm)
         assert seen.warnings == (*(doubts[key] for key in ("pitch", "unit") if key in left), "cut")
         np.testing.assert_array_equal(seen.height_nm, HEIGHT * factor)
         if left:
             with pytest.raises(MapError, match="does not say its"):
-                as_profiled(asked, profile)
+                apply_profile(asked, profile)
     odd = replace(asked, unsaid=frozenset({"square pixels"}))
-    assert as_profiled(odd, replace(PROFILE, pitch_mm=0.2), partly=True).pitch_mm is None
+    assert apply_profile(odd, replace(PROFILE, pitch_mm=0.2), partly=True).pitch_mm is None
 
 
 def test_another_instrument_is_refused() -> None:
-    assert as_profiled(MAP, replace(PROFILE, serials=("SN 6", "SN 7"))).instrument == "SN 7"
+    assert apply_profile(MAP, replace(PROFILE, serials=("SN 6", "SN 7"))).instrument == "SN 7"
     zygo = replace(MAP, instrument="Zygo MetroPro, system 62398")
-    assert as_profiled(zygo, replace(PROFILE, serials=("1", "62398"))).instrument == zygo.instrument
+    assert apply_profile(zygo, replace(PROFILE, serials=("1", "62398"))).instrument == zygo.instrument
     for named in ("SN 8", ""):
         with pytest.raises(MapError, match="serials"):
-            as_profiled(replace(MAP, instrument=named), replace(PROFILE, serials=("SN 7",)))
+            apply_profile(replace(MAP, instrument=named), replace(PROFILE, serials=("SN 7",)))

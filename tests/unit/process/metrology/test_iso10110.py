@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrology import iso10110
-from polishd.process.metrology.spectra import band_rms, compare, radial_psd
-from polishd.process.metrology.statistics import pv_rms, slope, slope_map, without
+from polishd.process.metrology.spectra import band_rms, compare_maps, radial_psd
+from polishd.process.metrology.statistics import pv_rms, remove_terms, slope, slope_map
 from tests.unit.process.gaussian import rough
 from tests.unit.process.masked import shapes
 
@@ -129,15 +129,15 @@ class TestComparison:
         unit = rough(GRID, rms_nm=1.0)
         unit = unit / unit[DISC].std()
         for b, c, d, to_c, to_d in cases:
-            first, second = compare(b * unit, c * unit, DISC, 0.5), compare(c * unit, d * unit, DISC, 0.5)
+            first, second = compare_maps(b * unit, c * unit, DISC, 0.5), compare_maps(c * unit, d * unit, DISC, 0.5)
             assert (first.rms_change, second.rms_change) == pytest.approx((to_c, to_d), abs=1e-4)
 
     def test_every_figure_is_that_of_its_function(self) -> None:
         before, after = rough(GRID, seed=1), rough(GRID, rms_nm=4, seed=2)
-        found = compare(before, after, DISC, 0.5, (33.0, 8.0))
+        found = compare_maps(before, after, DISC, 0.5, (33.0, 8.0))
         for height, side in ((before, found.before), (after, found.after)):
             assert (side.pv_nm, side.rms_nm) == pv_rms(height, DISC)
-            assert side.band_rms_nm[0] == pytest.approx(band_rms(without(height, DISC, "tilt"), DISC, 0.5, 33.0))
+            assert side.band_rms_nm[0] == pytest.approx(band_rms(remove_terms(height, DISC, "tilt"), DISC, 0.5, 33.0))
             np.testing.assert_array_equal(side.psd.density_nm2_mm2, radial_psd(height, DISC, 0.5).density_nm2_mm2)
         for change, b, a in zip(found.band_changes, found.before.band_rms_nm, found.after.band_rms_nm, strict=True):
             assert change == pytest.approx(a / b - 1)
@@ -148,18 +148,18 @@ class TestComparison:
     def test_what_was_removed_shows_in_its_band_only(self) -> None:
         ripple = 5 * np.sin(2 * np.pi * X / 8)
         base = rough(GRID, seed=3, cut_mm=30)
-        found = compare(base + ripple, base, DISC, 0.5, (20.0, 4.0))
+        found = compare_maps(base + ripple, base, DISC, 0.5, (20.0, 4.0))
         assert found.band_changes[1] < -0.75
         assert abs(found.band_changes[0]) < 0.02
 
     def test_from_nothing(self) -> None:
         flat: FloatArray = np.zeros(GRID.shape)
-        assert compare(flat, flat, DISC, 0.5).rms_change == 0
-        assert compare(flat, flat + X, DISC, 0.5).rms_change == np.inf
+        assert compare_maps(flat, flat, DISC, 0.5).rms_change == 0
+        assert compare_maps(flat, flat + X, DISC, 0.5).rms_change == np.inf
 
     def test_one_mask_for_both(self) -> None:
         height = rough(GRID)
         with pytest.raises(MapError, match="no data"):
-            compare(height, np.where(R < 0.5, np.nan, height), DISC, 0.5)
+            compare_maps(height, np.where(R < 0.5, np.nan, height), DISC, 0.5)
         with pytest.raises(MapError, match="its mask"):
-            compare(height, height[1:], DISC, 0.5)
+            compare_maps(height, height[1:], DISC, 0.5)

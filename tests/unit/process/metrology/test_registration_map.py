@@ -11,9 +11,9 @@ from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle
 from polishd.model.surface import Grid, SurfaceMap
-from polishd.process.metrology import fiducials, registration
+from polishd.process.metrology import registration
 from polishd.process.metrology.registration import register
-from polishd.process.metrology.resampling import Registration, averaging, resample_registered
+from polishd.process.metrology.resampling import Registration, averaging_matrix, resample_registered
 from tests.unit.process.metrology.placed_parts import MARKS_MM, disc, on_part, punched, seen_px
 
 GRID = Grid(432, 425, 0.25)
@@ -38,7 +38,7 @@ def test_marks_are_found_to_a_part_of_a_pixel(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = seen_px(MARKS_MM, GRID, rng.uniform(-2, 2), rng.uniform(-1, 1, 2))
     height = punched(np.ones(GRID.shape), true, rng.uniform(7, 13))
-    found = np.array(fiducials.find(height, GRID.pitch_mm))
+    found = np.array(registration.find_marks(height, GRID.pitch_mm))
     assert len(found) == 4
     nearest = np.hypot(*(found[:, None] - true[None]).transpose(2, 0, 1)).min(axis=0)
     assert np.sqrt((nearest**2).mean()) < 0.12
@@ -52,13 +52,13 @@ def test_what_is_no_mark_is_left() -> None:
     height[250:300, 250:300] = np.nan  # a stain
     for i in range(24):
         height[100 + i, 120 + i : 124 + i] = np.nan  # a slanting hair
-    assert fiducials.find(height, GRID.pitch_mm) == ()
-    assert len(fiducials.find(punched(height, np.array([[150.0, 90.0]]), 9.0), GRID.pitch_mm)) == 1
+    assert registration.find_marks(height, GRID.pitch_mm) == ()
+    assert len(registration.find_marks(punched(height, np.array([[150.0, 90.0]]), 9.0), GRID.pitch_mm)) == 1
 
 
 def test_a_full_map_has_no_marks() -> None:
-    assert fiducials.find(np.zeros((30, 40)), 0.1) == ()
-    assert fiducials.find(np.full((30, 40), np.nan), 0.1) == ()
+    assert registration.find_marks(np.zeros((30, 40)), 0.1) == ()
+    assert registration.find_marks(np.full((30, 40), np.nan), 0.1) == ()
 
 
 # outline
@@ -245,7 +245,7 @@ def test_the_means_as_a_matrix_are_those_of_a_full_map(turn_deg: float, pitch_mm
     source, target, placed = Grid(61, 50, pitch_mm), Grid(70, 66, 0.8), Registration(turn_deg, (0.31, -0.77))
     height = np.random.default_rng(3).normal(size=source.shape)
     want = resample_registered(height, source, target, placed)
-    means = averaging(source, target, placed)
+    means = averaging_matrix(source, target, placed)
     got = (means @ height.ravel()).reshape(target.shape)
     has = np.isfinite(want)
     assert 0 < has.sum() < has.size, "the map does not cover all of the grid"

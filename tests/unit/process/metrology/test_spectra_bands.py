@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from polishd.model.surface import Grid
 from polishd.process.metrology.spectra import EDGES_MM as USUAL_EDGES_MM
-from polishd.process.metrology.spectra import extended, split_bands
+from polishd.process.metrology.spectra import extend_rim, split_bands
 from tests.unit.process.masked import EDGES_MM, shapes, three_bands
 
 GRID = Grid(300, 300, 1.0)
@@ -47,7 +47,7 @@ def test_holes_are_continued_as_a_plate_and_the_rest_from_the_edge() -> None:
     wave = 30 * np.cos(x / 9) * np.cos(y / 11)
     drops = np.random.default_rng(6).random(GRID.shape) > 0.2
     mask = MASKS["circle"] & drops
-    wide, window = extended(np.where(mask, wave, np.nan), mask, 40)
+    wide, window = extend_rim(np.where(mask, wave, np.nan), mask, 40)
     found = wide[window]
     np.testing.assert_array_equal(found[mask], wave[mask])
     inside = ndimage.binary_erosion(ndimage.binary_closing(mask, iterations=3), iterations=6) & ~drops

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from polishd.model.errors import MapError
 from polishd.model.surface import Grid
 from polishd.process.metrology.spectra import RadialPsd, Window, radial_psd
-from polishd.process.metrology.statistics import without
+from polishd.process.metrology.statistics import remove_terms
 from tests.unit.process.gaussian import rough
 from tests.unit.process.masked import shapes
 
@@ -29,7 +29,7 @@ def test_it_sums_to_the_variance(seed: int, ny: int, nx: int, pitch: float, numb
     masks = [np.ones(grid.shape, dtype=bool), *shapes(grid).values()]
     mask = masks[number]
     height = np.where(mask, rough(grid, seed=seed, cut_mm=3 * pitch), np.nan)
-    variance = without(height, mask, "tilt")[mask].var()
+    variance = remove_terms(height, mask, "tilt")[mask].var()
     for window in ("extended", "mask"):
         assert total(radial_psd(height, mask, pitch, window)) == pytest.approx(variance, rel=1e-12)
 
@@ -90,7 +90,7 @@ def test_prysm_has_the_same_density_where_nothing_is_masked() -> None:
 
     grid = Grid(64, 64, 0.5)
     mask = np.ones(grid.shape, dtype=bool)
-    level = without(rough(grid, cut_mm=2), mask, "tilt")
+    level = remove_terms(rough(grid, cut_mm=2), mask, "tilt")
     x, y, expected = prysm_psd(level, 0.5, np.ones(grid.shape))
     ring = np.rint(np.hypot(x, y) * 32).astype(int).ravel()
     mean = np.bincount(ring, expected.ravel()) / np.bincount(ring)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.plugins.interferometer.formats.metropro import METROPRO
-from polishd.process.metrology.statistics import Removal, pv_rms, trimmed, without
+from polishd.process.metrology.statistics import Removal, pv_rms, remove_terms, trim_mask
 from tests.unit.process.gaussian import rough
 from tests.unit.process.masked import shapes
 
@@ -28,8 +28,8 @@ def spread(
     height: FloatArray, mask: BoolArray, *, trim_px: int = 0, removal: Removal = "piston"
 ) -> tuple[float, float]:
     """PV and RMS after the trim and then the removal, in this order, as MetroPro does."""
-    kept = trimmed(mask, trim_px)
-    return pv_rms(without(height, kept, removal), kept)
+    kept = trim_mask(mask, trim_px)
+    return pv_rms(remove_terms(height, kept, removal), kept)
 
 
 def surface(seed: int) -> FloatArray:
@@ -84,7 +84,7 @@ def test_power_is_removed_with_tilt(name: str) -> None:
 def test_removal_leaves_nothing_outside_the_mask() -> None:
     mask = MASKS["circle"]
     for removal in REMOVALS:
-        rest = without(surface(1), mask, removal)
+        rest = remove_terms(surface(1), mask, removal)
         np.testing.assert_array_equal(np.isfinite(rest), mask)
         assert rest[mask].mean() == pytest.approx(0, abs=1e-9)
 
@@ -92,18 +92,18 @@ def test_removal_leaves_nothing_outside_the_mask() -> None:
 def test_a_trim_is_by_the_cross_and_from_all_edges() -> None:
     mask = np.ones((7, 9), dtype=bool)
     mask[3, 4] = False
-    once = trimmed(mask, 1)
+    once = trim_mask(mask, 1)
     assert not once[0].any()
     assert not once[:, -1].any()
     assert once[2, 3]  # diagonal to the hole
     assert not once[2, 4]
-    np.testing.assert_array_equal(trimmed(mask, 2), trimmed(once, 1))
-    assert not trimmed(mask, 4).any()
+    np.testing.assert_array_equal(trim_mask(mask, 2), trim_mask(once, 1))
+    assert not trim_mask(mask, 4).any()
 
 
 def test_no_trim_is_a_copy_of_the_mask() -> None:
     mask = MASKS["ellipse"]
-    kept = trimmed(mask, 0)
+    kept = trim_mask(mask, 0)
     np.testing.assert_array_equal(kept, mask)
     assert kept is not mask
 
@@ -117,11 +117,11 @@ def test_refusals() -> None:
     with pytest.raises(MapError, match="1 samples inside the mask have no data"):
         pv_rms(broken, mask)
     with pytest.raises(MapError, match="its mask"):
-        without(height[1:], mask, "tilt")
+        remove_terms(height[1:], mask, "tilt")
     with pytest.raises(ValueError, match="0 or more"):
-        trimmed(mask, -1)
+        trim_mask(mask, -1)
     with pytest.raises(ValueError, match="piston, tilt, power"):
-        without(height, mask, "focus")  # type: ignore[arg-type]
+        remove_terms(height, mask, "focus")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is kept beside an instrument's map: it comes back from JSON as it was, and fits maps of its own frame only."""
+"""Errors kept beside an instrument's map: they return from JSON unchanged and fit maps of the same frame only."""
 
 from __future__ import annotations
 
@@ -9,41 +9,40 @@ import pytest
 
 from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
-from polishd.process.metrology.absolute_test import separate
-from polishd.process.metrology.system_map import AbsoluteTestResult, SystemMap
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap, separate_instrument
 from tests.unit.process.metrology.turned_maps import PITCH_MM, instrument_nm, maps, part_nm, rms_nm, true_nm, turns
 
 
 @pytest.fixture(scope="module")
 def system() -> SystemMap:
-    found = separate(maps(turns(4)), turns(4), PITCH_MM, degree=6)
+    found = separate_instrument(maps(turns(4)), turns(4), PITCH_MM, degree=6)
     return SystemMap(SurfaceMap(found.instrument_nm, PITCH_MM), AbsoluteTestResult.of(found))
 
 
 def test_it_comes_back_from_json(system: SystemMap) -> None:
-    told = system.told
-    again = AbsoluteTestResult.load(json.loads(json.dumps(told.facts())))
-    assert again.covariance == pytest.approx(told.covariance, rel=1e-8, abs=1e-12)
+    result = system.result
+    again = AbsoluteTestResult.load(json.loads(json.dumps(result.facts())))
+    assert again.covariance == pytest.approx(result.covariance, rel=1e-8, abs=1e-12)
     assert np.array_equal(again.covariance, again.covariance.T)
     for name in ("degree", "terms", "unknown", "rest_nm", "circle_px"):
-        assert getattr(again, name) == getattr(told, name)
-    assert told.unknown[2, 0] == pytest.approx(1.0)
+        assert getattr(again, name) == getattr(result, name)
+    assert result.unknown[2, 0] == pytest.approx(1.0)
 
 
 def test_what_is_none_is_no_told(system: SystemMap) -> None:
-    facts = system.told.facts()
+    facts = system.result.facts()
     with pytest.raises(ValueError, match=r"shape|broadcast"):
         AbsoluteTestResult.load(facts | {"covariance": [1.0, 2.0]})
 
 
 def test_a_reference_tells_only_what_no_pose_told(system: SystemMap) -> None:
-    known = system.told.with_reference((2, 0), 0.5)
+    known = system.result.with_reference((2, 0), 0.5)
     at = known.terms.index((2, 0))
     assert known.covariance[at, at] == pytest.approx(0.25)
     assert np.count_nonzero(known.covariance[at]) == 1
-    assert set(system.told.unknown) - set(known.unknown) == {(2, 0)}
+    assert set(system.result.unknown) - set(known.unknown) == {(2, 0)}
     with pytest.raises(MapError, match=r"\(2, 2\) is none that the poses left unknown"):
-        system.told.with_reference((2, 2), 0.5)
+        system.result.with_reference((2, 2), 0.5)
 
 
 def test_a_map_less_it_is_the_part(system: SystemMap) -> None:

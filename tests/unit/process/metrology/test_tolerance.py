@@ -7,9 +7,9 @@ import pytest
 
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.model.tolerance import ToleranceLine, holds, worst
+from polishd.model.tolerance import ToleranceLine, part_holds, worst_line
 from polishd.process.metrology import iso10110
-from polishd.process.metrology.tolerance import judge, notes_of, only_beyond, out_of_reach
+from polishd.process.metrology.tolerance import judge_lines, lines_below_cutoff, tolerance_notes, unreachable_lines
 
 PITCH = 0.5
 GRID = Grid(241, 241, PITCH)
@@ -23,7 +23,7 @@ def wave(amplitude_nm: float, period_mm: float) -> FloatArray:
 
 
 def value(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray = MASK) -> float:
-    (found,) = judge([line], height_nm, mask, PITCH)
+    (found,) = judge_lines([line], height_nm, mask, PITCH)
     return found.value
 
 
@@ -56,7 +56,7 @@ def test_form_figures_are_those_of_iso_10110() -> None:
     height = BOTH + 40.0 * (GRID.radius_mm() / 50.0) ** 2
     own = iso10110.irregularity(height, MASK)
     lines = [ToleranceLine(figure, 1.0) for figure in ("A", "B", "C", "RMSt", "RMSi", "RMSa")]
-    found = [one.value for one in judge(lines, height, MASK, PITCH)]
+    found = [one.value for one in judge_lines(lines, height, MASK, PITCH)]
     assert found == [own.a_nm, own.b_nm, own.c_nm, own.rms_t_nm, own.rms_i_nm, own.rms_a_nm]
     assert found[0] == pytest.approx(40.0, rel=0.05)
 
@@ -74,14 +74,16 @@ def test_a_surface_whose_psd_is_the_line_is_at_its_limit() -> None:
 
 
 def test_the_worst_line_is_the_one_that_is_the_farthest_beyond() -> None:
-    judged = judge([ToleranceLine("rms", 10.0), ToleranceLine("pv", 8.0), ToleranceLine("pv", 30.0)], BOTH, MASK, PITCH)
+    judged = judge_lines(
+        [ToleranceLine("rms", 10.0), ToleranceLine("pv", 8.0), ToleranceLine("pv", 30.0)], BOTH, MASK, PITCH
+    )
     assert [one.holds for one in judged] == [True, False, True]
-    assert not holds(judged)
-    farthest = worst(judged)
+    assert not part_holds(judged)
+    farthest = worst_line(judged)
     assert farthest is not None
     assert str(farthest) == f"PV {np.ptp(BOTH[MASK]):.3g} nm of 8 nm allowed"
-    assert not holds(())
-    assert worst(()) is None
+    assert not part_holds(())
+    assert worst_line(()) is None
 
 
 @pytest.mark.parametrize(
@@ -96,16 +98,16 @@ def test_the_worst_line_is_the_one_that_is_the_farthest_beyond() -> None:
 )
 def test_what_a_map_cannot_show_is_not_judged(line: ToleranceLine, says: str) -> None:
     with pytest.raises(MapError, match=says):
-        judge([line], BOTH, MASK, PITCH)
+        judge_lines([line], BOTH, MASK, PITCH)
 
 
 def test_a_part_within_its_uncertainty_says_so() -> None:
-    near, far, pv = judge(
+    near, far, pv = judge_lines(
         [ToleranceLine("rms", 6.0), ToleranceLine("rms", 7.0), ToleranceLine("pv", 22.0)], BOTH, MASK, PITCH, 0.1
     )
     assert (near.uncertainty, pv.uncertainty) == (0.1, None)
     assert [one.unsure for one in (near, far, pv)] == [True, False, False]
-    (note,) = notes_of((near, far, pv))
+    (note,) = tolerance_notes((near, far, pv))
     assert "RMS 6.06 +- 0.1 nm of 6 nm allowed: it does not hold, and the instrument's repeatability" in note
 
 
@@ -121,13 +123,18 @@ def test_noise_changes_an_rms_by_its_own_at_most(seed: int) -> None:
         ToleranceLine("RMSt", 1.0),
         ToleranceLine("RMSa", 1.0),
     ]
-    for true, seen in zip(judge(lines, BOTH, MASK, PITCH), judge(lines, BOTH + noise, MASK, PITCH), strict=True):
+    for true, seen in zip(
+        judge_lines(lines, BOTH, MASK, PITCH), judge_lines(lines, BOTH + noise, MASK, PITCH), strict=True
+    ):
         assert abs(seen.value - true.value) <= repeats * 1.01
 
 
 def test_what_the_spot_cannot_reach_is_named() -> None:
     lines = [ToleranceLine("rms", 1.0), ToleranceLine("pv", 30.0), ToleranceLine("rms", 2.0, below_mm=5.0)]
-    assert [one.what for one in out_of_reach(lines, BOTH, MASK, PITCH, 6.0)] == ["RMS", "RMS of periods below 5 mm"]
-    assert out_of_reach(lines, BOTH, MASK, PITCH, 3.0) == ()
-    assert out_of_reach(lines, BOTH, MASK, PITCH, 0.9) == ()
-    assert only_beyond(lines, 6.0) == (lines[2],)
+    assert [one.what for one in unreachable_lines(lines, BOTH, MASK, PITCH, 6.0)] == [
+        "RMS",
+        "RMS of periods below 5 mm",
+    ]
+    assert unreachable_lines(lines, BOTH, MASK, PITCH, 3.0) == ()
+    assert unreachable_lines(lines, BOTH, MASK, PITCH, 0.9) == ()
+    assert lines_below_cutoff(lines, 6.0) == (lines[2],)

@@ -8,7 +8,7 @@ import pytest
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
 from polishd.process.metrology.resampling import Registration
-from polishd.process.metrology.tolerance import less_nominal
+from polishd.process.metrology.tolerance import subtract_nominal
 
 
 def form_nm(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -28,13 +28,13 @@ def test_a_part_of_the_wanted_form_has_no_error_wherever_it_lies(lies: Registrat
     x, y = np.cos(turn) * right + np.sin(turn) * up, np.cos(turn) * up - np.sin(turn) * right
     error = np.random.default_rng(3).normal(0.0, 5.0, grid.shape)
     error[4, 5] = np.nan
-    found = less_nominal(SurfaceMap(form_nm(x, y) + error, 0.5), NOMINAL, lies)
+    found = subtract_nominal(SurfaceMap(form_nm(x, y) + error, 0.5), NOMINAL, lies)
     np.testing.assert_allclose(found.height_nm, error, atol=1e-9)
 
 
 def test_where_the_form_says_nothing_there_is_no_error() -> None:
     large = SurfaceMap(np.zeros((200, 200)), 0.5)
-    found = less_nominal(large, NOMINAL, Registration())
+    found = subtract_nominal(large, NOMINAL, Registration())
     inside = np.maximum(*np.abs(np.meshgrid(large.grid.x_mm, large.grid.y_mm))) <= 30.0
     np.testing.assert_array_equal(found.valid, inside)
 
@@ -43,4 +43,4 @@ def test_both_need_a_scale() -> None:
     flat = SurfaceMap(np.zeros((9, 9)), 1.0)
     for surface, nominal in ((flat, SurfaceMap(np.zeros((9, 9)), None)), (SurfaceMap(np.zeros((9, 9)), None), flat)):
         with pytest.raises(MapError, match="lateral scale"):
-            less_nominal(surface, nominal, Registration())
+            subtract_nominal(surface, nominal, Registration())

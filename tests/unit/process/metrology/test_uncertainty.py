@@ -12,9 +12,8 @@ import scipy.ndimage
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray
 from polishd.process.metrology.absolute_poses import PartPose
-from polishd.process.metrology.absolute_test import separate
-from polishd.process.metrology.statistics import pv_rms, without
-from polishd.process.metrology.system_map import AbsoluteTestResult
+from polishd.process.metrology.absolute_test import AbsoluteTestResult, separate_instrument
+from polishd.process.metrology.statistics import pv_rms, remove_terms
 from polishd.process.metrology.uncertainty import (
     MapErrors,
     MapNoise,
@@ -74,7 +73,7 @@ def errors(
 
 
 def rms(height_nm: FloatArray, removed: str = "tilt") -> float:
-    return pv_rms(without(height_nm, MASK, removed), MASK)[1]
+    return pv_rms(remove_terms(height_nm, MASK, removed), MASK)[1]
 
 
 CASES = {
@@ -148,8 +147,8 @@ def test_terms_of_the_instrument_add_in_squares() -> None:
     _, measured = draw(3, noise, {}, {})
     alone = true_rms_bound(measured, MASK, PITCH, errors(noise, {}, {}))
     both = true_rms_bound(measured, MASK, PITCH, errors(noise, {ASTIGMATISM: 0.3, (4, 4): 0.4}, {}))
-    told = {one.name: one.rms_nm for one in both.contributions if one.source == "instrument"}
-    assert told == pytest.approx({"astigmatism": 0.3, "tetrafoil": 0.4}, rel=0.1)
+    large = {one.name: one.rms_nm for one in both.contributions if one.source == "instrument"}
+    assert large == pytest.approx({"astigmatism": 0.3, "tetrafoil": 0.4}, rel=0.1)
     assert both.bound > alone.bound
     assert both.mean**2 - alone.mean**2 == pytest.approx(0.3**2 + 0.4**2, rel=0.35)
 
@@ -181,14 +180,14 @@ def test_a_print_that_four_turns_leave_is_in_the_bound() -> None:
             waves = (np.sin(31 * (np.cos(a) * x + np.sin(a) * y) + b) for a, b in way)
             return np.asarray(sum(waves) / 6**0.5)
 
-        found = separate(maps(turns(4), 0.1, instrument=print_nm, seed=seed), turns(4), PITCH_MM)
+        found = separate_instrument(maps(turns(4), 0.1, instrument=print_nm, seed=seed), turns(4), PITCH_MM)
         seen = maps([PartPose(0)], 0.1, part=lambda x, y: 0.3 * x * y, instrument=lambda x, y: 0 * x, seed=100 + seed)[
             0
         ]
         height = seen - found.instrument_nm
         mask = np.isfinite(height)
         true = np.where(mask, true_nm(lambda x, y: 0.3 * x * y) - true_nm(print_nm), np.nan)
-        rms_nm = pv_rms(without(true, mask, "tilt"), mask)[1]
+        rms_nm = pv_rms(remove_terms(true, mask, "tilt"), mask)[1]
         for kept, prior in ((below, None), (naive, 0.0)):
             given = errors_from_system_map(AbsoluteTestResult.of(found), MapNoise(0.1), {}, prior)
             bound = true_rms_bound(height, mask, PITCH_MM, given, samples=500, circle_px=found.circle_px).bound
@@ -216,7 +215,7 @@ def test_any_figure_has_a_bound() -> None:
     assert by_maps.mean == pytest.approx(by_terms.mean, rel=0.04)
 
     def pv(height_nm: FloatArray) -> float:
-        return pv_rms(without(height_nm, MASK, "tilt"), MASK)[0]
+        return pv_rms(remove_terms(height_nm, MASK, "tilt"), MASK)[0]
 
     below = []
     for seed in range(100):
@@ -228,21 +227,21 @@ def test_any_figure_has_a_bound() -> None:
 @pytest.mark.full
 def test_what_the_poses_told_is_taken_from_them() -> None:
     poses = [*turns(4), PartPose(45)]
-    found = separate(maps(poses), poses, PITCH_MM)
+    found = separate_instrument(maps(poses), poses, PITCH_MM)
     given = errors_from_system_map(
         AbsoluteTestResult.of(found), MapNoise(0.3), {POWER: 5.0, ASTIGMATISM: 5.0, SPHERICAL: 1.0}
     )
-    assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was told
+    assert set(given.unseen_nm) == {POWER, SPHERICAL}  # astigmatism was determined
     assert given.unseen_nm[POWER] == pytest.approx(5.0)
     assert given.covariance.shape == (len(given.terms),) * 2
     measured = maps([PartPose(0)], 0.3, seed=9)[0] - found.instrument_nm
     mask = np.isfinite(measured)
-    true = without(np.where(mask, true_nm(part_nm), np.nan), mask, "tilt")[mask].std()
+    true = remove_terms(np.where(mask, true_nm(part_nm), np.nan), mask, "tilt")[mask].std()
     bound = true_rms_bound(measured, mask, PITCH_MM, given, tolerance_nm=2.0, circle_px=found.circle_px)
     assert true < bound.bound
     assert [one.name for one in bound.demanded] == ["power"]
     assert bound.power_removed is not None
-    off_power = without(np.where(mask, true_nm(part_nm), np.nan), mask, "power")[mask].std()
+    off_power = remove_terms(np.where(mask, true_nm(part_nm), np.nan), mask, "power")[mask].std()
     # what is left to chance is noise, and 1 nm of spherical in squares
     assert off_power < bound.power_removed.bound < 1.4 * off_power
 

@@ -21,7 +21,7 @@ ORDERINGS: tuple[Ordering, ...] = ("noll", "fringe", "ansi")
 
 def of_terms(coefficients: FloatArray, mask: BoolArray, ordering: Ordering, norm: Norm) -> FloatArray:
     """The surface with these terms over the circle around a mask."""
-    row, column, radius = zernike.enclosing(mask)
+    row, column, radius = zernike.enclosing_circle(mask)
     y, x = np.mgrid[: mask.shape[0], : mask.shape[1]]
     x, y = (x - column) / radius, (row - y) / radius
     terms = values(order(ordering, len(coefficients)), norm, x.ravel(), y.ravel())
@@ -94,7 +94,7 @@ def test_over_the_mask_terms_are_shares_of_the_variance(name: str) -> None:
 
 def test_a_fit_is_that_of_the_whole_design_matrix() -> None:
     mask, height = MASKS["ellipse"], rough(GRID, seed=5)
-    row, column, radius = zernike.enclosing(mask)
+    row, column, radius = zernike.enclosing_circle(mask)
     i, j = np.nonzero(mask)
     design = values(order("noll", 21), "rms", (j - column) / radius, (row - i) / radius).T
     expected = np.linalg.lstsq(design, height[mask], rcond=None)[0]
@@ -137,11 +137,11 @@ def test_the_unit_circle_can_be_named() -> None:
 def test_the_enclosing_circle() -> None:
     mask = np.zeros((9, 11), dtype=bool)
     mask[2:7, 4] = True
-    assert zernike.enclosing(mask) == (4.0, 4.0, 2.0)
+    assert zernike.enclosing_circle(mask) == (4.0, 4.0, 2.0)
     mask[4, 1:8] = True
-    assert zernike.enclosing(mask) == (4.0, 4.0, 3.0)
+    assert zernike.enclosing_circle(mask) == (4.0, 4.0, 3.0)
     with pytest.raises(MapError, match="no sample"):
-        zernike.enclosing(np.zeros((3, 3), dtype=bool))
+        zernike.enclosing_circle(np.zeros((3, 3), dtype=bool))
 
 
 def test_what_cannot_be_told_apart_is_refused() -> None:
@@ -149,9 +149,9 @@ def test_what_cannot_be_told_apart_is_refused() -> None:
     line, ring = np.zeros(GRID.shape, dtype=bool), np.abs(GRID.radius_mm() - 50) < 0.4
     line[70, :] = True
     for mask in (line, ring):
-        with pytest.raises(MapError, match="cannot be told apart"):
+        with pytest.raises(MapError, match="cannot be separated"):
             zernike.fit(height, mask, 37)
-    with pytest.raises(MapError, match="cannot be told apart"):  # a spot in a large circle
+    with pytest.raises(MapError, match="cannot be separated"):  # a spot in a large circle
         zernike.fit(height, GRID.radius_mm() < 6, 37, circle_px=(75.0, 70.0, 500.0))
     few = np.zeros(GRID.shape, dtype=bool)
     few[:4, :5] = True
@@ -185,13 +185,13 @@ def test_one_bad_pixel_does_not_set_pvr() -> None:
 
 
 def test_terms_of_noise_scatter_as_their_covariance_says() -> None:
-    """On half a circle, where terms are far from orthogonal: 400 draws, each entry within 4 of its own deviations."""
+    """On half a circle, where terms are far from orthogonal: 400 draws, each entry within 4 standard deviations."""
     small = Grid(24, 24, 1.0)
     x, y = small.axes_mm
     mask = (np.hypot(x, y) <= 12) & (x + 0 * y < 3)
     rng = np.random.default_rng(5)
     drawn = [zernike.fit(rng.normal(size=mask.shape), mask, 6) for _ in range(400)]
-    told = drawn[0].per_noise
+    stated = drawn[0].per_noise
     seen = np.cov(np.array([one.coefficients_nm for one in drawn]).T)
-    deviation = np.sqrt((told**2 + np.outer(np.diag(told), np.diag(told))) / 400)
-    assert (np.abs(seen - told) < 4 * deviation).all()
+    deviation = np.sqrt((stated**2 + np.outer(np.diag(stated), np.diag(stated))) / 400)
+    assert (np.abs(seen - stated) < 4 * deviation).all()

@@ -38,7 +38,7 @@ def maps(
     seed: int = 1,
     sense: int = 1,
 ) -> list[FloatArray]:
-    """Of each pose, with noise and a piston and a tilt of its own; ``sense`` -1: turned the other way."""
+    """Of each pose, with noise, a piston and a tilt; ``sense`` -1: turned the other way."""
     rng = np.random.default_rng(seed)
     found = []
     for pose in poses:

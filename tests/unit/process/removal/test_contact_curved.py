@@ -13,7 +13,7 @@ from polishd.model.process import FLAT, Optic, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process import optic_surface
 from polishd.process.removal import contact
-from polishd.process.removal.contact import CurvedContact, on_curved
+from polishd.process.removal.contact import CurvedContact, contact_on_curved_part
 from polishd.process.removal.dynamic_tif import PointLocation, effects_columns
 from polishd.process.removal.tif import HertzSpot
 from polishd.sim_backends.plant.part import Shape
@@ -35,7 +35,7 @@ SQUARES, CELL = 135, 9
 
 def beside_a_flat(optic: Optic, place: FloatArray = CENTRE) -> CurvedContact:
     """Of an optic that is none."""
-    found = on_curved(TOOL, optic, place)
+    found = contact_on_curved_part(TOOL, optic, place)
     assert found is not None
     return found
 
@@ -139,12 +139,12 @@ def spot_nm(curved: CurvedContact | None) -> FloatArray:
 
 
 def test_a_flat_changes_nothing_and_no_point_is_none() -> None:
-    assert on_curved(TOOL, FLAT, np.zeros((3, 2))) is None
-    assert on_curved(TOOL, Optic(800.0), np.zeros((0, 3))) is None
+    assert contact_on_curved_part(TOOL, FLAT, np.zeros((3, 2))) is None
+    assert contact_on_curved_part(TOOL, Optic(800.0), np.zeros((0, 3))) is None
 
 
 def test_without_a_contact_only_the_slope_counts() -> None:
-    found = on_curved(TOOL, Optic(800.0), np.array([[0.0, 0.0], [150.0, 0.0]]), contact=False)
+    found = contact_on_curved_part(TOOL, Optic(800.0), np.array([[0.0, 0.0], [150.0, 0.0]]), contact=False)
     assert found is not None
     cosine = np.sqrt(1 - (150.0 / 800.0) ** 2)
     np.testing.assert_allclose(found.wider, [[1.0, 1.0], [cosine, 1.0]], rtol=1e-9)
@@ -153,4 +153,4 @@ def test_without_a_contact_only_the_slope_counts() -> None:
 
 def test_a_part_that_the_bonnet_does_not_fit_into_is_refused() -> None:
     with pytest.raises(ComputeError, match=r"radius of curvature is 21 mm.*does not lie in it with a spot"):
-        on_curved(TOOL, Optic(21.0), CENTRE)
+        contact_on_curved_part(TOOL, Optic(21.0), CENTRE)

@@ -20,14 +20,14 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.dwell.quadratic import quadratic, regularisation_from_rho
-from polishd.process.removal.blocks import blocks_of, effect_row
-from polishd.process.removal.contact import CurvedContact, on_curved
+from polishd.process.removal.contact import CurvedContact, contact_on_curved_part
 from polishd.process.removal.dynamic_tif import CorrectedSpot, effect_matrix, tif_at_point
 from polishd.process.removal.effect import Effect, SparseEffect
 from polishd.process.removal.path_tif import SpotPath, rim_depth_mm
 from polishd.process.removal.spread_effect import SpreadEffect, damping, spline, spread_effect
 from polishd.process.removal.spread_effect_compiled import compiled_spread
 from polishd.process.removal.tif import HertzSpot, Spot, hertz_spot
+from polishd.process.removal.tif_family import blocks_of, effect_row
 from tests.unit.process.moves import inward_program, program
 
 GRID = Grid(40, 48, 1.0)
@@ -168,7 +168,7 @@ CURVED = {
 
 def on_part(optic: Optic, path: Program) -> tuple[SpotPath, CurvedContact]:
     """The bonnet along a path over it."""
-    curved = on_curved(BONNET, optic, path.end_mm)
+    curved = contact_on_curved_part(BONNET, optic, path.end_mm)
     assert curved is not None
     return SpotPath(path, hertz_spot(BONNET, GRID.pitch_mm), BONNET, None, curved), curved
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.process.removal import contact
-from polishd.process.removal.blocks import PathBlocks, effect_row
 from polishd.process.removal.tif import MOST_PATCH, PATCH, HertzSpot, hertz_spot, rotate_spot
+from polishd.process.removal.tif_family import PathBlocks, effect_row
 from tests.unit.process.shared_out import overlap
 
 PAPER = ToolProcess()

@@ -13,7 +13,12 @@ from polishd.process.removal import contact
 from polishd.process.removal import transfer_function as module
 from polishd.process.removal.dynamic_tif import effect_matrix
 from polishd.process.removal.tif import HertzSpot, MeasuredSpot, measured_spot
-from polishd.process.removal.transfer_function import SHARE, SpotTransferFunction, correctable, transfer
+from polishd.process.removal.transfer_function import (
+    SHARE,
+    SpotTransferFunction,
+    correctable_surface,
+    spot_transfer_function,
+)
 from polishd.process.toolpath.paths import quiet_step_mm
 from tests.unit.process.moves import program
 
@@ -41,7 +46,7 @@ def wave(period_mm: float, amplitude_nm: float = 10.0) -> FloatArray:
 
 
 def test_a_hertz_spot_has_the_transform_of_its_pressure() -> None:
-    found = transfer(HertzSpot(EVEN))
+    found = spot_transfer_function(HertzSpot(EVEN))
     u = 2 * np.pi * A * found.frequency_per_mm[1:]
     assert found.modulus[0] == pytest.approx(1.0)
     low = u < 8
@@ -49,13 +54,13 @@ def test_a_hertz_spot_has_the_transform_of_its_pressure() -> None:
 
 
 def test_a_hertz_spot_has_its_null_where_the_raster_is_quiet() -> None:
-    found = transfer(HertzSpot(EVEN))
+    found = spot_transfer_function(HertzSpot(EVEN))
     assert found.null_period_mm == pytest.approx(2 * np.pi * A / brentq(lambda u: np.tan(u) - u, 4.4, 4.5), rel=2e-3)
     assert found.null_period_mm == pytest.approx(quiet_step_mm(A, 2 * A), rel=2e-3)
 
 
 def test_the_papers_spot_too() -> None:
-    found = transfer(HertzSpot(ToolProcess()))
+    found = spot_transfer_function(HertzSpot(ToolProcess()))
     assert found.null_period_mm == pytest.approx(quiet_step_mm(1.7225, 3.0), rel=5e-3)
     assert 1.4 * 1.7225 < found.cutoff_period_mm < 1.6 * 1.7225
 
@@ -63,11 +68,13 @@ def test_the_papers_spot_too() -> None:
 def test_the_cutoff_of_a_hertz_spot_is_where_it_is_down_to_the_share() -> None:
     for share in (0.5, 0.2, SHARE, 0.01):
         u = brentq(lambda u, share=share: float(hertz(np.array(u))) - share, 0.1, 4.493)
-        assert transfer(HertzSpot(EVEN), share=share).cutoff_period_mm == pytest.approx(2 * np.pi * A / u, rel=4e-3)
+        assert spot_transfer_function(HertzSpot(EVEN), share=share).cutoff_period_mm == pytest.approx(
+            2 * np.pi * A / u, rel=4e-3
+        )
 
 
 def test_below_the_share_of_its_null_the_null_is_the_cutoff() -> None:
-    found = transfer(HertzSpot(EVEN), share=1e-6)
+    found = spot_transfer_function(HertzSpot(EVEN), share=1e-6)
     assert found.cutoff_period_mm == found.null_period_mm
 
 
@@ -75,7 +82,7 @@ def test_below_the_share_of_its_null_the_null_is_the_cutoff() -> None:
 @pytest.mark.parametrize("sigma", [0.5, 0.8, 3.0])
 @pytest.mark.parametrize("share", [0.3, SHARE, 0.01])
 def test_a_gaussian_has_no_null_and_a_cutoff_in_closed_form(sigma: float, share: float) -> None:
-    found = transfer(gaussian(sigma, sigma / 8), share=share)
+    found = spot_transfer_function(gaussian(sigma, sigma / 8), share=share)
     assert found.cutoff_period_mm == pytest.approx(np.pi * sigma * np.sqrt(2 / np.log(1 / share)), rel=3e-3)
     assert found.null_period_mm is None
     expected = np.exp(-2 * (np.pi * sigma * found.frequency_per_mm) ** 2)
@@ -83,21 +90,21 @@ def test_a_gaussian_has_no_null_and_a_cutoff_in_closed_form(sigma: float, share:
 
 
 def test_a_deeper_contact_reaches_less_far() -> None:
-    one, deep = (transfer(HertzSpot(EVEN), ratio).cutoff_period_mm for ratio in (1.0, 1.44))
+    one, deep = (spot_transfer_function(HertzSpot(EVEN), ratio).cutoff_period_mm for ratio in (1.0, 1.44))
     assert deep / one == pytest.approx(1.2, rel=1e-3)
 
 
 def test_the_azimuth_does_not_matter_to_the_mean_over_directions() -> None:
-    one, other = (transfer(HertzSpot(ToolProcess()), azimuth_rad=turn) for turn in (0.0, 1.1))
+    one, other = (spot_transfer_function(HertzSpot(ToolProcess()), azimuth_rad=turn) for turn in (0.0, 1.1))
     assert one.cutoff_period_mm == pytest.approx(other.cutoff_period_mm, rel=2e-3)
 
 
 @pytest.mark.full
 def test_the_directions_and_frequencies_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    rough = transfer(HertzSpot(ToolProcess()))
+    rough = spot_transfer_function(HertzSpot(ToolProcess()))
     monkeypatch.setattr(module, "DIRECTIONS", 180)
     monkeypatch.setattr(module, "FREQUENCIES", 2000)
-    fine = transfer(HertzSpot(ToolProcess()))
+    fine = spot_transfer_function(HertzSpot(ToolProcess()))
     assert rough.cutoff_period_mm == pytest.approx(fine.cutoff_period_mm, rel=1e-3)
     assert rough.null_period_mm == pytest.approx(fine.null_period_mm or 0.0, rel=2e-3)
 
@@ -108,7 +115,7 @@ def at(cutoff_mm: float) -> SpotTransferFunction:
 
 def test_a_surface_is_split_at_the_cutoff() -> None:
     long, short = wave(20.0), wave(4.0, 3.0)
-    found = correctable(long + short, DISC, GRID.pitch_mm, at(8.0))
+    found = correctable_surface(long + short, DISC, GRID.pitch_mm, at(8.0))
     assert found.within_reach_rms_nm == pytest.approx(long[DISC].std(), rel=0.03)
     assert found.beyond_reach_rms_nm == pytest.approx(short[DISC].std(), rel=0.05)
     assert found.rms_nm == pytest.approx((long + short)[DISC].std())
@@ -117,12 +124,14 @@ def test_a_surface_is_split_at_the_cutoff() -> None:
 
 def test_a_longer_cutoff_leaves_more() -> None:
     surface = wave(20.0) + wave(7.0) + wave(3.0)
-    left = [correctable(surface, DISC, GRID.pitch_mm, at(cut)).beyond_reach_rms_nm for cut in (2.0, 5.0, 12.0, 30.0)]
+    left = [
+        correctable_surface(surface, DISC, GRID.pitch_mm, at(cut)).beyond_reach_rms_nm for cut in (2.0, 5.0, 12.0, 30.0)
+    ]
     assert (np.diff(left) > 1.0).all()
 
 
 def test_what_the_map_does_not_show_is_not_known() -> None:
-    found = correctable(wave(20.0), DISC, GRID.pitch_mm, at(0.9))
+    found = correctable_surface(wave(20.0), DISC, GRID.pitch_mm, at(0.9))
     assert not found.resolved
     assert found.beyond_reach_rms_nm < 1e-9
 
@@ -130,7 +139,7 @@ def test_what_the_map_does_not_show_is_not_known() -> None:
 @pytest.mark.full
 def test_a_dwell_reaches_what_the_transfer_function_says() -> None:
     """Waves of two periods under a dwell held down such that, at the cut-off, half of a wave would stay."""
-    found = transfer(HertzSpot(EVEN))
+    found = spot_transfer_function(HertzSpot(EVEN))
     grid = Grid(40, 40, 0.5)
     x, y = (part.ravel() for part in np.meshgrid(grid.x_mm, grid.y_mm))
     at = np.column_stack([x, y])
@@ -151,15 +160,15 @@ def test_what_cannot_be_is_refused() -> None:
     spot = HertzSpot(EVEN)
     for share in (0.0, 1.0, -1.0, np.nan):
         with pytest.raises(ComputeError, match="the share at the cut-off"):
-            transfer(spot, share=share)
+            spot_transfer_function(spot, share=share)
     for ratio in (0.0, np.nan):
         with pytest.raises(ComputeError, match="the depth ratio gamma"):
-            transfer(spot, ratio)
+            spot_transfer_function(spot, ratio)
     needle = np.zeros((9, 9))
     needle[4, 4] = 1.0
     with pytest.raises(ComputeError, match="its patch is too coarse"):
-        transfer(measured_spot(MeasuredTif(needle, 0.1), ToolProcess()))
+        spot_transfer_function(measured_spot(MeasuredTif(needle, 0.1), ToolProcess()))
     with pytest.raises(MapError, match="have no data"):
-        correctable(np.full(GRID.shape, np.nan), DISC, GRID.pitch_mm, at(8.0))
+        correctable_surface(np.full(GRID.shape, np.nan), DISC, GRID.pitch_mm, at(8.0))
     with pytest.raises(MapError, match="no sample"):
-        correctable(wave(9.0), np.zeros(GRID.shape, dtype=bool), GRID.pitch_mm, at(8.0))
+        correctable_surface(wave(9.0), np.zeros(GRID.shape, dtype=bool), GRID.pitch_mm, at(8.0))

@@ -15,9 +15,9 @@ from polishd.model.surface import FloatArray
 from polishd.process.robot.hybrid import (
     geometry_of,
     limb_stiffness_n_per_mm,
-    place,
     refuse_unreachable,
     require_poses,
+    solve_pose,
     stiffnesses_of,
 )
 
@@ -61,7 +61,7 @@ def pose_of(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> Pose:
     """Eq. 1, with ``q_i w_i`` on the left and the platform's own ``w`` on the right (misprinted there)."""
     tip, axis = require_poses(tip_mm, axis)
     geometry = geometry_of(robot)
-    placed = place(robot, geometry, tip.T, axis.T)
+    placed = solve_pose(robot, geometry, tip.T, axis.T)
     refuse_unreachable(robot, placed)
     parallel = placed.parallel
     frame = parallel.frame.transpose(2, 1, 0)

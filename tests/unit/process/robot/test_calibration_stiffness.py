@@ -1,4 +1,4 @@
-"""Stiffnesses found again from synthetic loading tests with noise, and what the fit says of its own errors."""
+"""Stiffnesses found again from synthetic loading tests with noise, and the errors that the fit states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.process.robot.calibration import (
     elastic_numbers,
     fit_stiffness,
     percent_errors,
-    with_elastic,
+    replace_elastic_numbers,
 )
 from polishd.process.robot.compliance import equivalent_compliance, reachable, tip_compliance_mm_per_n
 from tests.unit.process.moves import inward_axis
@@ -69,7 +69,9 @@ def load(
 def changed(robot: HybridRobot | SerialRobot, rng: np.random.Generator) -> HybridRobot | SerialRobot:
     """Every stiffness 20 to 40 % up or down."""
     given = np.array([number.value for number in elastic_numbers(robot)])
-    return with_elastic(robot, given * (1 + rng.choice([-1, 1], len(given)) * rng.uniform(0.2, 0.4, len(given))))
+    return replace_elastic_numbers(
+        robot, given * (1 + rng.choice([-1, 1], len(given)) * rng.uniform(0.2, 0.4, len(given)))
+    )
 
 
 def value_of(fit: StiffnessFit, name: str) -> float:
@@ -140,7 +142,7 @@ def test_against_noisy_tests_the_largest_error_is_the_noises() -> None:
 
 def test_without_noise_what_is_determined_is_exact() -> None:
     rng = np.random.default_rng(5)
-    truth = with_elastic(UR5, np.array([5e7, 3e7, 2e7, 1.5e7, 0.8e7, 0.9e7]))
+    truth = replace_elastic_numbers(UR5, np.array([5e7, 3e7, 2e7, 1.5e7, 0.8e7, 0.9e7]))
     fit = fit_stiffness(UR5, load(truth, 30, rng, 0.0, ALL_WAYS))
     assert [found.determined for found in fit.stiffnesses] == [True] * 5 + [False]
     np.testing.assert_allclose(fit.robot.joint_stiffness_n_mm_per_rad, truth.joint_stiffness_n_mm_per_rad, rtol=1e-6)
@@ -199,7 +201,7 @@ def test_two_of_which_the_tests_see_but_the_sum_do_not_run_apart() -> None:
 @pytest.mark.full
 def test_a_start_that_is_off_by_far_gets_there() -> None:
     rng = np.random.default_rng(8)
-    truth = with_elastic(UR5, np.array(UR5.joint_stiffness_n_mm_per_rad) * [5, 0.2, 6, 0.3, 4, 1])
+    truth = replace_elastic_numbers(UR5, np.array(UR5.joint_stiffness_n_mm_per_rad) * [5, 0.2, 6, 0.3, 4, 1])
     fit = fit_stiffness(UR5, load(truth, 60, rng, 0.01, ALL_WAYS), hold_out=load(truth, 100, rng, 0.0, ALL_WAYS))
     assert fit.held_out is not None
     assert fit.held_out.mean_percent < 2.0
@@ -234,7 +236,7 @@ def test_only_the_stiffnesses_change() -> None:
     start = dataclasses.replace(HYBRID, c_zero_deg=12.0)
     rng = np.random.default_rng(12)
     fit = fit_stiffness(start, load(changed(start, rng), 20, rng))
-    back = with_elastic(fit.robot, np.array([number.value for number in elastic_numbers(start)]))
+    back = replace_elastic_numbers(fit.robot, np.array([number.value for number in elastic_numbers(start)]))
     assert back == start
 
 

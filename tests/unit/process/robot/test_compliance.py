@@ -13,9 +13,9 @@ from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray
 from polishd.process.robot.compliance import (
     complex_eigenvalues,
+    compliance_jumps,
     depth_ratio,
     equivalent_compliance,
-    jumps,
     tip_compliance_mm_per_n,
 )
 
@@ -59,15 +59,15 @@ def test_where_two_eigenvalues_meet_linear_jumps_and_says_so() -> None:
     near[2:] = quarter @ near[2:] @ quarter.T
     linear = equivalent_compliance(near, axis, normal)
     assert linear[2] / linear[1] == pytest.approx(np.sqrt(2), abs=0.01)
-    assert jumps(linear, near).tolist() == [False, True, False]
-    assert not jumps(equivalent_compliance(near, axis, normal, "quadratic"), near).any()
+    assert compliance_jumps(linear, near).tolist() == [False, True, False]
+    assert not compliance_jumps(equivalent_compliance(near, axis, normal, "quadratic"), near).any()
 
 
 def test_a_robot_that_changes_as_much_is_no_jump() -> None:
     matrix = np.stack([SOFT[0], 1.5 * SOFT[0], SOFT[0]])
-    assert not jumps(np.array([1.0, 1.5, 1.0]), matrix).any()
-    assert jumps(np.array([1.0, 1.6, 1.0]), matrix).all()
-    assert jumps(np.array([1.0]), matrix[:1]).shape == (0,)
+    assert not compliance_jumps(np.array([1.0, 1.5, 1.0]), matrix).any()
+    assert compliance_jumps(np.array([1.0, 1.6, 1.0]), matrix).all()
+    assert compliance_jumps(np.array([1.0]), matrix[:1]).shape == (0,)
 
 
 def test_depth_ratio_at_the_figures_of_the_paper() -> None:

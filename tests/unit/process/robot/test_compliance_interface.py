@@ -7,8 +7,7 @@ import pytest
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import HybridRobot, MeasuredCompliance, SerialRobot
-from polishd.process.robot.compliance import reachable, tip_compliance_mm_per_n
-from polishd.process.robot.measured import measured_compliance
+from polishd.process.robot.compliance import measured_compliance, reachable, tip_compliance_mm_per_n
 from polishd.process.robot.serial import serial_tip_compliance_mm_per_n
 from tests.unit.process.robot.arms import forward
 from tests.unit.process.robot.hybrid_poses import random_poses

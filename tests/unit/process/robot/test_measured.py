@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from polishd.model.errors import ComputeError
 from polishd.model.process import MeasuredCompliance
 from polishd.model.surface import FloatArray
-from polishd.process.robot.measured import measured_compliance, measured_reachable
+from polishd.process.robot.compliance import measured_compliance, measured_reachable
 
 
 def affine(tip: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from polishd.process.robot.motion import executed_s, pace, reached
+from polishd.process.robot.motion import clock_rate, executed_s, last_reachable_block
 
 
 def test_a_block_that_carries_time_is_its_points_own() -> None:
@@ -48,7 +48,7 @@ def test_no_time_is_lost_up_to_the_last_point(data: st.DataObject) -> None:
 )
 def test_a_block_is_reached_that_may_have_begun_within_the_time(after: int, within_s: float, end: int) -> None:
     least_s = np.array([1.0, 2.0, 0.0, 0.0, 3.0, 1.0])  # moves to a dwell carry no time: they are run in none
-    assert reached(least_s, after, within_s) == end
+    assert last_reachable_block(least_s, after, within_s) == end
 
 
 @hypothesis.given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=20), st.floats(0.01, 30.0), st.data())
@@ -59,14 +59,14 @@ def test_no_block_is_left_out_however_much_longer_they_take(
     takes_s = [least + data.draw(st.floats(0.0, 1.0)) for least in least_s]
     begins_s = np.cumsum([0.0, *takes_s[after + 1 :]])[:-1]
     ran = after + 1 + int((begins_s < within_s).sum())
-    assert reached(np.array(least_s), after, within_s) >= ran
+    assert last_reachable_block(np.array(least_s), after, within_s) >= ran
 
 
 def test_a_pace_is_never_taken_too_slow() -> None:
     """Two words of a robot whose clock runs at 1.5, each as late as it may be."""
     for first_late_s, last_late_s in ((0.0, 0.0), (1.5, 0.0), (0.0, 1.5)):
         wall_s = 20.0 - first_late_s + last_late_s
-        found = pace(30.0, wall_s, 1.5)
+        found = clock_rate(30.0, wall_s, 1.5)
         assert found is not None
         assert found >= 30.0 / 20.0
-    assert pace(3.0, 2.9, 1.5) is None, "so short a while tells nothing"
+    assert clock_rate(3.0, 2.9, 1.5) is None, "the interval is too short"

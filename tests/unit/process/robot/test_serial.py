@@ -342,7 +342,7 @@ def test_a_pose_beyond_a_singular_one_is_taken_by_homes_branch_or_not_at_all() -
 
 
 def test_elbow_and_wrist_bend_as_at_home_wherever_the_arm_goes() -> None:
-    """Two singular poses passed on the way leave the determinant's sign as it was: that alone tells no branch."""
+    """Two singular poses on the way leave the determinant's sign unchanged: the sign does not determine the branch."""
     rng = np.random.default_rng(4)
     robot = dataclasses.replace(UR5, home_deg=(27.0, -109.0, 139.0, -115.0, -84.0, -7.0))
     tip = forward(robot, np.radians([robot.home_deg]))[0] + rng.uniform(-250, 250, (400, 3))

@@ -18,11 +18,11 @@ def lines(diameter_mm: float, apart_mm: float = 1.0) -> tuple[FloatArray, FloatA
 
 
 @pytest.mark.parametrize(
-    ("diameter_mm", "unreached"), [(94.0, 0.0), (60.0, 1 - (32 / 47) ** 2), (40.0, 1 - (22 / 47) ** 2)]
+    ("diameter_mm", "unreachable"), [(94.0, 0.0), (60.0, 1 - (32 / 47) ** 2), (40.0, 1 - (22 / 47) ** 2)]
 )
-def test_a_smaller_path_leaves_the_rest(diameter_mm: float, unreached: float) -> None:
+def test_a_smaller_path_leaves_the_rest(diameter_mm: float, unreachable: float) -> None:
     found = coverage(*lines(diameter_mm), spot_mm=2.0, outline=Circle(50.0), edge_mm=3.0, landing_mm=0.0)
-    assert found.unreached == pytest.approx(unreached, abs=0.01)
+    assert found.unreachable == pytest.approx(unreachable, abs=0.01)
     assert found.outside == 0.0
     assert found.reach_mm == pytest.approx(diameter_mm / 2, abs=1.0)
 
@@ -30,14 +30,16 @@ def test_a_smaller_path_leaves_the_rest(diameter_mm: float, unreached: float) ->
 def test_a_larger_path_lies_beyond_the_rim() -> None:
     found = coverage(*lines(100.0), spot_mm=2.0, outline=Circle(30.0), edge_mm=3.0, landing_mm=0.0)
     assert found.outside == pytest.approx(1 - 0.6**2, abs=0.02)
-    assert found.unreached == 0.0
+    assert found.unreachable == 0.0
 
 
 def test_blocks_reach_along_their_length_however_few_they_are() -> None:
     """2 mm apart: spots of more than 1 mm leave nothing between, those of half of that leave half."""
-    assert coverage(*lines(100.0, 2.0), spot_mm=1.1, outline=Circle(50.0), edge_mm=3.0, landing_mm=0.0).unreached == 0.0
+    assert (
+        coverage(*lines(100.0, 2.0), spot_mm=1.1, outline=Circle(50.0), edge_mm=3.0, landing_mm=0.0).unreachable == 0.0
+    )
     narrow = coverage(*lines(100.0, 2.0), spot_mm=0.5, outline=Circle(50.0), edge_mm=3.0, landing_mm=0.0)
-    assert narrow.unreached == pytest.approx(0.5, abs=0.05)
+    assert narrow.unreachable == pytest.approx(0.5, abs=0.05)
 
 
 def test_points_without_length_count_where_they_are() -> None:
@@ -45,17 +47,17 @@ def test_points_without_length_count_where_they_are() -> None:
     found = coverage(dwells, dwells, spot_mm=3.0, outline=Circle(50.0), edge_mm=3.0, landing_mm=0.0)
     assert found.reach_mm == 70.0
     assert found.outside == pytest.approx(1 / 3)
-    assert found.unreached == pytest.approx(1 - 2 * (3 / 47) ** 2, abs=0.002)
+    assert found.unreachable == pytest.approx(1 - 2 * (3 / 47) ** 2, abs=0.002)
 
 
 def test_of_a_part_that_is_not_round_its_own_outline_counts() -> None:
     """A path over 100 x 100 mm; one over a disc leaves the corners of the rectangle that it lies in."""
     part = rectangle(80.0, 40.0)
     found = coverage(*lines(100.0), spot_mm=2.0, outline=part, edge_mm=3.0, landing_mm=5.0)
-    assert found.unreached == 0.0
+    assert found.unreachable == 0.0
     assert found.outside == pytest.approx(1 - disc_share(90.0, 50.0, 100.0), abs=0.02)
     found = coverage(*lines(60.0), spot_mm=2.0, outline=part, edge_mm=3.0, landing_mm=5.0)
-    assert found.unreached == pytest.approx(1 - disc_share(74.0, 34.0, 64.0) * 32**2 * np.pi / (74 * 34), abs=0.02)
+    assert found.unreachable == pytest.approx(1 - disc_share(74.0, 34.0, 64.0) * 32**2 * np.pi / (74 * 34), abs=0.02)
 
 
 def disc_share(wide_mm: float, high_mm: float, diameter_mm: float) -> float:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from polishd.model.errors import ComputeError
 from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray
-from polishd.process.toolpath.apertures import along_polyline, evenly, on_optic, require_points
+from polishd.process.toolpath.apertures import along_polyline, on_optic, require_points, resample_evenly
 
 SPHERE = Optic(100.0)
 
@@ -22,7 +22,7 @@ def arc(angle: FloatArray) -> FloatArray:
 
 def test_a_circle_run_through_ever_faster() -> None:
     knots = np.linspace(0, np.sqrt(2 * np.pi), 200)
-    points = evenly(arc, knots, np.array([0, 199]), 0.7)
+    points = resample_evenly(arc, knots, np.array([0, 199]), 0.7)
     assert len(points) == round(20 * np.pi / 0.7) + 1
     chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
     np.testing.assert_allclose(chord, 20 * np.sin(np.pi / (len(points) - 1)), rtol=1e-5)

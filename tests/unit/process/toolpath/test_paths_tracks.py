@@ -51,7 +51,7 @@ def test_a_lean_is_turned_about_the_normal() -> None:
     own = np.tile([0.0, -np.sin(0.2), np.cos(0.2)], (len(path.points_mm), 1))
     axes = path.axes(optic, own)
     on = np.append(path.track, BETWEEN) == 0
-    assert np.allclose(axes[on], own[on]), "the first leans as the tool does by itself"
+    assert np.allclose(axes[on], own[on]), "the first keeps the tool's lean"
     assert np.linalg.norm(axes, axis=1) == pytest.approx(np.ones(len(axes)))
     flat = join_tracks(FLAT, TRACKS, 60.0, 0.8)
     axes = flat.axes(FLAT, own)

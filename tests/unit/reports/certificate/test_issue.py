@@ -19,7 +19,7 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.rendering.document import html
 from polishd.reports.certificate import issue
 from polishd.reports.certificate.content import CertificateRequest, certificate_content
-from polishd.reports.certificate.document import sheet
+from polishd.reports.certificate.document import certificate_document
 from polishd.reports.certificate.model import schema
 from polishd.reports.certificate.sources import find_run
 from tests.unit.reports.certificate.conftest import Made
@@ -33,6 +33,10 @@ def text_of(pdf: Path) -> str:
     if shutil.which("pdftotext") is None:
         pytest.skip("pdftotext is not installed: apt-get install poppler-utils")
     return subprocess.run(["pdftotext", "-layout", pdf, "-"], capture_output=True, text=True, check=True).stdout
+
+
+def page_of(files: DemoFiles, request: CertificateRequest) -> str:
+    return html(certificate_document(certificate_content(find_run(files.run_dir, None), request, AT), ""))
 
 
 def squeezed(text: str) -> str:
@@ -57,9 +61,9 @@ def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
     for said in ("A. Meyer", "Observatory", "Example Optics", twin["verdict"]["words"], twin["number"]):
         assert said in text
     for title in (
-        "Specification and verdict", "How sure", "Before and after, nm", "What no dwell could remove", "Signature",
+        "Specification and verdict", "Uncertainty", "Before and after, nm", "Beyond the reach of the tool", "Signature",
         "Masks", "Power spectra", "Primary aberrations", "ISO 10110-5 and ISO 10110-14", "Slope", "Spatial periods",
-        "Zernike terms", "From map to map", "What went wrong, and what was done", "Pass 1", "Pass 2", "Instrument",
+        "Zernike terms", "From map to map", "Anomalies", "Pass 1", "Pass 2", "Instrument",
         "Versions", "Journal", "Files of the run", "Editions",
     ):  # fmt: skip
         assert title in text, title
@@ -69,35 +73,32 @@ def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
     assert twin["after"]["iso10110"]["indication"] in text
     assert twin["journal"]["sha256"] in text
     assert all(file["sha256"] in text for file in twin["files"])
-    assert f"is signed with the key {twin['seal']['signature']['key_id']}" in text
+    assert twin["seal"]["signature"]["key_id"] in text
 
 
 def test_one_rms_of_each_surface(certified: Made) -> None:
     """Another figure of the same map, on the solver's grid, stood beside it once."""
     twin, text = json.loads(certified.twin.read_text()), squeezed(text_of(certified.pdf))
     whole = [f"{one['rms_nm']:.3f}" for one in twin["measurements"]]
-    told = set(re.findall(r"(?:the map after it has|RMS) (\d+\.\d{3})\b", text))
+    told = set(re.findall(r"(?:the next map has|RMS) (\d+\.\d{3})\b", text))
     assert told <= {*whole}, "in words, in the table of changes, and for each pass"
     assert f"RMS {whole[0]} {whole[-1]}" in text
 
 
 @pytest.mark.full
 def test_an_interrupted_pass_looks_like_one(torn_files: DemoFiles) -> None:
-    page = html(sheet(certificate_content(find_run(torn_files.run_dir, None), CertificateRequest(), AT), ""))
+    page = page_of(torn_files, CertificateRequest())
     assert "<h2>A pass that was interrupted at 32%; blocks 13 to 15 uncertain</h2>" in page
-    assert "had it been a whole pass" in page
-    assert "nothing else is learned of part of a pass" in page
     assert page.count("<h2>Pass ") == 1
     assert "1, and 1 interrupted" in page
     assert "LinkError: robot: the link is silent" in page
     assert 'class="verdict bad">Not in tolerance: 0 of 1 lines hold' in page
-    assert "Not signed." in page
 
 
 @pytest.mark.full
 def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
     asked = CertificateRequest(operator="<script>", customer="$x^2$", drawing="100 % {{ x }}")
-    page = html(sheet(certificate_content(find_run(whole_files.run_dir, None), asked, AT), ""))
+    page = page_of(whole_files, asked)
     assert "<script>" not in page
     assert "$x^2$" in page
 
@@ -106,7 +107,7 @@ def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
 
 
 def test_from_a_cell_with_its_key(polishd: Polishd, whole_files: DemoFiles, tmp_path: Path) -> None:
-    assert polishd("report", "key", tmp_path / "shop.key", "--json").answer["private"] == str(tmp_path / "shop.key")
+    assert polishd("report", "keygen", tmp_path / "shop.key", "--json").answer["private"] == str(tmp_path / "shop.key")
     text = whole_files.cell.read_text() + f'\n[certificate]\nshop = "Example Optics"\nkey = "{tmp_path}/shop.key"\n'
     cell = tmp_path / "cell.toml"
     cell.write_text(text.replace('state_dir = "state"', f'state_dir = "{whole_files.state_dir}"'))
@@ -133,7 +134,7 @@ def test_what_is_wrong_is_said_and_is_exit_code_1(polishd: Polishd, signed: Made
     signed.pdf.write_bytes(signed.pdf.read_bytes() + b"%")
     said = polishd("report", "verify", signed.pdf)
     assert said.code == 1
-    assert "WRONG: part.pdf was changed since it was made" in said.out
+    assert "WRONG: part.pdf was changed" in said.out
     assert said.err.startswith("polishd: ")
     assert polishd("report", "verify", signed.pdf.with_name("none.pdf")).code == 3
 
@@ -144,7 +145,7 @@ def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -
     (out / "c.json").write_text("mine")
     said = polishd("report", "certificate", whole, "--out", out / "c.pdf")
     assert said.code == 3
-    assert "a certificate is not overwritten" in said.err
+    assert "c.json" in said.err
     assert [path.name for path in out.iterdir()] == ["c.json"]
 
 
@@ -152,11 +153,11 @@ def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--out", "c.html"], "a certificate is a PDF; name it *.pdf"),
-        (["--out", "none/c.pdf"], "is no folder; make it"),
+        (["--out", "c.html"], "c.html"),
+        (["--out", "none/c.pdf"], "none: is not a folder"),
         (["--out", "c.pdf", "--key", "none.key"], "none.key: cannot be read"),
-        (["--out", "c.pdf", "--operator", "a\nb"], "--operator: has letters that cannot be printed"),
-        (["--out", "c.pdf", "--job", "x"], "leave --job out"),
+        (["--out", "c.pdf", "--operator", "a\nb"], "--operator"),
+        (["--out", "c.pdf", "--job", "x"], "--job"),
     ],
 )
 def test_bad_input_is_one_error_and_no_file(

@@ -81,11 +81,11 @@ def test_a_frame_is_struck_at_a_time_or_by_its_number_once() -> None:
 
 
 def test_a_fault_goes_on_for_its_time_and_comes_again() -> None:
-    bench = Bench({"what": "drop", "every_s": 5.0, "for_s": 1.0})
+    bench = Bench({"what": "drop", "every_s": 5.0, "duration_s": 1.0})
     lost = [now_s for now_s in range(18) if not bench.at(float(now_s)).data]
     assert lost == [5, 11, 17]
     assert bench.told[:2] == [("fault_begins", "drop"), ("fault_ends", "drop")]
-    shared = Bench({"what": "drop", "rate": 1.0, "at_s": 2.0, "for_s": 1.0})
+    shared = Bench({"what": "drop", "rate": 1.0, "at_s": 2.0, "duration_s": 1.0})
     assert [bool(shared.at(now_s).data) for now_s in (1.0, 2.5, 3.5)] == [True, False, True]
 
 
@@ -95,7 +95,7 @@ def test_frames_to_the_device_suffer_where_it_says_so() -> None:
 
 
 def test_one_that_hangs_neither_hears_nor_speaks() -> None:
-    bench = Bench({"what": "hang", "at_s": 1.0, "for_s": 2.0})
+    bench = Bench({"what": "hang", "at_s": 1.0, "duration_s": 2.0})
     lost = [[not bench.at(now_s, way=way).data for way in (HOST, DEVICE)] for now_s in (0.5, 1.5, 3.5)]
     assert lost == [[False, False], [True, True], [False, False]]
     assert [event for event, _ in bench.told] == ["fault_begins", "fault_ends"]
@@ -119,7 +119,7 @@ def test_only_one_link_of_several_suffers() -> None:
 
 
 def test_time_in_contact_is_counted_while_the_tool_presses(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench({"what": "stick", "contact_s": 2.0, "for_s": 1.0})
+    bench = Bench({"what": "stick", "contact_s": 2.0, "duration_s": 1.0})
     suffered: list[bool] = []
     bench.script.suffer = lambda _fault, on: suffered.append(on)
     for now_s, acting_n in ((10.0, 12.0), (11.5, 0.0), (20.0, 12.0)):

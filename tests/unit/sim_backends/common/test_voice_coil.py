@@ -154,7 +154,7 @@ def fault(what: str, **keys: float) -> FaultSection:
 
 def test_a_spike_acts_at_once_is_read_and_goes_with_its_time() -> None:
     bench = Bench().pressed()
-    spike = fault("spike", force_n=36.0, for_s=0.1)
+    spike = fault("spike", force_n=36.0, duration_s=0.1)
     bench.coil.suffer(spike, True)
     bench.until(0.32)
     assert bench.coil.force_n == pytest.approx(48.0)
@@ -335,7 +335,7 @@ def test_status_does_not_feed_the_watchdog_and_a_heartbeat_does() -> None:
     assert bench.coil.faults == 1
 
 
-SLOW = CoilDynamics(land_s=2.0, lift_s=4.0, cling=0.5, rest_n=0.1)
+SLOW = CoilDynamics(land_s=2.0, lift_s=4.0, stick_share=0.5, resting_force_n=0.1)
 
 
 def test_landing_and_lifting_take_the_time_that_hardware_takes() -> None:

@@ -14,8 +14,7 @@ from polishd.model.process import MeasuredCompliance, MeasuredTif, Optic, Serial
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.optic_surface import sag_mm, unit_normals
 from polishd.process.removal.tif import measured_spot
-from polishd.process.robot.compliance import tip_compliance_mm_per_n
-from polishd.process.robot.measured import measured_compliance
+from polishd.process.robot.compliance import measured_compliance, tip_compliance_mm_per_n
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.hidden_truth import tool_axis
 from polishd.sim_backends.plant.part import Shape

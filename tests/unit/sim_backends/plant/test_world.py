@@ -90,7 +90,7 @@ def test_volume_is_rate_times_time() -> None:
 def test_a_worn_tool_takes_off_less_by_its_share() -> None:
     _, batches = motion_rows(LINES, np.arange(0.01, 0.5, 0.01))
     removed = [
-        worn(batches, [math.inf] * len(batches), PERFECT.model_copy(update={"worn": share})).part.height_nm
+        worn(batches, [math.inf] * len(batches), PERFECT.model_copy(update={"tool_wear": share})).part.height_nm
         for share in (0.0, 0.4)
     ]
     assert removed[1] == pytest.approx(0.6 * removed[0])
@@ -162,7 +162,7 @@ def test_beside_the_ring_there_is_nothing_to_touch() -> None:
         ({"seat_height_mm": 0.5}, 5000.0 - 500.0 / math.cos(math.radians(15))),
         ({"seat_tilt_deg": (1.0, 0.0)}, 5000.0 - 1000.0 * 9.0 * math.tan(math.radians(1)) / math.cos(math.radians(15))),
         ({"seat_tilt_deg": (0.0, 1.0)}, 5000.0 + 1000.0 * 6.0 * math.tan(math.radians(1)) / math.cos(math.radians(15))),
-        ({"seat_empty": True}, None),
+        ({"part_missing": True}, None),
     ],
 )
 def test_the_tool_meets_the_part_where_it_truly_sits(seat: dict[str, Any], touch_um: float | None) -> None:

@@ -23,7 +23,9 @@ async def application(scope: Scope, receive: Receive, send: Send) -> None:
 
 @pytest.fixture
 async def port() -> AsyncIterator[int]:
-    config = uvicorn.Config(application, port=0, http=connections.Bounded, ws="none", lifespan="off", log_level="error")
+    config = uvicorn.Config(
+        application, port=0, http=connections.BoundedProtocol, ws="none", lifespan="off", log_level="error"
+    )
     server = uvicorn.Server(config)
     config.load()
     server.lifespan = config.lifespan_class(config)

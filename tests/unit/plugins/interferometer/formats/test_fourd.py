@@ -14,7 +14,7 @@ import pytest
 from polishd.api import MapError, SurfaceMap
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer.formats.fourd import FOURD
-from polishd.process.metrology.instrument import as_profiled
+from polishd.process.metrology.instrument import apply_profile
 from tests.unit.plugins.interferometer import map_files as make
 
 Change = Callable[[h5py.File, h5py.Dataset], None]
@@ -196,9 +196,9 @@ def test_what_4sight_writes(tmp_path: Path) -> None:
     assert (surface.unsaid, surface.warnings, surface.date_from) == (frozenset(), (), "header")
     assert surface.taken_at == datetime(2019, 3, 14, 10, 22, 33).astimezone()
     assert surface.instrument == "4D, system 20714"
-    assert as_profiled(surface, Instrument("fizcam", serials=("20714",)))
+    assert apply_profile(surface, Instrument("fizcam", serials=("20714",)))
     with pytest.raises(MapError, match="serials"):
-        as_profiled(surface, Instrument("fizcam", serials=("20715",)))
+        apply_profile(surface, Instrument("fizcam", serials=("20715",)))
 
 
 def test_an_aspect_makes_pixels_that_are_not_square(tmp_path: Path) -> None:

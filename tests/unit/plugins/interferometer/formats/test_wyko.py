@@ -1,4 +1,4 @@
-"""Wyko and Vision ASCII files, as a map that is told apart from lists of points, or refused by name."""
+"""Wyko and Vision ASCII files, recognized as a map and not a list of points, or refused by name."""
 
 from __future__ import annotations
 

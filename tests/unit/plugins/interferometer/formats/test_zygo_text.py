@@ -141,7 +141,7 @@ BOTH: dict[str, tuple[dict[str, str], str]] = {
 def test_broken_headers(tmp_path: Path, name: str, case: str) -> None:
     lines, reason = BOTH[case]
     if (name, case) == ("zygo_ascii", "turned"):
-        pytest.skip("48 counts are 48 counts: nothing in the file tells")
+        pytest.skip("48 counts are 48 counts: the file does not show it")
     with pytest.raises(MapError, match=reason) as caught:
         found(tmp_path, name, FORMATS[name](**lines))
     assert str(caught.value).startswith(f"{tmp_path / 'map.txt'}: ")

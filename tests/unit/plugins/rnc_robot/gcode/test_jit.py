@@ -119,9 +119,11 @@ def test_the_same_line_and_reason(body: str, line: int, monkeypatch: Patch) -> N
 
 @pytest.mark.full
 def test_a_numba_without_the_private_option_gives_the_same_numbers(monkeypatch: Patch) -> None:
-    assert compiling.uncounted() == {"_nrt": False}, "numba has lost the option: compiled code is seven times slower"
+    assert compiling.no_refcount_option() == {"_nrt": False}, (
+        "numba has lost the option: compiled code is seven times slower"
+    )
     monkeypatch.setattr("numba.core.options.DefaultOptions", object())
-    assert compiling.uncounted() == {}
+    assert compiling.no_refcount_option() == {}
     monkeypatch.setattr(compiling, "_folder", lambda *_: None)
     monkeypatch.setattr(jit, "_register_parts", lambda: None)
     counted = jit._compiled.__wrapped__(kernels.direct)
@@ -146,7 +148,7 @@ def test_large_programs_are_compiled() -> None:
 
 def test_a_process_that_reads_many_compiles_for_small_ones(monkeypatch: Patch) -> None:
     monkeypatch.setattr(jit, "LARGE_BYTES", jit.LARGE_BYTES)
-    jit.for_many()
+    jit.compile_always()
     assert hasattr(jit.kernel(scanner.scan, 1), "py_func")
 
 

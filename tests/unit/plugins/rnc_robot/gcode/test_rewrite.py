@@ -17,7 +17,7 @@ from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
 from polishd.plugins.rnc_robot.gcode import rewrite as nc
-from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, look_through, rewrite_stream
+from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, rewrite_stream, scan_program
 from polishd.programs.rewrite import DwellTable, rewrite_file
 from tests.corpus.fuzz import GRAMMARS, program
 from tests.corpus.table import Case, cases, reason
@@ -127,7 +127,7 @@ def check_all(name: str, text: bytes, sizes: tuple[int, ...], cut: Callable[[int
     expected = nc.rewrite(profile, found, times)
     for size in sizes:
         cut(size)
-        check_figures(found, look_through(profile, BytesIO(text), "t.nc"))
+        check_figures(found, scan_program(profile, BytesIO(text), "t.nc"))
         same_program(found, nc.read(profile, text, "t.nc"))
         new, passed = streamed(profile, text, times)
         assert new == expected, size
@@ -164,13 +164,13 @@ def test_the_corpus_is_refused(case: Case, cut: Callable[[int], None]) -> None:
     """In the stream as in memory; cut small, perhaps for another fault of the same program."""
     profile = cast(GcodeDialect, dialect(case.dialect))
     with pytest.raises(ProgramError) as caught:
-        look_through(profile, BytesIO(case.text), "t.nc")
+        scan_program(profile, BytesIO(case.text), "t.nc")
     with pytest.raises(ProgramError) as same:
         nc.read(profile, case.text, "t.nc")
     assert str(caught.value) == str(same.value)
     cut(13)
     with pytest.raises(ProgramError, match=r"^t\.nc.*To do: "):
-        look_through(profile, BytesIO(case.text), "t.nc")
+        scan_program(profile, BytesIO(case.text), "t.nc")
 
 
 @pytest.mark.one_of_each
@@ -194,7 +194,7 @@ def test_the_feed_of_the_move_before_a_cut(cut: Callable[[int], None]) -> None:
     """A dwell that begins its piece takes the feed of a move in the piece before it."""
     text = whole("G1 X1 F60\n(" + "-" * 60 + ")\n\n\nG4 P1\nG1 X2 F90\nG4 P2\n")
     cut(8)
-    assert look_through(RS274, BytesIO(text), "t.nc").feed_mm_min == (60, 90)
+    assert scan_program(RS274, BytesIO(text), "t.nc").feed_mm_min == (60, 90)
 
 
 # Where the time sits is guessed from the beginning.
@@ -217,7 +217,7 @@ def test_dwells_that_begin_too_late(cut: Callable[[int], None], monkeypatch: pyt
     body = "".join(f"G1 Z{-i} F60\n" for i in range(1, 40))
     body += "".join(f"G1 X{i} F60\nG4 P0.5\n" for i in range(1, 60))
     with pytest.raises(ProgramError, match="its time sits in the feed at first, and in the dwell further on"):
-        look_through(RS274, BytesIO(whole(body)), "t.nc")
+        scan_program(RS274, BytesIO(whole(body)), "t.nc")
 
 
 @pytest.mark.parametrize("size", [16, WHOLE])
@@ -236,7 +236,7 @@ def test_refused_as_in_memory(body: str, line: int, why: str, size: int, cut: Ca
     text = whole(body)
     cut(size)
     for go in (
-        lambda: look_through(RS274, BytesIO(text), "t.nc"),
+        lambda: scan_program(RS274, BytesIO(text), "t.nc"),
         lambda: nc.read(RS274, text, "t.nc"),
     ):
         with pytest.raises(ProgramError) as caught:
@@ -251,14 +251,14 @@ def test_the_line_of_the_first_move_without_a_dwell(cut: Callable[[int], None]) 
     text = whole("G1 X1 F60\nG4 P1\n" + "".join(f"G1 X{i}\n" for i in range(2, 12)))
     cut(len(HEAD) + len("G1 X1 F60\n"))
     with pytest.raises(ProgramError, match=r"t\.nc, line 5: 1 feed moves have a dwell .* and 10 have none"):
-        look_through(RS274, BytesIO(text), "t.nc")
+        scan_program(RS274, BytesIO(text), "t.nc")
 
 
 # Times, and what is left of a refusal.
 
 
 def test_a_time_that_stays_need_not_be_writable() -> None:
-    """Longer than any time that may be asked for: whoever asks for no change gets none."""
+    """Longer than any time that a caller may request: without a requested change there is none."""
     text = whole("G93\nG1 X1 F0.00000001\nX2 F60\n")
     found = nc.read(RS274, text, "t.nc")
     assert found.time_s[0] == pytest.approx(6e9)
@@ -278,7 +278,7 @@ def test_progress_hears_of_every_byte_once(cut: Callable[[int], None]) -> None:
     cut(10)
     text = TEXTS["dwell"]
     heard: list[int] = []
-    look_through(RS274, BytesIO(text), "t.nc", heard.append)
+    scan_program(RS274, BytesIO(text), "t.nc", heard.append)
     assert sum(heard) == len(text)
     assert max(heard) == 10
 
@@ -311,7 +311,7 @@ def test_nothing_is_kept_of_what_went_by(cut: Callable[[int], None], monkeypatch
 
     cut(1000)
     text = whole("".join(f"G1 X{i % 9} F60\nG4 P0.1\n" for i in range(5000)))
-    look_through(RS274, File(text), "t.nc")
+    scan_program(RS274, File(text), "t.nc")
     assert len(text) > 80_000
     assert alive[1] <= 4
 
@@ -382,4 +382,4 @@ def test_a_file_without_line_ends_is_not_kept() -> None:
             return b"x" * (size or 0)
 
     with pytest.raises(ProgramError, match=r"t\.nc, line 1"):
-        look_through(RS274, Endless(), "t.nc")
+        scan_program(RS274, Endless(), "t.nc")

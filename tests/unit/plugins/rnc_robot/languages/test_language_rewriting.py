@@ -92,7 +92,7 @@ def test_the_residue_is_carried_over_thousands_of_dwells(name: str) -> None:
 @pytest.mark.full
 @given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=200))
 def test_a_dwell_is_a_multiple_of_the_controllers_cycle(wanted: list[float]) -> None:
-    """An older UR: else each lasts up to 8 ms longer than is written, and nobody knows how much."""
+    """An older UR: otherwise each lasts up to 8 ms longer than written, by an unknown time."""
     newer = profile("urscript")
     older = newer.model_copy(update={"dwell": newer.dwell.model_copy(update={"quantum_s": 0.008})})
     program = read(older, many("urscript", ["0.5001"] * len(wanted)), "part.txt")

@@ -22,7 +22,7 @@ def limited(name: str, lines: int) -> LanguageProfile:
 
 
 def job(points: int) -> bytes:
-    """A TP program with an approach and a position of its own for each point."""
+    """A TP program with an approach and a separate position for each point."""
     body, poses = [PREAMBLE], []
     for index in range(1, points + 1):
         line = 2 * index + 2

@@ -80,11 +80,11 @@ BROKEN_FILES = [
     (b"%\n" + HEAD.encode() + b"G1 X1 F60\n", "without M2"),
     (HEAD.encode() + b"M2\n", "nothing in it carries time"),
     (HEAD.encode() + b"G0 X1\nG4 P1\nG0 X2\nG4 P1\nM2\n", "nothing in it carries time"),
-    (b"G1 X1 Y1 Z1 F60\nM2\n", "nobody knows what X"),
+    (b"G1 X1 Y1 Z1 F60\nM2\n", "from an unknown X"),
     (b"X1 F60\nM2\n", "before any G0 or G1"),
-    (b"G91 G0 X1\nM2\n", "nobody said where X is"),
-    (b"G0 X0 Y0\nG1 X1 F60\nG0 Z5\nM2\n", "where Z is, is not said"),
-    (b"G0 X0 Y0 Z0\nG1 X1 F60\nG0 A5\nM2\n", "where A is, is not said"),
+    (b"G91 G0 X1\nM2\n", "G91 before any absolute position"),
+    (b"G0 X0 Y0\nG1 X1 F60\nG0 Z5\nM2\n", "a point before Z is stated"),
+    (b"G0 X0 Y0 Z0\nG1 X1 F60\nG0 A5\nM2\n", "a point before A is stated"),
 ]
 
 
@@ -151,7 +151,7 @@ def test_inches() -> None:
 def test_what_is_assumed_is_said() -> None:
     found = program("G0 X0 Y0\nG1 X1 F60\n", head="")
     assert {warning.split(":")[0] for warning in found.warnings} == {
-        "nobody said G21", "nobody said G90", "nobody said G94", "nobody said where Z is",
+        "no G21 in the program", "no G90 in the program", "no G94 in the program", "the program does not state Z",
     }  # fmt: skip
     assert program("G1 X1 F60\n").warnings == ()
 

@@ -142,7 +142,7 @@ def skeleton(text: bytes, encoding: str) -> list[bytes]:
 
 
 def quanta(new: Program) -> Times:
-    """Time that one unit in the last written digit of each point's number stands for."""
+    """Time of one unit in the last written digit of each point's number."""
     found = []
     for line, time_s in zip(new.line, new.time_s, strict=True):
         code = re.split(rb"[(;]", new.blocks[line - 1])[0]

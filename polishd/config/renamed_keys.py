@@ -1,0 +1,76 @@
+"""Config keys renamed before release 1.0. A file with an old key is refused with an error that names the new key."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+
+# Patterns of dotted keys, without the index in a list of tables; the first that fits counts.
+RENAMED_KEYS = {
+    "between": "part_handling",
+    "part_handling.*.person": "operator",
+    "part_handling.*.within_s": "timeout_s",
+    "part_handling.settle.maps": "max_maps",
+    "touch_off.most_off_mm": "max_offset_mm",
+    "touch_off.places_mm": "points_mm",
+    "process.learns": "process.estimates",
+    "dwell.choose": "dwell.objective",
+    "dwell.within_s": "dwell.cpu_limit_s",
+    "solve.within_s": "solve.cpu_limit_s",
+    "signals.*.leads_to": "action",
+    "signals.*.on_order": "on_start",
+    "signals.*.grace_s": "alarm_delay_s",
+    "force_sensor*.band_n": "max_difference_n",
+    "force_sensor*.grace_s": "alarm_delay_s",
+    "limits.force_grace_s": "limits.force_alarm_delay_s",
+    "limits.pit_nm": "limits.max_stall_removal_nm",
+    "limits.least_gain": "limits.min_improvement",
+    "part.rim": "part.free_edge (true or false)",
+    "part.nominal": "part.form",
+    "instrument.spike_mads": "instrument.spike_threshold_mad",
+    "program.covers": "program.coverage",
+    "job.accept": "job.accept_by",
+    "job.lookahead_s": "job.stream_ahead_s",
+    "memory": "estimates",
+    "estimates.remember": "estimates.use_previous",
+    "shop.ahead": "shop.max_assigned",
+    "metrology*.claimed": "claimed_dir",
+    "metrology*.refused": "refused_dir",
+    "metrology*.accept_unnamed": "accept_without_part_id",
+    "notify.*.repeat_s": "remind_after_s",
+    "notify.*.within_s": "timeout_s",
+    # the simulator's file
+    "truth": "hidden_truth",
+    "hidden_truth.worn": "hidden_truth.tool_wear",
+    "hidden_truth.warm_nm": "hidden_truth.thermal_nm",
+    "hidden_truth.warm_s": "hidden_truth.thermal_s",
+    "plant.seat_empty": "plant.part_missing",
+    "*.cling": "stick_share",
+    "*.rest_n": "resting_force_n",
+    "loader.faults.mistaken": "wrong_part_unnoticed",
+    "loader.faults.drops": "dropped",
+    "loader.faults.jams": "jammed",
+    "monitor.signals.*.then": "changes_to",
+    "monitor.signals.*.for_s": "duration_s",
+    "fault.for_s": "duration_s",
+    "robot.turns": "rotary_axes_carry",
+    "robot.reads_ahead": "read_ahead_lines",
+    # device profiles
+    "orders": "commands",
+    "commands.beat": "commands.heartbeat",
+    "modbus.most": "modbus.max_registers",
+    "modbus.refusals": "modbus.error_replies",
+    # studies
+    "loops": "controllers",
+    "*.unreached": "unreachable",
+}
+RENAMED_TYPES = {
+    "handover": '"plc_robot"',
+    "spindle_can": '"cia402_spindle" (docs/protocols/cia402.md)',
+    "force_sensor_line": '"force_sensor_profile" and profile = "force_sensor_line"',
+}
+"""Device types of before release 1.0, and what to write for them."""
+
+
+def renamed_key(dotted: str) -> str | None:
+    """Return the new name of a dotted key that has been renamed, or None. It has its table where that changes, too."""
+    return next((new for old, new in RENAMED_KEYS.items() if fnmatchcase(dotted, old)), None)

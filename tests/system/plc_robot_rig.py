@@ -1,0 +1,64 @@
+"""A small simulated cell whose robot's controller loads files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import urlsplit
+
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
+from polishd.config.cell import load_config
+from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
+from tests.system.cell_rig import PATIENT, with_keys, with_part, without, write_small
+
+Kind = Literal["opcua", "ads", "modbus"]
+PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads", "modbus": "plc-modbus"}
+TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
+"""What a block costs that controller: nobody planned it before the first pass."""
+PIT = {"max_stall_removal_nm": 60.0}
+"""What a feed hold may dig until an actuator of 0.2 s has let go."""
+
+
+def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFiles:
+    """The demo's files with a small part and such a controller."""
+    files = write_small(out, **job)
+    hand_over(files, kind)
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": TRUTH}))
+    with_part(files, {"aperture_mm": aperture_mm})
+    return files
+
+
+def hand_over(files: DemoFiles, kind: Kind) -> None:
+    """The cell's robot becomes such a controller, with a profile of its own that is patient with a busy machine."""
+    shipped = (CONTROLLER_PROFILE_DIR / f"{PROFILES[kind]}.toml").read_text()
+    (files.out / "controller.toml").write_text(
+        shipped.replace("watchdog_s = 8.0", "watchdog_s = 20.0\nsilence_s = 6.0")
+    )
+    port = urlsplit(load_config(files.cell).robot.model_dump()["address"]).port or 0
+    host = f"127.{port // 256}.{port % 256}.1"
+    addresses: dict[Kind, str] = {
+        "opcua": f"opc.tcp://127.0.0.1:{port}",
+        "ads": f"ads://{host}/{host}.1.1:851",
+        "modbus": f"tcp://127.0.0.1:{port}",
+    }
+    keys = {
+        "type": "plc_robot",
+        "profile": "controller.toml",
+        "address": addresses[kind],
+        "delivery": "folder:sim/programs",
+        "no_progress_s": PATIENT["robot"]["no_progress_s"],
+    }
+    section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])
+    cell = without(files.cell.read_text(), "robot")
+    files.cell.write_text(with_keys(f"{cell}\n{section}\n", {"limits": PIT}))
+
+
+@contextlib.contextmanager
+def running(files: DemoFiles, speed: float) -> Iterator[DemoFiles]:
+    """The simulator of those files."""
+    options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
+    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
+        yield files

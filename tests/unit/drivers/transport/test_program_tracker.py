@@ -1,0 +1,113 @@
+"""Time shares of executed blocks, and the link that is polled."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from polishd.drivers.plc_robot.program_tracker import SPREAD
+from polishd.drivers.transport.program_tracker import PollingConnection, stretch_ends, time_shares
+from polishd.model.errors import DeviceFault, LinkError
+from tests.patience import SOON_S
+
+
+@given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=20), st.floats(0.0, 2.0), st.floats(1e-3, 3.0), st.booleans())
+def test_ends_rise_and_stay_between_the_reports(expected: list[float], gap: float, span: float, reaches: bool) -> None:
+    low, high = 10.0 + gap, 10.0 + gap + span
+    ends = stretch_ends(10.0, np.array(expected), low, high, reaches=reaches, spread=SPREAD)
+    assert (np.diff(ends, prepend=low) > 0).all()
+    assert ends[-1] <= high + 1e-9
+    if reaches:
+        assert ends[-1] == pytest.approx(high, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("asked", "asked_total_s", "rest", "shares"),
+    [
+        ([0.0, 0.2, 0.6], 0.4, [True, False, False], [0.6, 0.1, 0.3]),
+        ([0.2, 0.6], 0.4, [False, False], [0.25, 0.75]),
+        ([0.2, 0.6], 2.0, [False, True], [0.25, 0.75]),
+        ([0.0, 0.0], 0.0, [True, True], [0.5, 0.5]),
+        ([0.0, 0.0], 0.0, [False, False], [0.0, 0.0]),
+    ],
+)
+def test_blocks_that_ask_share_their_time_and_the_rest_share_what_is_left(
+    asked: list[float], asked_total_s: float, rest: list[bool], shares: list[float]
+) -> None:
+    found = time_shares(1.0, np.array(asked), asked_total_s, np.array(rest))
+    assert found == pytest.approx(shares)
+
+
+class Counting(PollingConnection[list[str], float]):
+    """A toy controller: its speed is what ``speeds`` gives next, and its link ends with them."""
+
+    def __init__(self, speeds: Sequence[float]) -> None:
+        super().__init__("toy", SOON_S, self._take)
+        self.speeds = list(speeds)
+        self.taken: list[float] = []
+        self.closed = 0
+
+    async def _take(self, speed: float) -> None:
+        self.taken.append(speed)
+
+    async def _connect(self) -> list[str]:
+        return ["open"]
+
+    async def _disconnect(self, link: list[str]) -> None:
+        assert link == ["open"]
+        self.closed += 1
+
+    async def _snapshots(self, link: list[str]) -> AsyncIterator[float]:
+        while link:
+            if not self.speeds:
+                raise LinkError("toy: silent")
+            yield self.speeds.pop(0) if len(self.speeds) > 1 else self.speeds[0]
+            await asyncio.sleep(1e-3)
+
+    def _stands(self, recent: Sequence[float]) -> bool:
+        return not any(recent)
+
+
+async def test_a_standstill_is_two_snapshots_that_are_later_than_the_command() -> None:
+    link = Counting([0.0, 0.0, 5.0, 0.0, 5.0, 0.0])
+    await link.open()
+    assert link.stands
+    await link.standstill("hold", SOON_S)
+    assert link.taken[: link.count][-2:] == [0.0, 0.0]
+    assert 5.0 in link.taken, "what was seen before the command does not count"
+    link.speeds = [5.0]
+    with pytest.raises(DeviceFault, match="hold"):
+        await link.standstill("hold", 0.05)
+    await link.close()
+    assert link.closed == 1
+
+
+async def test_the_end_of_the_link_reaches_all_who_wait_and_it_can_be_opened_again() -> None:
+    link = Counting([0.0])
+    await link.open()
+    waiting = asyncio.create_task(link.standstill("hold", SOON_S, after=10**6))
+    link.speeds.clear()
+    with pytest.raises(LinkError, match="silent"):
+        await waiting
+    for read in (lambda: link.last, lambda: link.link):
+        with pytest.raises(LinkError, match="silent"):
+            read()
+    await link.close()
+    link.speeds = [0.0]
+    await link.open()
+    assert link.last == 0.0
+    await link.close()
+
+
+async def test_a_link_that_brings_no_two_snapshots_is_closed_again() -> None:
+    link = Counting([])
+    with pytest.raises(LinkError, match="silent"):
+        await link.open()
+    assert link.closed == 1
+    with pytest.raises(LinkError, match="not open"):
+        _ = link.last
