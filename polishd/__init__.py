@@ -1,7 +1,4 @@
-"""polishd: the controller daemon of an unattended robotic polishing cell for optics.
-
-What `polishd.analysis` has is also here, as ``polishd.read_map``, and is imported when it is asked for.
-"""
+"""polishd, the controller daemon of an unattended robotic polishing cell, with the names of `polishd.analysis`."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.config.instrument_profile import load_profile, write_commissioned
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.model.instrument import CommissioningRecord
 
 SHIPPED = Path(__file__).resolve().parents[1] / "examples" / "instrument.toml"
@@ -21,7 +22,8 @@ def forged(path: Path) -> Path:
 
 
 def commissioned(folder: Path, **tables: dict[str, Any]) -> Path:
-    """The shipped profile with changes, commissioned, as ``instrument.toml`` in the folder."""
+    """The shipped profile with changes, commissioned, as ``instrument.toml``, and the EDS file of the shipped cell."""
+    (folder / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     path = folder / "instrument.toml"
     path.write_text(with_values(SHIPPED.read_text(), tables))
     return forged(path)

@@ -32,7 +32,7 @@ from polishd.config.cell_sections import (
 )
 from polishd.config.fields import Name, Texts, as_tuple, require_cells
 from polishd.config.process_sections import ToolSection, tool_overlay
-from polishd.config.renamed_keys import RENAMED_TYPES, renamed_key
+from polishd.config.renamed_keys import RENAMED_TYPES, TYPE_ADVICE, renamed_key
 from polishd.config.server_sections import ServedDocument
 from polishd.config.table_files import read_tif
 from polishd.config.tolerance import ToleranceSection, lines_of
@@ -302,9 +302,13 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
     """(key, what is wrong) of device types of earlier versions."""
-    for name, section in config.devices.items():
-        if section.type in RENAMED_TYPES:
-            yield f"{name}.type", f"{section.type!r} was removed or renamed. Write type = {RENAMED_TYPES[section.type]}"
+    for port, section in ((port, getattr(config, port)) for port in PORTS):
+        several = {} if section is None else section.tables
+        types = {f"{port}.{name}": keys.get("type") for name, keys in several.items()}
+        for name, kind in (types or {port: getattr(section, "type", None)}).items():
+            if kind in RENAMED_TYPES:
+                new = RENAMED_TYPES[kind]
+                yield f"{name}.type", f'{kind!r} was removed or renamed. Write type = "{new}"{TYPE_ADVICE.get(new, "")}'
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:

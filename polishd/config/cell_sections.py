@@ -408,7 +408,7 @@ class StepSection(ConfigSection):
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
         if (self.operator is None) == (not self.command):
-            raise ValueError('person: say who does it: person = "wipe the part", or command = ["./wash.sh"]')
+            raise ValueError('operator: say who does it: operator = "wipe the part", or command = ["./wash.sh"]')
         return self
 
 

@@ -64,11 +64,15 @@ RENAMED_KEYS = {
     "*.unreached": "unreachable",
 }
 RENAMED_TYPES = {
-    "handover": '"plc_robot"',
-    "spindle_can": '"cia402_spindle" (docs/protocols/cia402.md)',
-    "force_sensor_line": '"force_sensor_profile" and profile = "force_sensor_line"',
+    "handover": "plc_robot",
+    "spindle_can": "cia402_spindle",
+    "force_sensor_line": "force_sensor_profile",
 }
-"""Device types of before release 1.0, and what to write for them."""
+"""Device types of before release 1.0, and what takes their place."""
+TYPE_ADVICE = {
+    "cia402_spindle": " (docs/protocols/cia402.md)",
+    "force_sensor_profile": ' and profile = "force_sensor_line"',
+}
 
 
 def renamed_key(dotted: str) -> str | None:

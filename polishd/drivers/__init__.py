@@ -1,1 +1,1 @@
-"""Drivers: one file or folder a device protocol. A driver imports no other driver but ``drivers.transport``."""
+"""Drivers, one file or folder a device protocol; a driver imports no other driver but ``drivers.transport``."""

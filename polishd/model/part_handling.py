@@ -76,12 +76,12 @@ class PartSeat:
 class HandlingStep:
     """Something that a person or a program does while the tool is up and nothing moves."""
 
-    person: str = ""
+    operator: str = ""
     """Instruction for the operator; empty: the command does the step."""
     command: tuple[str, ...] = ()
     folder: Path = Path()
     """Working folder of the command."""
-    within_s: float = 600.0
+    timeout_s: float = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class SettleRule:
 
     limit_nm: float
     """RMS of their difference in the clear aperture, levelled."""
-    maps: int
+    max_maps: int
     """Most that are taken for it."""
     wait_s: float
     """Between two of them."""

@@ -1,1 +1,1 @@
-"""Reports: run report, map report, and the certificate of a part. Each is a function from facts to a document."""
+"""Reports of runs and maps, and the certificate of a part, each a function from facts to a document."""

@@ -1,1 +1,1 @@
-"""For whoever writes a driver: the ports' suites as a pytest plugin (docs/drivers.md). Needs ``polishd[testing]``."""
+"""Conformance suites for drivers as a pytest plugin, replay of recordings, and hardware in the loop."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -207,6 +208,7 @@ LISTS_OF_DEVICES = (
     "config/simulator_cell.py",  # turns sections of a cell into those of SIM.toml, by type
     "config/simulator.py",  # sections that several simulated devices share, by `kind` and `drive`
     "plugin_loader.py",  # plugin names of before, which are refused with the new ones
+    "config/renamed_keys.py",  # device types of before
 )
 """Files that a new device never touches, although they list devices."""
 
@@ -245,6 +247,31 @@ def _listed(node: ast.AST) -> set[str]:
     return {entry.value for entry in entries if isinstance(entry, ast.Constant) and isinstance(entry.value, str)}
 
 
+SENTENCE = re.compile(r"[^.\n]+(?:\.\w[^.\n]*)*\.\)?")
+
+
+def unique_classes(root: Path) -> list[str]:
+    """A public class name is used once in the package."""
+    first: dict[str, str] = {}
+    broken = []
+    for source in sources(root):
+        for node in source.tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                if node.name in first:
+                    broken.append(source.at(node, f"{node.name} is also in {first[node.name]}: rename one"))
+                first.setdefault(node.name, source.name)
+    return broken
+
+
+def one_sentence_packages(root: Path) -> list[str]:
+    """The docstring of each package says in one sentence what belongs there."""
+    return [
+        source.at(source.tree, f"not one sentence: {text!r}")
+        for source in sources(root)
+        if source.name.endswith("/__init__.py") and not SENTENCE.fullmatch(text := ast.get_docstring(source.tree) or "")
+    ]
+
+
 RULES = (
     docstrings,
     exceptions_at_home,
@@ -254,5 +281,7 @@ RULES = (
     no_stray_tasks,
     no_sleeping,
     no_import_cycles,
+    unique_classes,
+    one_sentence_packages,
     no_lists_of_devices,
 )

@@ -10,6 +10,7 @@ import pytest
 
 from tests.arch import code_rules as code
 from tests.arch import repository_rules as repository
+from tests.arch import words
 from tests.arch.source import Rule
 
 HASH = "--hash=sha256:" + "0" * 64
@@ -41,6 +42,8 @@ CASES: list[tuple[Rule, str, str, str]] = [
         '"""M."""\nif 1:\n    def f(): ...\n',
         '"""M."""\ndef f():\n    """F."""\n    def g(): ...\n',
     ),
+    (code.unique_classes, "polishd/a.py", "class A: ...\nclass A: ...\n", "class A: ...\nclass B: ...\n"),
+    (code.one_sentence_packages, "polishd/a/__init__.py", '"""One. Two."""\n', '"""Drivers (docs/drivers.md)."""\n'),
     (code.exceptions_at_home, "polishd/a.py", "class A(ValueError): ...\n", "class A(dict): ...\n"),
     (code.exceptions_at_home, "polishd/a.py", "class A(errors.LinkError): ...\n", "class A(errors.Link): ...\n"),
     (code.pure_process, "polishd/process/a.py", "import asyncio\n", "import numpy\n"),
@@ -168,6 +171,13 @@ def test_a_list_of_devices_is_found(tmp_path: Path, text: str, found: bool) -> N
         },
     )
     assert [line.partition(":")[0] for line in code.no_lists_of_devices(tmp_path)] == ["polishd/b.py"] * found
+
+
+def test_a_private_phrase_is_found_with_its_place(tmp_path: Path) -> None:
+    grow(tmp_path, {"polishd/a.py": "# Nobody\n# is told_s\n", "docs/a.md": "It is told.\n", "tests/a.py": "# told\n"})
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    found = sorted(line.rpartition(": ")[0] for line in words.plain_words(tmp_path))
+    assert found == ["docs/a.md:1: 'told'", "polishd/a.py:1: 'Nobody'"]
 
 
 def test_errors_may_be_defined_at_home(tmp_path: Path) -> None:

@@ -231,8 +231,8 @@ def test_events_reach_all_though_one_raises(install: Any, caplog: pytest.LogCapt
     for plugin in hooks.report.loaded:
         (registered,) = plugin.manager.get_plugins()
         heard += getattr(registered, "HEARD", [])
-    assert heard == ["progress", "progress"]
-    assert "plugin two failed on event progress" in caplog.text
+    assert heard == ["pass_progressed", "pass_progressed"]
+    assert "plugin two failed on event pass_progressed" in caplog.text
     assert "RuntimeError: oh" in caplog.text
 
 
@@ -242,7 +242,7 @@ def test_slow_listener_is_named(
     monkeypatch.setattr(plugins, "SLOW_S", -1.0)
     caplog.set_level("INFO")
     load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(PassProgressed(block=1))
-    assert "plugin slow took 0.0 s over event progress" in caplog.text
+    assert "plugin slow took 0.0 s over event pass_progressed" in caplog.text
 
 
 def test_commands_are_added_though_one_raises(install: Any, caplog: pytest.LogCaptureFixture) -> None:

@@ -63,13 +63,13 @@ async def run_command(name: str, step: HandlingStep, environment: Mapping[str, s
     process = await _started(name, step, environment)
     done = False
     try:
-        async with asyncio.timeout(step.within_s):
+        async with asyncio.timeout(step.timeout_s):
             said, _ = await process.communicate()
         done = True
     except TimeoutError:
         raise HandlingError(
-            f"{name}: {step.command[0]} was not done after {step.within_s:g} s (between.{name}.within_s), and was "
-            "killed; see to it, then polishd resume runs it again"
+            f"{name}: {step.command[0]} was not done after {step.timeout_s:g} s (part_handling.{name}.timeout_s), "
+            "and was killed; see to it, then polishd resume runs it again"
         ) from None
     finally:
         if not done:
@@ -98,7 +98,7 @@ async def _started(name: str, step: HandlingStep, environment: Mapping[str, str]
         return await asyncio.shield(starting)
     except (OSError, ValueError) as error:
         raise HandlingError(
-            f"{name}: {step.command[0]}: cannot be run: {error}; mend between.{name}.command"
+            f"{name}: {step.command[0]}: cannot be run: {error}; mend part_handling.{name}.command"
         ) from error
     except asyncio.CancelledError:
         await asyncio.wait({starting})  # it may run already, and asyncio by itself would kill nothing that it started
@@ -148,7 +148,7 @@ class PartHandling:
         NotSettled for a part that does not come to rest.
         """
         job, settle = self._job, self._job.recipe.part_handling.settle
-        wait_s, earlier = (residual_diagnosis.WAIT_S, 0) if settle is None else (settle.wait_s, settle.maps)
+        wait_s, earlier = (residual_diagnosis.WAIT_S, 0) if settle is None else (settle.wait_s, settle.max_maps)
         seen, moves, changes = list[Diagnosis](), tuple[Diagnosis, ...](), list[float]()
         async with self._journal.phase(cycle, CyclePhase.SETTLE):
             for maps in range(2, residual_diagnosis.MAPS + 2):
@@ -196,7 +196,7 @@ class PartHandling:
                 )
             elif (cycle, CyclePhase.CHANGE) not in job.handled:
                 job.handled.add((cycle, CyclePhase.CHANGE))
-                asked = f"mount the tool {tool!r}" + (f": {step.person}" if step.person else "")
+                asked = f"mount the tool {tool!r}" + (f": {step.operator}" if step.operator else "")
                 raise HandlingError(f"{CyclePhase.CHANGE}: {asked}; that done: polishd resume")
             job.publish(events.ToolMounted(cycle=cycle, tool=tool, notes=[f"the tool {tool!r} is mounted"]))
             self._journal.flush()
@@ -213,15 +213,15 @@ class PartHandling:
         if step is None or not self._journal.passes or (cycle, phase) in job.handled:
             return
         async with self._journal.phase(cycle, phase):
-            if step.person:
+            if step.operator:
                 job.handled.add((cycle, phase))
-                raise HandlingError(f"{phase}: {step.person}; that done: polishd resume")
+                raise HandlingError(f"{phase}: {step.operator}; that done: polishd resume")
             await run_command(phase.value, step, self._names(phase, cycle))
             job.handled.add((cycle, phase))
 
     async def _repeated(self, cycle: int, surface: MeasureResult, settle: SettleRule) -> MeasureResult:
         job, limit_nm, changes = self._job, settle.limit_nm, list[float]()
-        while len(changes) < settle.maps - 1:
+        while len(changes) < settle.max_maps - 1:
             later = await self._another(cycle, len(changes), settle.wait_s)
             changes.append(await job.compute(steps.map_change_nm, job.recipe, surface, later))
             maps, agree = len(changes) + 1, changes[-1] <= limit_nm

@@ -30,7 +30,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.config.renamed_keys import renamed_key
+from polishd.config.renamed_keys import RENAMED_TYPES, renamed_key
 from polishd.daemon.journal.checksums import (
     CHECK_S,
     DISPENSABLE,
@@ -224,6 +224,8 @@ def _renamed_terms(terms: str) -> str:
         new = (renamed_key(dotted) or dotted).partition(" ")[0]
         key = new if "." in new or "." not in dotted else f"{dotted.rpartition('.')[0]}.{new}"
         value = found.pop(old)
+        if key.endswith(".type"):
+            value = RENAMED_TYPES.get(value, value)
         found[key] = value == "free" if old == "part.rim" else value
     return json.dumps(found, sort_keys=True)
 

@@ -1,1 +1,1 @@
-"""LinuxCNC: docs/protocols/linuxcnc.md. ``driver`` moves it over linuxcncrsh, ``interpreter`` only reads programs."""
+"""LinuxCNC as a robot over linuxcncrsh, and its interpreter as a second program reader (docs/protocols/linuxcnc.md)."""

@@ -134,7 +134,8 @@ class RequestChannel:
         try:
             values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
         except DeviceRefused as error:
-            raise DeviceRefused(f"{error}; is it another device?") from None
+            doubt = "" if "another device" in str(error) else "; is it another device?"
+            raise DeviceRefused(f"{error}{doubt}") from None
         for one in profile.expects:
             if not one.holds(values[one.when]):
                 said = f"{self.wire.name}: another device answers: its {one.when} reads {values[one.when]!r}"

@@ -1,1 +1,1 @@
-"""Universal Robots: docs/protocols/universal_robots.md. The program goes up as URScript and is followed over RTDE."""
+"""Universal Robots, sent as URScript and watched over RTDE (docs/protocols/universal_robots.md)."""

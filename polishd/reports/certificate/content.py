@@ -116,7 +116,7 @@ def _taught(run: CertificateRun, done: Row, after: Row | None) -> PassEstimate:
 
 REPORTED = {"removal_check_failed": "stop", "signal_out_of_range": "what", "finding_reported": "what"}
 """Events that are reported, and the field with the description."""
-ERRORS = ("failed", "held")
+ERRORS = ("daemon_failed", "cell_held")
 """An error that held the cell and then ended the daemon is reported once."""
 
 NO_ACTION = "no action is recorded"

@@ -1,4 +1,1 @@
-"""What each port demands, as tests: a test's docstring is the demand, and is told with its failure.
-
-A test module imports all of ``device`` and of its port's suite, and names its drivers in ``CASES``.
-"""
+"""Conformance suites, one a device interface; the docstring of each test states the requirement."""

@@ -62,7 +62,7 @@ def test_seeds_add_up_and_older_lines_go_once_there_are_as_many_replies(
     assert (row["seeds"], row["broken"], row["late"], row["taken"], row["values"]) == (2, 20, 4, 1, 14)
 
 
-@pytest.mark.parametrize("name", kind("spindle, CAN", "PLC robot, ADS"))
+@pytest.mark.parametrize("name", kind("PLC robot, ADS"))
 def test_a_seed_is_counted_for_the_page(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     told = DRIVERS[name].told(monkeypatch, 1_000, 3)
     assert bad(told) >= 1_000

@@ -98,7 +98,7 @@ def test_what_cells_do_did_and_have_learned_is_shown(office: Office) -> None:
     )  # fmt: skip
     assert "18.25 -> 1.50" in office.say("history")
     assert "in tolerance" in office.say("history")
-    assert "0.873" in office.say("lessons")
+    assert "0.873" in office.say("estimates")
     assert "polishing" in office.say("status")
 
 

@@ -205,7 +205,7 @@ ELSEWHERE = {
     "map formats": "reads no map",
     "calibrate instrument": "makes the system map: calibration/test_instrument",
     "calibrate stiffness": "reads no map",
-    "calibrate cell": "reads no map",
+    "calibrate first-touch": "reads no map",
     "program make": "below: an aperture of a map",
     "program inspect": "reads no map",
     "program rewrite": "reads no map",

@@ -9,6 +9,7 @@ import pytest
 
 from polishd.config.cell import CellConfig, device_options, load_config
 from polishd.daemon.assembly import build_cell, contact_limits, require_time_limits
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.model.devices import SignalLimits, SignalRange
 from polishd.model.errors import ConfigError
 from polishd.plugin_loader import load_own
@@ -23,6 +24,7 @@ SEVEN = (
 def loaded(tmp_path: Path, text: str) -> CellConfig:
     path = tmp_path / "cell.toml"
     path.write_text(text)
+    (tmp_path / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     return load_config(path)
 
 

@@ -119,7 +119,7 @@ async def test_a_job_to_its_end(bench: Bench) -> None:
     assert calls[:4] == [f"{name}.open" for name in ("actuator", "robot", "spindle", "metrology")]
     assert calls[4:] == [*SAFE, *SAFE, *CLOSED], "safe before anything else, and after everything"
     opened = running.told[0]
-    assert (opened.name, opened.data["robot"]["model"]) == ("opened", "robot")
+    assert (opened.name, opened.data["robot"]["model"]) == ("cell_opened", "robot")
     assert running.states() == ["polishing"]
 
 

@@ -18,6 +18,7 @@ from polishd.daemon import checks
 from polishd.daemon.assembly import build_cell, contact_limits
 from polishd.daemon.runtime.exit_record import locked
 from polishd.daemon.runtime.process import host
+from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.interfaces import Device, ForceActuator, Robot, Spindle
 from polishd.model.errors import ConfigError, LinkError, ProgramError
@@ -153,6 +154,7 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
     """The shipped example; the job's limits are its own devices'."""
     small = TWO_ROBOTS.read_text().replace("aperture_mm = 100.0", "aperture_mm = 30.0")
     path = tmp_path / "two_robots.toml"
+    (tmp_path / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     path.write_text(small.replace("[process]", "[process]\ngrid_mm = 2.0"))
     config = load_config(path)
     config.program_path.write_bytes(demo_program(config))

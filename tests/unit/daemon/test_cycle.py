@@ -173,7 +173,7 @@ async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) 
     assert not blocks.recovered.any()
     assert job.executed_s(0).sum() > record.facts["dwell_s"] + 0.04 * small_program().n
     names = [event.name for event in job.told if event.name != "pass_progressed"]
-    assert names == ["measured", "solved", "pass_started", "pass_ended", "measured", *names[5:]]
+    assert names == ["map_measured", "dwell_solved", "pass_started", "pass_ended", "map_measured", *names[5:]]
 
 
 async def test_the_tool_stays_until_samples_have_told_of_the_last_block(bench: Bench) -> None:

@@ -475,7 +475,7 @@ async def test_an_error_that_ends_a_job_is_one_of_its_causes(hall: Hall) -> None
     hall.ends = {"a": [MapError("unreadable")], "b": [RemovalCheckStop("turned")]}
     await hall.start()
     await hall.until("held")
-    assert [event["error"] for event in hall.events("held")] == ["unreadable", "turned"]
+    assert [event["error"] for event in hall.events("cell_held")] == ["unreadable", "turned"]
     for name, error in (("a", "unreadable"), ("b", "turned")):
         summary = json.loads((hall.tmp_path / "runs" / name / "summary.json").read_text())
         assert [cause["error"] for cause in summary["causes"]] == [error]
@@ -666,7 +666,7 @@ async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
     await hall.until("idle")
     answer = await hall.order("hold")
     assert "polishd run CELL.toml --queue" in answer["next"]
-    assert answer["next"] == hall.events("state")[-1]["next"] == (await hall.order("status"))["next"]
+    assert answer["next"] == hall.events("state_changed")[-1]["next"] == (await hall.order("status"))["next"]
     assert "--queue --queue" not in hall.daemon.last_words(Outcome.STOPPED, None)["next"]
     await hall.end()
 
@@ -692,7 +692,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     assert (hall.tmp_path / "runs" / "a" / "journal.sqlite").exists()
     assert [event["outcome"] for event in hall.events("run_folder_completed")] == [outcome]
     assert [event["outcome"] for event in hall.events("queue_stopped")] == ["stopped"] * (ends is None)
-    concerns = [event for event in hall.told if event.name in {"queue_stopped", "failed"}]
+    concerns = [event for event in hall.told if event.name in {"queue_stopped", "daemon_failed"}]
     assert [concern.severity for event in concerns if (concern := event.concern())] == [
         Severity.INFO if ends is None else Severity.ALARM
     ]
@@ -757,7 +757,7 @@ async def test_a_part_that_a_person_had_put_in_is_not_asked_for_again(hall: Hall
         await hall.until("held")
         await hall.order("resume")
         await hall.task
-    states = [event["state"] for event in hall.events("state")]
+    states = [event["state"] for event in hall.events("state_changed")]
     assert states[states.index("held") :] == ["held", "polishing", "idle"], "nothing is changed for it"
     assert not hall.events("part_requested")
     assert hall.verdicts() == {"a": "rejected"}

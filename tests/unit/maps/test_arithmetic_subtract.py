@@ -102,7 +102,7 @@ def test_what_cannot_be_laid_on_each_other_is_refused(polishd: Polishd, tmp_path
     for first, second, words in (
         (one, small, "has not the samples of"),
         (elsewhere, here, "another part, or another place on it"),
-        (one, bare, "does not say its orientation and surface and unit"),
+        (one, bare, "does not state its orientation and surface and unit"),
     ):
         said = polishd("map", "subtract", first, second, "--out", tmp_path / "c.x3p")
         assert (said.code, said.err.count(words)) == (8, 1), said.err

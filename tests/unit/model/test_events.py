@@ -53,7 +53,12 @@ def test_data_is_json_with_the_fields_of_records_one_by_one() -> None:
     stats = SurfaceStats(rms_nm=1.5, pv_nm=9.0, lsf_rms_nm=1.0)
     event = MapMeasured(cycle=2, stats=stats, spikes=3, notes=("tilted",), run_dir="run")
     facts = json.loads(json.dumps(event.facts()))
-    assert (facts["name"], facts["cycle"], facts["data"]["rms_nm"], facts["data"]["spikes"]) == ("measured", 2, 1.5, 3)
+    assert (facts["name"], facts["cycle"], facts["data"]["rms_nm"], facts["data"]["spikes"]) == (
+        "map_measured",
+        2,
+        1.5,
+        3,
+    )
     assert set(facts["data"]) == {
         "rms_nm", "pv_nm", "lsf_rms_nm", "band_rms_nm", "samples", "judged", "spikes", "notes", "run_dir"
     }  # fmt: skip

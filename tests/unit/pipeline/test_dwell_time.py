@@ -101,7 +101,7 @@ def test_a_search_that_is_cut_short_is_refused(choose: dict[str, Any], monkeypat
     with pytest.raises(ComputeError) as caught:
         solved(costly.recipe(cpu_limit_s=3.0, **choose))
     for words in (
-        f'choose = "{choose["choose"]}" takes many solves, and its time was over after 1:',
+        f'objective = "{choose["objective"]}" takes many solves, and its time was over after 1:',
         "3.0 s of CPU time and 6.0 s of wall time were used, and the next solve's KKT residual was 9.80e-03 after 7",
         "dwell.cpu_limit_s is 3 s",
     ):

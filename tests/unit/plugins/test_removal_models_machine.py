@@ -130,7 +130,7 @@ def test_what_cannot_be_identified_teaches_the_rate_and_stops_a_pass_that_was_ma
     assert plain.stop == ""
     assert "the machine was not identified" in plain.notes[-1]
     touch = learn_machine(asked(), replace(evidence, must_tell=True), modelled_spot_of)
-    assert "this pass was made for identification: look at tool" in touch.stop
+    assert "this pass was made for identification: check tool" in touch.stop
 
 
 @pytest.mark.slow

@@ -203,7 +203,7 @@ def test_a_busy_machine_is_no_reason_to_refuse(desk: Desk, monkeypatch: pytest.M
     begin = time.thread_time()
     desk.plan()
     enough_s = 3 * (time.thread_time() - begin)
-    desk.recipe = small_recipe(within_s=enough_s, kkt_tolerance=2e-5)
+    desk.recipe = small_recipe(cpu_limit_s=enough_s, kkt_tolerance=2e-5)
     desk.out = desk.out.with_name("two")
     slowness = 50.0 / enough_s  # 17 s for all of it on the wall; the backstop is above 60
     for clock in ("perf_counter", "monotonic"):

@@ -129,16 +129,16 @@ def test_lines_stand_below_the_table(capsys: Any) -> None:
 
 def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
     events: list[tuple[str, int | None, dict[str, Any]]] = [
-        ("opened", None, {}),
-        ("measured", 0, {"rms_nm": 20.456, "pv_nm": 101.0, "band_rms_nm": 3.0, "notes": ["tilt [of] 150 nm"]}),
-        ("learned", 1, {"rate": 1.0, "notes": ["the rate stays"]}),
-        ("solved", 0, {"predicted_rms_nm": 1.0, "kkt_residual": 1e-5}),
+        ("cell_opened", None, {}),
+        ("map_measured", 0, {"rms_nm": 20.456, "pv_nm": 101.0, "band_rms_nm": 3.0, "notes": ["tilt [of] 150 nm"]}),
+        ("estimates_updated", 1, {"rate": 1.0, "notes": ["the rate stays"]}),
+        ("dwell_solved", 0, {"predicted_rms_nm": 1.0, "kkt_residual": 1e-5}),
         ("pass_started", 0, {"blocks": 100, "dwell_s": 60.0}),
-        ("progress", 0, {"block": 50}),
+        ("pass_progressed", 0, {"block": 50}),
         ("pass_ended", 0, {"executed_s": 61.0}),
-        ("state", None, safety_of("held", "by [order]", ("robot: [deaf]",)).data),
-        ("state", None, {"state": "polishing", "reason": ""}),
-        ("failed", None, {"kind": "LinkError", "error": "[gone]"}),
+        ("state_changed", None, safety_of("held", "by [order]", ("robot: [deaf]",)).data),
+        ("state_changed", None, {"state": "polishing", "reason": ""}),
+        ("daemon_failed", None, {"kind": "LinkError", "error": "[gone]"}),
         ("run_folder_completed", None, {}),
     ]
     with progress([("", Path("my cell.toml"))]) as (show,):

@@ -57,7 +57,7 @@ def test_a_file_that_is_missing_too_large_or_no_job_is_refused_by_name(
 ) -> None:
     path = write(tmp_path)
     (tmp_path / "maps" / "nominal.dat").unlink()
-    with pytest.raises(ConfigError, match=r"part\.nominal: .*nominal\.dat: cannot be read"):
+    with pytest.raises(ConfigError, match=r"part\.form: .*nominal\.dat: cannot be read"):
         read_part(path)
     write(tmp_path)
     monkeypatch.setattr(parts, "MOST_BYTES", 3)

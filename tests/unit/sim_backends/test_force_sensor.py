@@ -148,7 +148,7 @@ def test_the_seven_are_as_they_should_be() -> None:
 
 
 def test_a_flow_stops_after_so_long_in_contact() -> None:
-    found, told = inputs(slurry_flow=SimSignal(value=1.5, then=0.0, after_s=2.0))
+    found, told = inputs(slurry_flow=SimSignal(value=1.5, changes_to=0.0, after_s=2.0))
     found.step(200.0)
     assert (found.told("slurry_flow"), told) == ("1.5000", [])
     found.touching = True
@@ -170,7 +170,7 @@ def test_a_guard_opens_for_a_while_at_the_press_of_a_button() -> None:
 
 
 def test_a_transducer_may_break() -> None:
-    found, _ = inputs(chuck_vacuum=SimSignal(value=82.0, then="?"))
+    found, _ = inputs(chuck_vacuum=SimSignal(value=82.0, changes_to="?"))
     found.press()
     assert found.told("chuck_vacuum") == "?"
 

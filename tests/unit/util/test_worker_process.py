@@ -110,7 +110,7 @@ def test_a_worker_is_ended_when_its_cpu_time_is_used(worker: WorkerProcess, what
     with pytest.raises(
         WorkerError,
         match=r"^the worker exceeded its limit: \d\.\d s of CPU time \(limit 0\.2 s\) in \d+\.\d s \(limit 600 s\)\. "
-        r"Increase dwell\.within_s\.$",
+        r"Increase dwell\.cpu_limit_s\.$",
     ):
         worker.request({"do": what}, limit=limit)
     gone(worker.pid)

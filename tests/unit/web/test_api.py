@@ -186,4 +186,4 @@ def test_alarms_stay_until_somebody_has_seen_them_and_the_first_is_named(web: Se
         (left,) = web.ask("GET", "/api/alarms").json()["alarms"]
         assert (left["number"], left["first"]) == (second["number"], True)
     trail = web.ask("GET", "/api/journal").json()["events"]
-    assert [one["name"] for one in trail] == ["acknowledged", "held", "held"]
+    assert [one["name"] for one in trail] == ["alarm_acknowledged", "cell_held", "cell_held"]

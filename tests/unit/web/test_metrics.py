@@ -95,7 +95,7 @@ def test_figures_are_in_base_units_with_their_ages() -> None:
     assert found["polishd_tolerance_limit_meters", "RMS"] == pytest.approx(2e-9)
     assert found["polishd_tolerance_used_ratio", "slope RMS over 2 mm"] == 3
     assert ("polishd_tolerance_limit_meters", "slope RMS over 2 mm") not in found, "an angle is no length"
-    assert (found["polishd_parts_total", "put_aside"], found["polishd_parts_total", "in_tolerance"]) == (1, 3)
+    assert (found["polishd_parts_total", "set_aside"], found["polishd_parts_total", "in_tolerance"]) == (1, 3)
     assert found["polishd_parts_total", "stalled"] == 0, "there before the first one"
     assert (found["polishd_alarms", "warning"], found["polishd_alarms", "alarm"]) == (1, 0)
 
@@ -126,7 +126,7 @@ def test_a_daemon_that_refuses_has_told_nothing() -> None:
 
 def test_names_are_those_of_the_daemon() -> None:
     assert set(STATES) == set(DaemonState)
-    assert set(OUTCOMES) == {*Outcome, "put_aside"}
+    assert set(OUTCOMES) == {*Outcome, "set_aside"}
 
 
 def test_it_is_off_unless_asked_for(tmp_path: Path) -> None:

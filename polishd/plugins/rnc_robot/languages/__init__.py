@@ -1,8 +1,4 @@
-"""Robot languages (RAPID, KRL, FANUC TP, URScript, and a user's own), read and rewritten by profiles that are data.
-
-A profile says in templates which statement moves, which waits, and which changes neither place nor time; everything
-else is refused. Time sits in the dwells: ``encoding`` is always ``"dwell"``.
-"""
+"""Robot languages (RAPID, KRL, FANUC TP, URScript, and your own), read and rewritten by profiles that are data."""
 
 from __future__ import annotations
 

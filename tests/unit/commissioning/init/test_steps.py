@@ -34,7 +34,7 @@ def cell(made: Path, tmp_path: Path) -> Path:
 
 def setup(cell: Path) -> dict[str, tuple[Any, str, str]]:
     """By step: whether it is done, what was found, the command."""
-    said = CliRunner().invoke(app, ["status", str(cell), "--setup", "--json"])
+    said = CliRunner().invoke(app, ["init", str(cell), "--status", "--json"])
     assert said.exit_code == 0, said.output
     found = json.loads(said.stdout.splitlines()[-1])["steps"]
     return {step["what"]: (step["done"], step["found"], step["command"]) for step in found}

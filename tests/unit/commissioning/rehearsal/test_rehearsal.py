@@ -126,6 +126,7 @@ def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(
         "instrument.profile": "instrument.toml",
         "program.path": str(tmp_path / "program.rnc"),
         "robot.address": f"tcp://127.0.0.1:{port}",
+        "spindle.eds": str(tmp_path / "drive.eds"),
     }
     assert "# the part's centre in the robot's base frame" in cell_text(draft), "comments stay"
     assert draft.notes == ["instrument.profile: there is none; the rehearsal has that of polishd demo"]
@@ -292,7 +293,7 @@ def test_what_nothing_can_stand_in_for_is_refused_with_its_place(tmp_path: Path,
 def test_a_rehearsal_is_never_written_where_the_real_cell_writes(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "state")
     text = CELL.replace("# run_dir", "run_dir").replace('"sim/maps"', '"incoming"')
-    draft = made(tmp_path, text.replace("# accept_without_part_id = false", f'claimed = "{tmp_path}/archive" #'))
+    draft = made(tmp_path, text.replace("# accept_without_part_id = false", f'claimed_dir = "{tmp_path}/archive" #'))
     for folder in ("state", "state/sub", "link", "runs", "runs/today/x", "incoming", "archive", "incoming/quarantine"):
         with pytest.raises(ConfigError, match=r"of the real cell .* name another folder with --out"):
             require_apart(draft, tmp_path / folder)

@@ -116,7 +116,7 @@ async def test_a_measurement_is_journalled_kept_and_told(job: Job, journal: Jour
     with np.load(folder / "surface.npz") as kept:
         assert np.array_equal(np.isfinite(kept["height_nm"]), measured.solve_mask)
     (event,) = job.told  # type: ignore[attr-defined]
-    assert (event.name, event.cycle, event.data["rms_nm"]) == ("measured", 0, measured.stats.rms_nm)
+    assert (event.name, event.cycle, event.data["rms_nm"]) == ("map_measured", 0, measured.stats.rms_nm)
 
 
 async def test_masks_are_those_of_the_first_map(job: Job) -> None:
@@ -160,7 +160,7 @@ async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, 
     names = [event.name for event in job.told]  # type: ignore[attr-defined]
     progress = plan.program.n // PROGRESS_BLOCKS
     assert progress > 2
-    assert names == ["measured", "solved", "pass_started", *["progress"] * progress, "pass_ended"]
+    assert names == ["map_measured", "dwell_solved", "pass_started", *["pass_progressed"] * progress, "pass_ended"]
     assert job.told[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
 
 
@@ -281,7 +281,7 @@ async def test_one_entry_a_measurement(job: Job) -> None:
 
 async def test_the_first_cycle_learns_nothing(job: Job) -> None:
     await job.learn(0, await job.measured(0, small_map()))
-    assert [event.name for event in job.told] == ["measured"]  # type: ignore[attr-defined]
+    assert [event.name for event in job.told] == ["map_measured"]  # type: ignore[attr-defined]
 
 
 @pytest.mark.full

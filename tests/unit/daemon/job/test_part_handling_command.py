@@ -24,8 +24,8 @@ time.sleep(600)
 """
 
 
-def python(code: str, folder: Path, within_s: float = SOON_S) -> HandlingStep:
-    return HandlingStep(command=(sys.executable, "-c", code), folder=folder, within_s=within_s)
+def python(code: str, folder: Path, timeout_s: float = SOON_S) -> HandlingStep:
+    return HandlingStep(command=(sys.executable, "-c", code), folder=folder, timeout_s=timeout_s)
 
 
 def gone(pid: int) -> bool:
@@ -68,8 +68,8 @@ async def test_a_command_that_is_not_there(tmp_path: Path) -> None:
 
 
 async def test_one_that_takes_too_long_is_killed_with_all_that_it_started(tmp_path: Path) -> None:
-    task = asyncio.ensure_future(run_command("clean", python(HANGS, tmp_path, within_s=2.0), {}))
-    with pytest.raises(HandlingError, match=r"not done after 2 s \(part_handling\.clean\.within_s\), and was killed"):
+    task = asyncio.ensure_future(run_command("clean", python(HANGS, tmp_path, timeout_s=2.0), {}))
+    with pytest.raises(HandlingError, match=r"not done after 2 s \(part_handling\.clean\.timeout_s\), and was killed"):
         await task
     if (tmp_path / "pids").exists():  # a busy machine may not have got so far
         await until_gone(tmp_path)

@@ -294,7 +294,7 @@ async def test_the_place_of_the_actuator_may_be_said(bench: Bench) -> None:
 
 def between(bench: Bench, what: BetweenPasses, **job: Any) -> Any:
     bench.rate = 0.9
-    return bench.job(recipe=small_recipe(between=what, tolerance_nm=1e-6), **{"max_cycles": 2, **job})
+    return bench.job(recipe=small_recipe(part_handling=what, tolerance_nm=1e-6), **{"max_cycles": 2, **job})
 
 
 def said(path: Path, code: str = "") -> tuple[str, ...]:
@@ -314,7 +314,7 @@ async def test_commands_run_between_passes_in_their_order(bench: Bench, tmp_path
 
 
 async def test_a_step_of_a_person_is_asked_for_once(bench: Bench) -> None:
-    job = between(bench, BetweenPasses(clean=HandlingStep(person="wipe the part")), max_cycles=1)
+    job = between(bench, BetweenPasses(clean=HandlingStep(operator="wipe the part")), max_cycles=1)
     with pytest.raises(HandlingError, match="clean: wipe the part; that done: polishd resume"):
         await bench.polish(job)
     assert bench.journal.unfinished() is None, "nothing is under way while the person is at it"
@@ -354,7 +354,7 @@ def warming(bench: Bench, *swellings_nm: float) -> Callable[[], SurfaceMap]:
 async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 0.0, 0.0, 9.0, 3.0, 1.0, 0.9)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
-    job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, maps=6, wait_s=60.0)), max_cycles=1)
+    job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, max_maps=6, wait_s=60.0)), max_cycles=1)
     assert await bench.polish(job) is Outcome.CYCLES_USED
     told = [(event.cycle, event.maps) for event in job.told if event.name == "map_repeated"]
     assert told == [(0, 2), (1, 2), (1, 3), (1, 4)]
@@ -374,7 +374,7 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
 async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 9.0, 8.0, 7.0, 6.0)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
-    job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, maps=3, wait_s=60.0)))
+    job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, max_maps=3, wait_s=60.0)))
     with pytest.raises(
         PartNotSettled, match=r"does not settle: from map to map it changed by 0\.\d\d, 0\.\d\d nm; 0\.20 nm"
     ):
@@ -414,7 +414,7 @@ class WarmPart:
 
 @pytest.mark.full
 @pytest.mark.one_of_each
-@pytest.mark.parametrize("settle", [SettleRule(limit_nm=0.2, maps=9, wait_s=60.0), None])
+@pytest.mark.parametrize("settle", [SettleRule(limit_nm=0.2, max_maps=9, wait_s=60.0), None])
 async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, settle: SettleRule | None) -> None:
     """Its first map after a pass shows a swelling that is no figure: by that the good part would be polished on.
 

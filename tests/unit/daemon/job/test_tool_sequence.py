@@ -173,7 +173,7 @@ async def test_a_command_changes_the_tool_and_is_run_again_where_it_failed(bench
     told, broken = tmp_path / "told", tmp_path / "broken"
     broken.touch()
     script = CHANGER.format(told=str(told), broken=str(broken))
-    job = bench.job(change=HandlingStep(command=(sys.executable, "-c", script), within_s=60.0))
+    job = bench.job(change=HandlingStep(command=(sys.executable, "-c", script), timeout_s=60.0))
     with pytest.raises(HandlingError, match="change"):
         await bench.polish(job)
     assert not bench.fake.of("actuator.set_force"), "nothing was pressed with a tool that nobody knows"

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sqlite3
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from polishd.daemon.journal import store
+from polishd.daemon.journal.checksums import check_journal
+from polishd.daemon.journal.history import read_only
 from polishd.daemon.journal.journal import NO_JOB, Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.journal.store import OF_A_JOB
 from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
-from polishd.model.events import PlanWritten
+from polishd.model.events import CellHeld, PlanWritten
 from polishd.model.states import CyclePhase, Outcome
 from tests.unit.daemon.small import told_phases
 
@@ -533,3 +537,50 @@ def test_a_new_job_follows_one_that_was_under_way_in_format_1(of_format_1: Path)
         journal.begin_pass(0, "prog", "boot", 3, plan="p", start="s")
     with opened(of_format_1, "next") as journal:
         assert (journal.passes[0].plan, journal.passes[0].start) == ("p", "s")
+
+
+FORMAT_6 = (
+    "UPDATE event SET name = 'held' WHERE name = 'cell_held'",
+    "INSERT INTO event (job, at, cycle, name, data) VALUES (1, 5.0, 0, 'touched_off', '{\"most_off_mm\": 0.3}')",
+    "INSERT INTO event (job, at, cycle, name, data) VALUES (1, 6.0, 0, 'signal_wrong', '{\"leads_to\": \"hold\"}')",
+    "PRAGMA user_version = 6",
+)
+TERMS_6 = {
+    "between.clean.person": "wipe", "between.settle.maps": 5, "part.rim": "free", "process.learns": "rate",
+    "memory.tool": "bonnet 7", "process.rpm": 1000.0, "robot.type": "handover",
+}  # fmt: skip
+
+
+def of_format_6(state_dir: Path) -> None:
+    """A journal with the names of before release 1.0."""
+    with opened(state_dir) as journal:
+        journal.record_map(0, "cc", "x", {})
+        journal.record_event(CellHeld(error="hot", kind="DeviceFault"))
+    with closing(store.connect(state_dir / "journal.sqlite")) as file:
+        file.execute("UPDATE job SET terms = ?", (json.dumps(TERMS_6),))
+        for statement in FORMAT_6:
+            file.execute(statement)
+
+
+def test_a_journal_of_format_6_gets_the_names_of_release_1(tmp_path: Path) -> None:
+    of_format_6(tmp_path)
+    with opened(tmp_path) as journal:
+        assert journal.resumed
+        assert journal.terms == {
+            "part_handling.clean.operator": "wipe", "part_handling.settle.max_maps": 5, "part.free_edge": True,
+            "process.estimates": "rate", "estimates.tool": "bonnet 7", "process.rpm": 1000.0, "robot.type": "plc_robot",
+        }  # fmt: skip
+    events = rows(tmp_path, "SELECT name, data FROM event ORDER BY id")
+    assert [name for name, _ in events] == ["cell_held", "part_touched_off", "signal_out_of_range"]
+    assert [json.loads(str(data)) for _, data in events[1:]] == [{"max_offset_mm": 0.3}, {"action": "hold"}]
+    assert rows(tmp_path, "PRAGMA user_version") == [(7,)]
+    assert check_journal(tmp_path / "journal.sqlite", {7: store._definitions()}).damage is None
+    assert (tmp_path / "journal.v6.sqlite").exists()
+
+
+def test_a_journal_of_format_6_that_is_only_read_shows_the_names_of_release_1(tmp_path: Path) -> None:
+    of_format_6(tmp_path)
+    with read_only(tmp_path) as journal:
+        names = [name for (name,) in journal.execute("SELECT name FROM event ORDER BY id")]
+    assert names == ["cell_held", "part_touched_off", "signal_out_of_range"]
+    assert rows(tmp_path, "PRAGMA user_version") == [(6,)], "nothing is written"

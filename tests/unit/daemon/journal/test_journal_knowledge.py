@@ -68,7 +68,10 @@ def test_errors_are_of_this_job_and_between_jobs_of_this_run(tmp_path: Path, jou
     journal.record_event(CellHeld(error="hot", kind="DeviceFault"))
     journal.record_event(state("held", "no error"))  # type: ignore[arg-type]
     journal.record_event(DaemonFailed(error="gone", kind="LinkError"))
-    assert [(name, data["error"]) for _, name, data in journal.errors()] == [("held", "hot"), ("failed", "gone")]
+    assert [(name, data["error"]) for _, name, data in journal.errors()] == [
+        ("cell_held", "hot"),
+        ("daemon_failed", "gone"),
+    ]
     journal.record_outcome(Outcome.STALLED)
     for error in ("first", "second"):
         with Journal.of_cell(tmp_path) as cell:

@@ -150,7 +150,9 @@ async def test_a_line_of_one_cell_is_in_no_others_log(tmp_path: Path) -> None:
             group.create_task(cell(name))
     for name in ("a", "b"):
         said = [json.loads(line)["message"] for line in (tmp_path / name / "polishd.log").read_text().splitlines()]
-        assert sorted(said) == sorted(["progress", f"{name} plugin", f"{name} task", f"{name} thread", "of no cell"])
+        assert sorted(said) == sorted(
+            ["pass_progressed", f"{name} plugin", f"{name} task", f"{name} thread", "of no cell"]
+        )
 
 
 async def test_one_cells_end_leaves_the_others_log_as_it_is(tmp_path: Path) -> None:

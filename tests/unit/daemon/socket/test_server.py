@@ -200,7 +200,7 @@ async def test_subscribers_hear_events(daemon: Path, bus: EventBus) -> None:
     await bus.close()
     expected = [
         {"name": "pass_ended", "cycle": 1, "data": {"executed_s": 2.5}},
-        {"name": "held", "cycle": None, "data": {"error": "cut", "kind": "LinkError"}},
+        {"name": "cell_held", "cycle": None, "data": {"error": "cut", "kind": "LinkError"}},
     ]
     assert await asyncio.gather(*heard) == [expected, expected]
 

@@ -42,7 +42,7 @@ def reading(answer: str) -> Any:
 
 @pytest.mark.parametrize(
     ("name", "number", "request_body"),
-    [("force_request", 7, PROFILE.asks["reading"].send), ("tare", 11, PROFILE.orders.tare[0])],
+    [("force_request", 7, PROFILE.asks["reading"].send), ("tare", 11, PROFILE.commands.tare[0])],
 )
 def test_requests_are_those_of_the_document(name: str, number: int, request_body: str) -> None:
     assert lines.encode(number, request_body) == FORCE[name] + b"\r\n"

@@ -371,7 +371,7 @@ async def test_a_map_that_cannot_be_claimed(make: Callable[..., WatchedFolder], 
     (folder / "taken").write_text("a file where the folder should be")
     (folder / "a.dat").write_bytes(dat(1))
     with pytest.raises(SurfaceError, match="cannot be moved to"):
-        await make(refused="../refused").next_map(None)
+        await make(refused_dir="../refused").next_map(None)
     assert (folder / "a.dat").exists()
 
 

@@ -415,7 +415,7 @@ def test_on_the_next_part_only_what_belonged_to_the_mounted_one_is_forgotten() -
     assert variance["rate"] == pytest.approx(0.01**2 + 4 * 0.03**2), "a random walk of four days"
     assert after.rate == Estimate(1.1, pytest.approx(1.1 * variance["rate"] ** 0.5))
     assert estimates_for_next_part(MachineEstimates(), 4.0) == MachineEstimates()
-    with pytest.raises(ComputeError, match="kept of the machine has the parameters"):
+    with pytest.raises(ComputeError, match="the stored estimates have the parameters"):
         estimates_for_next_part(replace(taught, mean={"rate": 0.1}), 1.0)
 
 

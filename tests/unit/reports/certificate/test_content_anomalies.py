@@ -64,8 +64,12 @@ def test_a_restart_after_an_interruption() -> None:
     ("event", "kind", "what"),
     [
         (events.FindingReported(kind="wear", what="the pad wore", stops="cell"), "wear", "the pad wore"),
-        (events.SignalOutOfRange(signal="flow", what="flow is low", action="notify"), "signal wrong", "flow is low"),
-        (events.RemovalCheckFailed(stop="turned by 90", cycle_dir="c"), "gate stopped", "turned by 90"),
+        (
+            events.SignalOutOfRange(signal="flow", what="flow is low", action="notify"),
+            "signal out of range",
+            "flow is low",
+        ),
+        (events.RemovalCheckFailed(stop="turned by 90", cycle_dir="c"), "removal check failed", "turned by 90"),
         (events.CommandReceived(order="estop", reason=""), "command", "estop was ordered"),
     ],
 )

@@ -214,7 +214,7 @@ def test_the_command_line_has_it() -> None:
     group = next(one for one in app.registered_groups if one.name == "report")
     assert group.typer_instance is not None
     names = {command.name for command in group.typer_instance.registered_commands}
-    assert names == {"certificate", "verify", "key", "schema"}
+    assert names == {"certificate", "verify", "keygen", "schema"}
 
 
 @pytest.mark.full

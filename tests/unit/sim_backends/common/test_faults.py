@@ -314,7 +314,7 @@ SENSELESS = {
     'device = "robot"\nwhat = "drop"\nat_s = 1.0\nframe = 2': "5: fault.frame: it cannot begin by at_s and by frame",
     'device = "robot"\nwhat = "drop"\nframe = 2\nrate = 0.1': "5: fault.rate: does not go with frame",
     'device = "robot"\nwhat = "hang"\nrate = 0.1': "4: fault.rate: means nothing for hang; it is for drop",
-    'device = "robot"\nwhat = "reboot"\nat_s = 1.0\nfor_s = 1.0': "5: fault.for_s: means nothing for reboot",
+    'device = "robot"\nwhat = "reboot"\nat_s = 1.0\nduration_s = 1.0': "5: fault.duration_s: means nothing for reboot",
     'device = "robot"\nwhat = "delay"\nrate = 0.1': "1: fault.by_s: delay needs it, or jitter_s",
     'device = "actuator"\nwhat = "drift"\nat_s = 1.0': "1: fault.drift_n_s: drift needs it",
     'device = "robot"\nwhat = "exception"\nrate = 0.1\ndirection = "to_device"': "5: fault.direction: exception",

@@ -123,7 +123,9 @@ def test_a_part_that_is_taken_off_stays_to_be_seen_and_the_file_says_what_the_ne
     file = tmp_path / "sim.toml"
     file.write_text("[plant]\npart_id = 'A/1'\naperture_mm = 10.0\nring_mm = 4.0\nrms_nm = 8.0\npv_nm = 60.0\n")
     server = build(Start(load_simulator(file), tmp_path, seed=1, speed=60.0))
-    file.write_text(file.read_text().replace("8.0", "3.0").replace("60.0", "20.0") + "[hidden_truth]\nworn = 0.5\n")
+    file.write_text(
+        file.read_text().replace("8.0", "3.0").replace("60.0", "20.0") + "[hidden_truth]\ntool_wear = 0.5\n"
+    )
     server.again()
     server.change("")
     kept = np.load(tmp_path / "parts" / "A%2F1.npz")
@@ -132,7 +134,7 @@ def test_a_part_that_is_taken_off_stays_to_be_seen_and_the_file_says_what_the_ne
         pytest.approx(8.0)
     )
     assert server.world.part.stats()[0] == pytest.approx(3.0)
-    assert server.world.config.hidden_truth.worn == 0.5
+    assert server.world.config.hidden_truth.tool_wear == 0.5
 
 
 def test_a_device_is_told_where_things_are(server: PlantServer) -> None:
