@@ -57,7 +57,7 @@ class Rehearsal:
 def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
     """Write the rehearsal of a cell and, unless told otherwise, start its simulator; the exit code."""
     if any(option.partition("=")[0] in {"--state", "--artefact"} for option in options):
-        raise ConfigError("--state and --artefact go without --from: a rehearsal has folders of its own; use --out")
+        raise ConfigError("--state and --artefact are options of polishd sim. A rehearsal has its own folders: use --out.")
     own = _plant_options(options)
     if write_only and (others := [one for one in options if one not in own.given]):
         raise ConfigError(
@@ -173,7 +173,7 @@ def _tell_nobody(draft: RehearsalDraft) -> None:
     for name, section in draft.config.part_handling:
         if command := getattr(section, "command", ()):
             why = f"{' '.join(command)} would act on the real cell"
-            draft.instead(f"between.{name}.command", NOTHING, why)
+            draft.instead(f"part_handling.{name}.command", NOTHING, why)
     for name in draft.config.notify:
         draft.instead(f"notify.{name}", None, "a rehearsal tells nobody")
     known = installed()

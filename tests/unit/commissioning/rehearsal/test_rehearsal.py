@@ -366,5 +366,5 @@ def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
 
 
 def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--state and --artefact go without --from"):
+    with pytest.raises(ConfigError, match="--state and --artefact are options of polishd sim"):
         CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)
