@@ -57,7 +57,7 @@ class Rehearsal:
 def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
     """Write the rehearsal of a cell and, unless told otherwise, start its simulator; the exit code."""
     if any(option.partition("=")[0] in {"--state", "--artefact"} for option in options):
-        raise ConfigError("--state and --artefact are options of polishd sim. A rehearsal has its own folders: use --out.")
+        raise ConfigError("--state and --artefact are options of polishd sim. A rehearsal has its folders: use --out.")
     own = _plant_options(options)
     if write_only and (others := [one for one in options if one not in own.given]):
         raise ConfigError(
